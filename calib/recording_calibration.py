@@ -1,4 +1,4 @@
-"""Recordings -> a calibration, a diagnosis, a certificate: what the commands and a notebook call alike."""
+"""Calibration, diagnosis and certificate of recordings, as the commands and a notebook call them."""
 
 from collections.abc import Sequence
 
@@ -28,8 +28,7 @@ from rig.recording.recording_folder import Recording
 
 
 def calibrated(recording: Recording, progress: Progress | None = None) -> Calibration:
-    """Calibration of a recording, as `rig calibrate` makes it: geometry fitted to its poses, what pays beyond it, what
-    both are worth elsewhere.
+    """Calibration of a recording, as `rig calibrate` makes it.
 
     What it leaves out is looked for as `diagnosed` does, and stands in its claim. progress : called with (label, done,
     of), or None
@@ -41,23 +40,25 @@ def calibrated(recording: Recording, progress: Progress | None = None) -> Calibr
     ):  # sums of products are rounded by how many threads share them: the result is the same for any number
         sampled = sample_recording(recording, progress=progress)
         if recording.design.mechanism.kind == "arm":
-            found = arm_certify.certify(
+            found = arm_certify.certify_arm(
                 sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress
             )
             made = calibration_with_provenance(
-                recording, sampled, found, arm_certify.workspace_claim_of(sampled.samples, found, rng)
+                recording, sampled, found, arm_certify.arm_workspace_claim(sampled.samples, found, rng)
             )
             return search_left_out_physics(made, recording, sampled, progress)
         if recording.design.mechanism.kind == "chain":
-            together = chain_certify.certify(sampled.samples, chain_of(recording.design.mechanism), rng, progress)
+            together = chain_certify.certify_chain(sampled.samples, chain_of(recording.design.mechanism), rng, progress)
             made = calibration_with_provenance(
-                recording, sampled, together, chain_certify.workspace_claim_of(sampled.samples, together, rng)
+                recording, sampled, together, chain_certify.chain_workspace_claim(sampled.samples, together, rng)
             )
             return search_left_out_physics(made, recording, sampled, progress)
-        done = platform_certification.certify(sampled.samples, struts_of(recording.design.mechanism), rng, progress)
+        done = platform_certification.certify_platform(
+            sampled.samples, struts_of(recording.design.mechanism), rng, progress
+        )
         return search_left_out_physics(
             calibration_with_provenance(
-                recording, sampled, done, platform_certification.workspace_claim_of(sampled.samples, done, rng)
+                recording, sampled, done, platform_certification.platform_workspace_claim(sampled.samples, done, rng)
             ),
             recording,
             sampled,
@@ -71,7 +72,7 @@ def diagnosed(
     without: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> Report:
-    """Report of what physics a recording's model leaves out, as `rig diagnose` finds it.
+    """Diagnosis report of a recording: what physics its model leaves out, as `rig diagnose` finds it.
 
     only, without : names of effects (or "EFFECT PLACE") that alone are asked for, or left out
     Raises RigError for a name that there is not, NotEnoughData where the recording tells nothing
@@ -85,15 +86,15 @@ def diagnosed(
 def certified(
     calibration: Calibration,
     recordings: Sequence[Recording],
-    asked: Asked | None = None,
+    request: Asked | None = None,
     progress: Progress | None = None,
 ) -> Certificate:
-    """Certificate of a Calibration by recordings that it was not made from, as `rig certify` states it. asked : what
-    of, 95 % with 95 % by default
+    """Certificate of a calibration by recordings it was not made from, as `rig certify` makes it.
+    request : what of, 95 % with 95 % by default
 
     Raises RigError for a recording that took part in fitting, NotEnoughData where these have too few configurations
     """
-    held = held_out(calibration, recordings, progress)
+    held = held_out_recordings(calibration, recordings, progress)
     made = calibration.provenance
     source = {
         "calibration": {"recording": made.get("recording"), "created": made.get("created")},
@@ -101,19 +102,19 @@ def certified(
         "seed": SEED,
         "recordings": [recording.name for recording in recordings],
     }
-    return statement.certificate_of(
-        calibration, held, Asked() if asked is None else asked, source, np.random.default_rng(SEED)
+    return statement.calibration_certificate(
+        calibration, held, Asked() if request is None else request, source, np.random.default_rng(SEED)
     )
 
 
-def held_out(
+def held_out_recordings(
     calibration: Calibration,
     recordings: Sequence[Recording],
     progress: Progress | None = None,
     named: str = "the calibration",
 ) -> list[tuple[Recording, Sampled]]:
-    """[(Recording, Sampled)], none of whose data took part in fitting a calibration or is there twice. named : the
-    calibration, in words
+    """Held-out recordings [(Recording, Sampled)]: none of whose data was used in the calibration.
+    named : the calibration, in words
 
     Raises RigError naming what did
     """

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.files import calibration_file
 from calib.models.chain import error_model
-from calib.models.chain.identification import identify
+from calib.models.chain.identification import identify_chain
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import sample_recording
 from rig.cli import command_line
@@ -55,8 +55,10 @@ def test_the_jacobians_are_the_differences(gantry):
     np.testing.assert_allclose(
         chain.jacobian(x, gantry), differences(lambda v: log(at.inv() * chain.forward(v, gantry)), x), atol=1e-8
     )
-    still = np.zeros(len(error_model.names(gantry)))
-    of = differences(lambda p: log(at.inv() * chain.forward(x, error_model.moved(gantry, p))), still)
+    still = np.zeros(len(error_model.parameter_names(gantry)))
+    of = differences(
+        lambda p: log(at.inv() * chain.forward(x, error_model.chain_with_parameter_step(gantry, p))), still
+    )
     np.testing.assert_allclose(error_model.parameter_jacobian(x[None], gantry)[0], of, atol=1e-7)
 
 
@@ -96,10 +98,10 @@ def test_stages_are_told_from_one_recording_and_what_cannot_be_is_named(tmp_path
     )
     true, _ = machine_json.load_machine(tmp_path / "truth.json", design)
     samples = sample_recording(recording_folder.load(tmp_path / "rec")).samples
-    found = identify(samples, design.mechanism)
+    found = identify_chain(samples, design.mechanism)
     # the true machine in the parameters that are freedoms of their own: what poses without noise say of it, to the last
     # digit
-    exact = identify(
+    exact = identify_chain(
         replace(
             samples,
             T_base_platform=chain.forward(samples.commanded, true.mechanism),
@@ -117,7 +119,7 @@ def test_stages_are_told_from_one_recording_and_what_cannot_be_is_named(tmp_path
     )
     free = np.diag(found.covariance) > 0
     off, covariance = (found.step - exact.step)[free], found.covariance[np.ix_(free, free)]
-    for part in error_model.parts(design.mechanism):  # stage by stage
+    for part in error_model.stage_parameter_slices(design.mechanism):  # stage by stage
         assert (
             np.abs(
                 (found.step - exact.step)[part][free[part]] / np.sqrt(np.diag(found.covariance)[part][free[part]])
@@ -145,12 +147,12 @@ def test_of_a_machine_as_stated_nothing_is_off(gantry):
         np.tile(np.diag([1e-10] * 3 + [1e-9] * 3), (40, 1, 1)),
         np.zeros((40, 6, 0)),
     )
-    found = identify(samples, gantry)
+    found = identify_chain(samples, gantry)
     assert np.abs(found.step).max() < 1e-6 and found.inliers.all()
     for one in found.undetermined:
         v = np.zeros(len(found.step))
         for name, weight in one.parameters:
-            v[error_model.names(gantry).index(name)] = weight
+            v[error_model.parameter_names(gantry).index(name)] = weight
         assert v.any() and one.left > 0.5
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.models.chain import error_model
-from calib.models.chain.identification import identify
+from calib.models.chain.identification import identify_chain
 from calib.samples.recording_samples import sample_recording
 from rig.cli import command_line
 from rig.errors import FileError
@@ -50,7 +50,10 @@ def test_cubes_on_the_carriage_tell_its_stages_apart(tmp_path, capfd):
     off = pose_difference(stands, stage.T_base_stage)
     assert stage.stage == 1 and stage.seen.all() and np.abs(off[:, :3]).max() < 1.5e-4
     assert np.einsum("ni,nij,nj->n", off, np.linalg.inv(whole), off).mean() < 12
-    found, alone = identify(samples, design.mechanism), identify(replace(samples, below=()), design.mechanism)
+    found, alone = (
+        identify_chain(samples, design.mechanism),
+        identify_chain(replace(samples, below=()), design.mechanism),
+    )
     assert (
         not found.undetermined
         and {one.base_stages for one in alone.undetermined} >= {(2, 1)}
@@ -68,12 +71,12 @@ def test_cubes_on_the_carriage_tell_its_stages_apart(tmp_path, capfd):
         common=samples.common[..., :0],
         below=(replace(stage, T_base_stage=stands, covariance=stage.covariance * 1e-8, common=stage.common[..., :0]),),
     )
-    step, sigma = identify(exact, design.mechanism).step, np.sqrt(np.diag(found.covariance))
+    step, sigma = identify_chain(exact, design.mechanism).step, np.sqrt(np.diag(found.covariance))
     free = sigma > 0
     assert np.abs((found.step - step)[free] / sigma[free]).max() < 3.5 and np.abs(step[free]).max() > 3 * np.median(
         sigma[free]
     )
-    upper = error_model.parts(design.mechanism)[1]
+    upper = error_model.stage_parameter_slices(design.mechanism)[1]
     assert np.median(np.sqrt(np.diag(alone.covariance)[upper])) > 2 * np.median(sigma[upper])
 
 

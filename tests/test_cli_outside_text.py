@@ -9,8 +9,8 @@ import threading
 import pytest
 
 from rig.cli.command_line import main
-from rig.cli.shared.run_terminal import Block
-from rig.cli.shared.terminal_safe_output import Escaped
+from rig.cli.shared.run_terminal_display import Block
+from rig.cli.shared.terminal_output import Escaped
 from rig.formats.printable_text import escape_unprintable
 from rig.planning.layout.hexapod_layout import hexapod_layout
 from tests.conftest import ROOT

@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 from rig.cli import command_line as cli
-from rig.cli.command_line import COMMANDS, command_line, main
+from rig.cli.command_line import COMMANDS, command_line_parser, main
 from rig.cli.shared import installation_inventory
 from rig.cli.shared.argument_parser import join_negative_numbers, nearest_word
-from rig.cli.shared.progress_bars import Progress, progress_line
+from rig.cli.shared.terminal_output import Progress, progress_line
 from rig.effects.catalogue.effect_list import ALL
 from tests.cli import RIG
 from tests.conftest import BENCH
@@ -72,7 +72,7 @@ def test_version(capsys):
 
 
 def test_every_command_has_a_file_and_help():
-    chosen = next(action for action in command_line(COMMANDS)._actions if action.dest == "command").choices
+    chosen = next(action for action in command_line_parser(COMMANDS)._actions if action.dest == "command").choices
     assert set(chosen) == set(COMMANDS) and all(len(sub.format_help()) > 100 for sub in chosen.values())
 
 
@@ -87,7 +87,7 @@ def test_no_option_takes_a_name_that_the_command_line_sets():
         and isinstance(node.value, ast.Name)
         and node.value.id == "arguments"
     } | {"command", "run"}
-    chosen = next(action for action in command_line(COMMANDS)._actions if action.dest == "command").choices
+    chosen = next(action for action in command_line_parser(COMMANDS)._actions if action.dest == "command").choices
     assert {"argv", "outputs"} < own and [
         (name, action.dest) for name, sub in chosen.items() for action in sub._actions if action.dest in own
     ] == []
@@ -303,7 +303,7 @@ def test_quiet_commands_keep_the_result_that_was_asked_for(tmp_path, capsys):
 
 def test_help_of_every_command_opens_no_library():
     code = (
-        "import sys; from rig.cli.command_line import COMMANDS, command_line; command_line(COMMANDS)\n"
+        "import sys; from rig.cli.command_line import COMMANDS, command_line_parser; command_line(COMMANDS)\n"
         "print(sorted({'scipy', 'cv2', 'numba', 'matplotlib', 'pyrender', 'serial', 'shtab'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"

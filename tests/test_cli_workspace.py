@@ -10,8 +10,8 @@ import pytest
 from calib.certify.calibration import Calibration
 from calib.correct.correction import Correction
 from calib.files import calibration_file
-from calib.models.corrected_pose_covariance import add_workspace
-from calib.models.platform.identification import identify
+from calib.models.corrected_pose_covariance import calibration_with_workspace
+from calib.models.platform.identification import identify_platform
 from calib.workspace.reachable_poses import is_pose_lost
 from rig.cli.command_line import main
 from rig.formats import csv_table
@@ -28,9 +28,9 @@ def kept(tmp_path_factory, design, rig_text):
     base = tmp_path_factory.mktemp("kept")
     (base / "rig.toml").write_text(rig_text)
     samples, _ = sampled(design, 3, 40)
-    found = identify(samples, design.mechanism)
+    found = identify_platform(samples, design.mechanism)
     true = secret_machine.draw_machine(design, np.random.default_rng(2), 10.0).true.mechanism
-    made = add_workspace(
+    made = calibration_with_workspace(
         Calibration(
             Correction(design.mechanism, true, (None,) * 6), found.covariance, found.scatter, (), (), None, {"seed": 0}
         )

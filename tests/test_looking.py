@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 
 from calib.certify import measuring_limbs
-from calib.online.live_limb_poses import LimbLive
+from calib.online.measuring_limb_poses import LiveLimbPoses
 from calib.online.measuring_limbs_file import Accepted
 from calib.online.run_learning import Learner
-from rig.cli.shared.compilation_warm_up import draw_markers, warm_up
-from rig.cli.shared.run_observation import Looking, Stopping
-from rig.cli.shared.run_page import Page
-from rig.cli.shared.run_terminal import Block, Lines, view_lines
-from rig.cli.shared.run_verdict import run_verdict
+from rig.cli.shared.run_observation import RunObserver, Stopping
+from rig.cli.shared.run_page import RunPage, run_verdict
+from rig.cli.shared.run_preparation import draw_markers, warm_up
+from rig.cli.shared.run_terminal_display import Block, Lines, view_lines
 from rig.driving.cameras.camera_interface import Frame
 from rig.driving.clock import SimulatedClock
 from rig.driving.operator_loop import Shot
@@ -77,7 +76,7 @@ def looked(design, stop_on, displays=()):
     """A Looking that has seen six frames, its halts and its notes."""
     clock, halts, notes = SimulatedClock(), [], []
     planned = steps_of_plan(build_plan(design, "sobol:6"))
-    looking = Looking(
+    looking = RunObserver(
         design,
         planned,
         planned[0].goal,
@@ -170,11 +169,11 @@ def by_limbs(folder, slip, at):
     accepted = Accepted(
         measuring_limbs.Limbs(nominal, 1e-12 * np.eye(42), np.full(6, 1e-6)), nominal, agreement, None, {}
     )
-    looking = Looking(
+    looking = RunObserver(
         design, planned, planned[0].goal, clock, live, Learner(true, shared=42), Stopping(frozenset(), lambda: None)
     )
     looking.source, looking.withdraw = (
-        LimbLive(accepted, 10),
+        LiveLimbPoses(accepted, 10),
         lambda source, frame, reason: withdrawn.append((frame, reason)),
     )
     for frame, (command, read) in enumerate(zip(commands, hexapod.inverse(poses, nominal))):
@@ -244,7 +243,7 @@ def test_a_terminal_says_what_happened(design):
 def test_the_button_on_the_page_stops_the_run_and_its_event_is_whole(design):
     halts = []
     planned = steps_of_plan(build_plan(design, "sobol:6"))
-    looking = Looking(
+    looking = RunObserver(
         design,
         planned,
         planned[0].goal,
@@ -253,7 +252,7 @@ def test_the_button_on_the_page_stops_the_run_and_its_event_is_whole(design):
         None,
         Stopping(frozenset(), lambda: halts.append(1)),
     )
-    with Page(looking, 0) as page:
+    with RunPage(looking, 0) as page:
         looking.displays.append(page)
         looking.seen(
             Shot(

@@ -15,10 +15,10 @@ import pytest
 
 from calib.certify.measuring_limbs import Agreement
 from calib.experiment.investigation_folder import Hypothesis, Look
-from calib.experiment.investigation_page import write_investigation_page
-from calib.report.measuring_limbs_page import limbs_page
+from calib.experiment.investigation_report import write_investigation_page
+from calib.report.online_and_limb_pages import write_measuring_limbs_page
 from docs.make import pictures, project
-from rig.cli.shared.blind_campaign_page import campaign_page
+from rig.cli.shared.blind_campaign_page import write_campaign_page
 from rig.report.pages.run_page_server import PageServer
 from synthetic.diagnosis_score import Case, Found, Hidden
 from tests.rig.report.pages.test_run_page_server import EVENT
@@ -62,11 +62,11 @@ def _made(at):
     size = np.array([4e-6, 3e-6, 9e-6, 2e-5, 3e-5, 5e-5])
     limits = np.stack([-2 * size, 2 * size])
     found = Agreement(60, size / 9, size, limits, 3 * size, size, np.full(6, 0.1), np.repeat([2e-5, 2e-4], 3))
-    limbs_page(at / "insitu.html", "rec", found, "images", None)
+    write_measuring_limbs_page(at / "insitu.html", "rec", found, "images", None)
     hidden = [Hidden("backlash", "strut 3", {}, 30.0), Hidden("hysteresis", "strut 1", {}, 4.0)]
     named = [Found("backlash", "strut 3", {}, []), Found("creep", "rig", {}, [])]
     cases = [Case(0, "two", None, hidden, named, False, 1.02, 40.0), Case(1, "nothing", None, [], [], False, 1.0, 31.0)]
-    campaign_page(at / "blind.html", {"season": 2}, cases)
+    write_campaign_page(at / "blind.html", {"season": 2}, cases)
     alike = (Hypothesis("backlash at strut 3", 0.7), Hypothesis("creep at rig", 0.3))
     looks = [
         Look(1, "rec1", 12.0, ("backlash at strut 3",), (), (), (alike,), (), ()),

@@ -3,7 +3,7 @@
 import io
 import time
 
-from rig.cli.shared.progress_bars import Progress
+from rig.cli.shared.terminal_output import Progress
 
 
 class Terminal(io.StringIO):

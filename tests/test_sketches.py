@@ -16,7 +16,7 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.parameter import Parameter
 from rig.effects.sketches.effect_example import Sketch
 from rig.errors import RigError
-from rig.report.pages.standalone_svg import standalone_svg
+from rig.report.pages.page_and_svg_templates import standalone_svg
 from tests.conftest import ROOT
 from vision.effect_sketches import effect_sketch
 

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 from calib.diagnose import platform_findings_refit
-from calib.drift import visit_history_file
+from calib.drift import visit_history
 from calib.experiment import investigation_folder
 from calib.files import calibration_file
-from calib.online import filter_state_file, learner_file, measuring_limbs_file
+from calib.online import filter_state, learners, measuring_limbs_file
 from rig.cli import workspace
 from rig.cli.command_line import main
 from rig.cli.effects import _suggested
@@ -60,7 +60,7 @@ def listed(path: Path) -> None:
 def held(path: Path) -> None:
     """A diagnosis that is to be taken into a calibration."""
     path.rename(path.parent / "diagnosis.json")
-    platform_findings_refit.findings_of_folder(path.parent, recording_folder.load(DATA / "bench" / "check"))
+    platform_findings_refit.load_findings(path.parent, recording_folder.load(DATA / "bench" / "check"))
 
 
 def suggesting(path: Path) -> None:
@@ -76,10 +76,10 @@ def refuted(path: Path) -> None:
 
 READERS = {  # schema: what reads such files
     "calibration/3": (calibration_file.load,),
-    "limbs/1": (measuring_limbs_file.load,),
-    "online/1": (filter_state_file.load,),
-    "learner/1": (learner_file.load,),
-    "watch/1": (lambda path: visit_history_file.read_history(path, ""),),
+    "limbs/1": (measuring_limbs_file.load_limbs,),
+    "online/1": (filter_state.load_filter_state,),
+    "learner/1": (learners.load_learner,),
+    "watch/1": (lambda path: visit_history.read_history(path, ""),),
     "diagnosis/1": (held, suggesting),
     "next/1": (looked_at,),
     "made/1": (listed,),
@@ -162,12 +162,12 @@ def test_limbs_of_before_there_were_more_than_six_are_the_six(tmp_path):
     path = written("limbs-1.json", tmp_path)
     tree = json.loads(path.read_text())
     assert "chosen" not in tree and "checks" not in tree
-    found = measuring_limbs_file.load(path)
+    found = measuring_limbs_file.load_limbs(path)
     assert (
         found.verdict == "accepted" and found.limbs.checks is None and found.limbs.chosen.tolist() == [0, 1, 2, 3, 4, 5]
     )
     np.testing.assert_array_equal(found.limbs.hexapod.base_joints, tree["limbs"]["base_joints"])
-    measuring_limbs_file.save(tmp_path / "again.json", found)
+    measuring_limbs_file.save_limbs(tmp_path / "again.json", found)
     again = json.loads((tmp_path / "again.json").read_text())
     assert again.pop("chosen") == [1, 2, 3, 4, 5, 6] and again.pop("checks") == [] and again == tree
 
@@ -206,7 +206,7 @@ def test_a_diagnosis_of_before_there_were_suggestions_is_taken(tmp_path):
     written("machine-1.json", tmp_path).rename(tmp_path / "machine.json")
     assert "suggestions" not in json.loads((tmp_path / "diagnosis.json").read_text())
     (tmp_path / "rig.toml").write_bytes(gzip.decompress((DATA / "written" / "rig.toml.gz").read_bytes()))
-    found = platform_findings_refit.findings_of_folder(tmp_path, recording_of(tmp_path))
+    found = platform_findings_refit.load_findings(tmp_path, recording_of(tmp_path))
     assert [(effect.name, effect.place) for effect in found.effects] == [("backlash", "strut 3")]
 
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from calib.certify.claim_verification import Part, Verification
-from calib.drift.change_evidence import ALARM, Suspect, Verdict
-from calib.drift.change_hypotheses import SOMETHING
+from calib.drift.change_evidence import ALARM, SOMETHING, Suspect, Verdict
 from calib.files import calibration_file
-from calib.report.visits_page import Visit, last_visit_verdict
+from calib.report.verification_and_visit_pages import Visit, last_visit_verdict
 from rig.cli.command_line import main
 from rig.formats import csv_table
 from rig.report.verdict import REFUTED as CHANGED

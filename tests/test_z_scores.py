@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.models.arm.certification import calibrate
+from calib.models.arm.certification import calibrate_arm
 from calib.models.chain import error_model as chains
-from calib.models.chain.identification import identify as identify_chain
-from calib.models.platform.identification import identify, parameters
+from calib.models.chain.identification import identify_chain as identify_chain
+from calib.models.platform.identification import geometric_parameters, identify_platform
 from calib.samples.recording_samples import sample_recording
 from rig.model.pose import exp, log
 from rig.recording import recording_folder
@@ -87,13 +87,13 @@ def fitted(samples, design, instrument):
     """
     m = design.mechanism
     if m.kind == "arm":
-        _, found = calibrate(samples, m, instrument, profiles=False)
+        _, found = calibrate_arm(samples, m, instrument, profiles=False)
         return found.arm, found.covariance, np.full(len(found.covariance), np.inf)
     if m.kind == "chain":
         found = identify_chain(samples, m)
-        return found.step, found.covariance, chains.prior(m)
-    found = identify(samples, m)
-    return parameters(found.mechanism), found.covariance, found.prior
+        return found.step, found.covariance, chains.parameter_tolerances(m)
+    found = identify_platform(samples, m)
+    return geometric_parameters(found.mechanism), found.covariance, found.prior
 
 
 def off(found, true):

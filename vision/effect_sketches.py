@@ -16,7 +16,7 @@ from rig.model.design import Camera, Design, Marker, Target
 from rig.model.motion_simulation import Run
 from rig.model.pose import pose
 from rig.recording.recording_folder import Sensors
-from rig.report.pages.image_plane_figures import Arrows, Cells, Quads, image_plane
+from rig.report.pages.image_plane_figures import Arrows, Cells, Quads, image_plane_figure
 from rig.report.pages.plots import Series, plot_panel
 from vision.predict import Sightings, State, predict_sightings
 from vision.targets import marker_map
@@ -54,7 +54,7 @@ def effect_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
         Arrows(true[-1].reshape(-1, 2), by.reshape(-1, 2), much, "px", 3),
         Quads((true[-1] + much * by)[off], 1),
     ]
-    picture = image_plane(
+    picture = image_plane_figure(
         "Markers in the image", f"grey: as stated; {enlargement_text('orange: as seen', much)}", (WIDTH, HEIGHT), layers
     )
     size = np.sqrt(np.mean(np.sum((found - true) ** 2, axis=-1), axis=(1, 2)))

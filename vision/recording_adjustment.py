@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Camera, Design
 from rig.recording.recording_folder import Corners
-from rig.report.notebook_display import result_html
+from rig.report.pages.html_elements import result_html
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.bundle.printing_variance import estimate_printing_errors
 from vision.bundle.robust_adjustment import adjust_robustly, repeated_corner_error

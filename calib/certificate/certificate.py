@@ -1,30 +1,45 @@
-"""What a certificate states, from a calibration and recordings that it was not made from."""
+"""Certificate of a calibration from recordings it was not made from, with its verdict and its provenance."""
 
+import hashlib
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from calib.certificate import certificate_sentences
-from calib.certificate.certificate_contents import Asked, Contents
-from calib.certificate.measuring_conditions import conditions, volume
-from calib.certify import tolerance_conformity, tolerance_limits
+from calib.certificate.certificate_contents import Asked, Contents, measured_volume, measuring_conditions
+from calib.certify import promise_and_conformity, tolerance_limits
 from calib.certify.calibration import Calibration
-from calib.certify.held_out_errors import error_figures, errors_before_and_after
-from calib.certify.held_out_poses import HeldPoses, held_poses
-from calib.certify.iso230_axis_errors import iso230
-from calib.certify.iso9283 import duty_of, iso9283
-from calib.certify.pose_error_promise import POSITION, ROTATION, Unit, depth_bound, pose_error_promise, promise_by_cell
-from calib.certify.repeatability import pose_repeatability
-from calib.certify.tolerance_conformity import Conformity
-from calib.certify.uncertainty_budget import rms_uncertainty, thermometer_covariance, uncertainty_budget
-from calib.models.corrected_pose_covariance import pose_covariance
+from calib.certify.calibration_evidence import confound_sentences
+from calib.certify.held_out_errors import error_statistics, errors_before_and_after_correction
+from calib.certify.held_out_poses import HeldPoses, held_out_poses, pose_repeatability
+from calib.certify.iso230_axis_errors import iso230_axis_tests
+from calib.certify.iso9283 import iso9283_accuracy_and_repeatability, test_duty
+from calib.certify.promise_and_conformity import (
+    CONFORMS,
+    FAILS,
+    POSITION,
+    ROTATION,
+    Conformity,
+    Unit,
+    pose_error_depth_bound,
+    pose_error_promise,
+    promise_by_cell,
+)
+from calib.certify.uncertainty_budget import rms_length_uncertainty, thermometer_covariance, uncertainty_budget
+from calib.files import calibration_file
+from calib.models.corrected_pose_covariance import corrected_pose_covariance
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.recording_samples import Sampled
 from rig.errors import NotEnoughData
+from rig.recording.data_provenance import content_marks, marks_of_frames
 from rig.recording.recording_folder import Recording
-from rig.report.notebook_display import result_html
+from rig.report.pages.html_elements import result_html
+from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,70 +51,72 @@ class Certificate(Contents):
         return result_html(
             certificate_sentences.promise_line(self),
             [
-                certificate_sentences.scale_line(self),
-                certificate_sentences.volume_line(self),
+                certificate_sentences.length_scale_line(self),
+                certificate_sentences.measured_volume_line(self),
                 *certificate_sentences.basis_lines(self),
                 *certificate_sentences.conformity_lines(self),
             ],
         )
 
 
-def certificate_of(
+def calibration_certificate(
     calibration: Calibration,
-    held: Sequence[tuple[Recording, Sampled]],
-    asked: Asked,
+    held_out_recordings: Sequence[tuple[Recording, Sampled]],
+    request: Asked,
     provenance: dict[str, Any],
     rng: np.random.Generator,
 ) -> Certificate:
-    """Certificate of a Calibration by recordings held out. rng : numpy Generator, for the draws of shared errors
+    """Certificate of a calibration from held-out recordings. rng : numpy Generator, for the draws of shared errors
 
     Raises NotEnoughData where these have too few configurations at rest
     """
-    poses = combined_held_out_poses(calibration, held)
-    units, scale = _units(calibration, poses), asked.scale or 0.0
-    promise = pose_error_promise(poses, asked.coverage, asked.confidence, scale, units, rng)
+    poses = combined_held_out_poses(calibration, held_out_recordings)
+    units, scale = _units(calibration, poses), request.scale or 0.0
+    promise = pose_error_promise(poses, request.coverage, request.confidence, scale, units, rng)
     again = pose_repeatability(poses)
     at = poses.first
     contributions = uncertainty_budget(
         poses,
         _model(calibration, poses),
         again,
-        [(s.samples, s.measurement) for _, s in held],
-        asked.scale,
-        thermometer_covariance(calibration, [(recording, s.samples) for recording, s in held]),
+        [(s.samples, s.measurement) for _, s in held_out_recordings],
+        request.scale,
+        thermometer_covariance(calibration, [(recording, s.samples) for recording, s in held_out_recordings]),
     )
-    recordings = [recording for recording, _ in held]
-    circumstances = conditions(poses, recordings, [s.source for _, s in held])
-    duty = duty_of(poses, recordings, recordings[0].design, circumstances.payload, asked.rated_load)
+    recordings = [recording for recording, _ in held_out_recordings]
+    circumstances = measuring_conditions(poses, recordings, [s.source for _, s in held_out_recordings])
+    duty = test_duty(poses, recordings, recordings[0].design, circumstances.payload, request.rated_load)
     return Certificate(
         calibration.correction.nominal.kind,
-        asked,
+        request,
         promise,
-        promise_by_cell(poses, asked.coverage, asked.confidence, scale, units, rng),
-        volume(poses, calibration.correction.nominal),
+        promise_by_cell(poses, request.coverage, request.confidence, scale, units, rng),
+        measured_volume(poses, calibration.correction.nominal),
         again,
-        iso9283(poses, duty),
-        iso230(calibration.correction, poses),
-        _judged(poses, asked, rng),
+        iso9283_accuracy_and_repeatability(poses, duty),
+        iso230_axis_tests(calibration.correction, poses),
+        _judged(poses, request, rng),
         contributions,
         circumstances,
         poses.errors[at],
-        error_figures(poses.plain[at]),
-        error_figures(poses.errors[at]),
+        error_statistics(poses.plain[at]),
+        error_statistics(poses.errors[at]),
         provenance,
-        confounds_of_recordings([recording for recording, _ in held]),
+        confounds_of_recordings([recording for recording, _ in held_out_recordings]),
     )
 
 
-def combined_held_out_poses(calibration: Calibration, held: Sequence[tuple[Recording, Sampled]]) -> HeldPoses:
-    """HeldPoses of recordings under a calibration."""
+def combined_held_out_poses(
+    calibration: Calibration, held_out_recordings: Sequence[tuple[Recording, Sampled]]
+) -> HeldPoses:
+    """Held-out poses of a calibration's held-out recordings, combined as HeldPoses."""
     parts = []
-    for recording, sampled in held:
+    for recording, sampled in held_out_recordings:
         assert recording.commands is not None  # sample_recording refuses a recording without
         samples = calibration.with_physics(recording, sampled.samples)
-        plain, errors = errors_before_and_after(calibration.correction, samples)
+        plain, errors = errors_before_and_after_correction(calibration.correction, samples)
         parts.append((samples, recording.commands, plain, errors))
-    return held_poses(calibration.correction, parts)
+    return held_out_poses(calibration.correction, parts)
 
 
 def _model(calibration: Calibration, poses: HeldPoses) -> np.ndarray:
@@ -107,7 +124,7 @@ def _model(calibration: Calibration, poses: HeldPoses) -> np.ndarray:
     geometry = Calibration(
         calibration.correction, calibration.covariance, np.zeros_like(calibration.scatter), (), (), None, {}
     )
-    return pose_covariance(geometry, poses.T_base_platform, poses.commanded)
+    return corrected_pose_covariance(geometry, poses.T_base_platform, poses.commanded)
 
 
 def _units(calibration: Calibration, poses: HeldPoses) -> tuple[float, float]:
@@ -118,7 +135,9 @@ def _units(calibration: Calibration, poses: HeldPoses) -> tuple[float, float]:
         after = calibration.held_out.after
         if after.position[0] > 0 and after.rotation[0] > 0:
             return after.position[0], after.rotation[0]
-    return rms_uncertainty(pose_covariance(calibration, poses.T_base_platform, poses.commanded) + poses.own)
+    return rms_length_uncertainty(
+        corrected_pose_covariance(calibration, poses.T_base_platform, poses.commanded) + poses.own
+    )
 
 
 def _judged(poses: HeldPoses, asked: Asked, rng: np.random.Generator) -> tuple[Conformity, ...]:
@@ -127,11 +146,82 @@ def _judged(poses: HeldPoses, asked: Asked, rng: np.random.Generator) -> tuple[C
     if not poses.rotations and any(quantity == "rotation" for quantity, _ in asked.tolerances):
         raise NotEnoughData("no rotation was measured, so none can be held against a tolerance")
     units = tuple(Unit(POSITION if quantity == "position" else ROTATION, size) for quantity, size in asked.tolerances)
-    enough = len(poses.first) >= tolerance_limits.least_sample_size(asked.coverage, tolerance_conformity.GUARD)
+    enough = len(poses.first) >= tolerance_limits.least_sample_size(asked.coverage, promise_and_conformity.GUARD)
     depth = (
-        depth_bound(poses, poses.first, units, (asked.coverage, tolerance_conformity.GUARD), asked.scale or 0.0, rng)
+        pose_error_depth_bound(
+            poses, poses.first, units, (asked.coverage, promise_and_conformity.GUARD), asked.scale or 0.0, rng
+        )
         if enough
         else None
     )
     beyond = [int((np.linalg.norm(poses.errors[poses.first][:, unit.of], axis=1) > unit.size).sum()) for unit in units]
-    return tolerance_conformity.tolerance_conformity(asked.tolerances, depth, asked.scale is not None, beyond)
+    return promise_and_conformity.tolerance_conformity(asked.tolerances, depth, asked.scale is not None, beyond)
+
+
+SCALE = Missing(
+    "nobody certified the scale of the lengths",
+    "Have the base targets' scale certified and state it: `--scale-uncertainty 20e-6 --scale-source TEXT`",
+)
+TWICE = "Visit some configurations twice, `--plan sobol:40,repeat:20`: then the floor, repeatability, is known"
+AGAIN = "Determine now and then whether it still holds: `rig watch calibration.json VISIT`"
+
+
+def certificate_verdict(certificate: Certificate) -> Verdict:
+    """Verdict of a certificate: against its tolerances, or what it promises where there are none."""
+    said = (
+        certificate_sentences.conformity_lines(certificate)
+        if certificate.conformity
+        else [certificate_sentences.promise_line(certificate)]
+    )
+    known = Evidence("") if certificate.known is None else certificate.known
+    verdicts = {k.verdict for k in certificate.conformity}
+    failed = tuple(
+        f"{k.quantity} does not conform to its tolerance" for k in certificate.conformity if k.verdict == FAILS
+    )
+    missing = [*known.missing, *([SCALE] if certificate.asked.scale is None else [])]
+    if verdicts - {CONFORMS, FAILS}:
+        missing.append(Missing("whether all tolerances are kept cannot be said from these poses"))
+    confounds = (
+        [f"these recordings: {text}" for text in confound_sentences(certificate.confounds)]
+        if certificate.known is None
+        else known.confounds
+    )
+    steps = (*([TWICE] if certificate.repeatability.position is None else []), AGAIN)
+    return judge_evidence(
+        replace(
+            known,
+            statement="; ".join(line.removesuffix(".") for line in said),
+            steps=steps,
+            confounds=tuple(confounds),
+            missing=tuple(missing),
+            refuted=(*failed, *known.refuted),
+        )
+    )
+
+
+def certificate_provenance(
+    path: Path, calibration: Calibration, recordings: Sequence[Recording], arguments: Sequence[str], seed: int
+) -> dict[str, Any]:
+    """dict of inputs_sha256 (of the calibration's file, of each recording's tables and of the content marks of its
+    exposures), calibration, versions, seed, arguments, when it was created, and an id: of what went in and what was
+    asked, not of when."""
+    inputs = {path.name: {"file": hashlib.sha256(path.read_bytes()).hexdigest()}}
+    for recording in recordings:
+        name = recording.folder.resolve().name
+        origin = calibration_file.calibration_provenance(recording, (), seed, recording.has_images)
+        content = hashlib.sha256("\n".join(marks_of_frames(content_marks(recording))).encode()).hexdigest()
+        inputs[name if name not in inputs else str(recording.folder)] = {
+            **origin["inputs_sha256"],
+            "exposures": content,
+        }
+    made = calibration.provenance
+    what = json.dumps([inputs, list(arguments)], sort_keys=True)
+    return {
+        "inputs_sha256": inputs,
+        "calibration": {"recording": made.get("recording"), "created": made.get("created")},
+        "versions": calibration_file.package_versions(),
+        "seed": seed,
+        "arguments": list(arguments),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "id": hashlib.sha256(what.encode()).hexdigest()[:16],
+    }

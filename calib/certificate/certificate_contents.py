@@ -1,21 +1,130 @@
-"""What a certificate holds, as figures."""
+"""Contents of a certificate as figures, with the conditions and the volume in which its poses were measured."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from calib.certificate.measuring_conditions import Conditions, Volume
+from calib.certify.calibration_evidence import AgainstClaim
 from calib.certify.held_out_errors import Figures
+from calib.certify.held_out_poses import REST, HeldPoses, Repeatability
 from calib.certify.iso230_axis_errors import AxisTest
 from calib.certify.iso9283 import Iso9283
-from calib.certify.pose_error_promise import Cell, Promise
-from calib.certify.recording_claim_check import AgainstClaim
-from calib.certify.repeatability import Repeatability
-from calib.certify.tolerance_conformity import Conformity
+from calib.certify.promise_and_conformity import Cell, Conformity, Promise
 from calib.certify.uncertainty_budget import Budget
 from calib.samples.confounded_conditions import Confounds
+from rig.model.design import Arm, Hexapod
+from rig.recording.recording_folder import LIMB, PAYLOAD, Recording
 from rig.report.verdict import Evidence
+
+
+@dataclass(frozen=True, slots=True)
+class Volume:
+    """Where the poses that count lie. low, high : (3,) m of the platform's position; turned : rad, the greatest
+    rotation away from their middle one
+    axes : names; commands : (axes, 2) m or rad, least and greatest of each."""
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    turned: float | None
+    axes: tuple[str, ...]
+    commands: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """recordings : ((name, source of its poses), ..); poses : at rest; configurations : of these, each of which counts
+    once
+    moving : exposures left out since the machine moved; rest : s nothing moved before each
+    channels : ((name, least, greatest), ..) logged at the exposures; payload : (least, greatest) kg, None where not
+        logged
+    approach : in words; warm_up : s from the first command to the first exposure, the least over the recordings;
+        duration : s of them all
+    instrument : what measured, in words; frame : what holds the base frame and its scale, in words."""
+
+    recordings: tuple[tuple[str, str], ...]
+    poses: int
+    configurations: int
+    moving: int
+    rest: float
+    channels: tuple[tuple[str, float, float], ...]
+    payload: tuple[float, float] | None
+    approach: str
+    warm_up: float
+    duration: float
+    instrument: str
+    frame: str
+
+
+def measured_volume(poses: HeldPoses, mechanism: Hexapod | Arm) -> Volume:
+    """Measured volume: where the poses that count lie."""
+    T = poses.T_base_platform[poses.first]
+    places, commands = T.translation, poses.commanded[poses.first]
+    turned = float((T.rotation.mean().inv() * T.rotation).magnitude().max()) if poses.rotations else None
+    return Volume(
+        tuple(places.min(axis=0).tolist()),
+        tuple(places.max(axis=0).tolist()),
+        turned,
+        mechanism.axes,
+        tuple((float(low), float(high)) for low, high in zip(commands.min(axis=0), commands.max(axis=0))),
+    )
+
+
+def measuring_conditions(poses: HeldPoses, recordings: Sequence[Recording], sources: Sequence[str]) -> Conditions:
+    """Measuring conditions of HeldPoses. sources : where each recording's poses came from, in words"""
+    logged: dict[str, list[np.ndarray]] = {}
+    for k, recording in enumerate(recordings):
+        for name in recording.sensors.channels if recording.sensors is not None else ():
+            if not LIMB.fullmatch(name) and recording.sensors is not None:
+                logged.setdefault(name, []).append(recording.sensors.at(poses.t[poses.recording == k], name))
+    channels = tuple(
+        (name, float(np.concatenate(v).min()), float(np.concatenate(v).max())) for name, v in logged.items()
+    )
+    payload = next(((low, high) for name, low, high in channels if name == PAYLOAD), None)
+    first = [float(poses.t[poses.recording == k].min(initial=np.inf)) for k in range(len(recordings))]
+    spans = [float(np.ptp(recording.exposures.times()[1])) for recording in recordings]
+    design = recordings[0].design
+    if design.instrument is not None:
+        seen, frame = (
+            f"an outside instrument, position to {design.instrument.position_sigma * 1e6:.3g} um",
+            "the instrument's own",
+        )
+    else:
+        seen = f"{len(design.cameras)} cameras" if design.cameras else "poses.csv"
+        based = any(target.body == "base" for target in design.targets)
+        frame = (
+            "the base targets' stated places"
+            if based
+            else "the cameras' stated places"
+            if design.cameras
+            else "poses.csv"
+        )
+    return Conditions(
+        tuple((recording.name, source) for recording, source in zip(recordings, sources)),
+        len(poses),
+        len(poses.first),
+        poses.moving,
+        REST,
+        tuple(c for c in channels if c[0] != PAYLOAD),
+        payload,
+        _approach(poses),
+        min(first),
+        sum(spans),
+        seen,
+        frame,
+    )
+
+
+def _approach(poses: HeldPoses) -> str:
+    signs = poses.before[poses.first]
+    moved = signs[(signs != 0).any(axis=1)]
+    if not len(moved):
+        return "not told by the commands"
+    sides = [set(column[column != 0].tolist()) for column in moved.T]
+    if all(len(side) < 2 for side in sides):
+        return "every axis from one side"
+    return "from both sides" if all(len(side) == 2 for side in sides) else "some axes from both sides, some from one"
 
 
 @dataclass(frozen=True, slots=True)

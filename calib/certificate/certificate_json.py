@@ -1,6 +1,4 @@
-"""certificate.json (schema "certificate/1"): a certificate for programs, in m, rad and s, as `certificate.schema.json`
-beside this file has it.
-"""
+"""certificate.json: a certificate as JSON in m, rad and s, and its JSON schema."""
 
 import json
 from dataclasses import asdict
@@ -8,11 +6,10 @@ from importlib.resources import files
 from typing import Any
 
 from calib.certificate import certificate_sentences
-from calib.certificate.certificate import Certificate
-from calib.certificate.certificate_verdict import certificate_verdict
+from calib.certificate.certificate import Certificate, certificate_verdict
+from calib.certify.calibration_evidence import AgainstClaim
 from calib.certify.held_out_errors import Figures
-from calib.certify.pose_error_promise import Promise
-from calib.certify.recording_claim_check import AgainstClaim
+from calib.certify.promise_and_conformity import Promise
 from calib.certify.uncertainty_budget import COVERAGE, Budget
 from rig.formats.json_file import nan_to_null
 
@@ -20,28 +17,28 @@ SCHEMA = "certificate/1"
 
 
 def certificate_schema() -> dict[str, Any]:
-    """The JSON schema that a certificate.json keeps."""
+    """JSON schema of certificate.json."""
     found: dict[str, Any] = json.loads((files("calib") / "certificate" / "certificate.schema.json").read_text())
     return found
 
 
-def certificate_dict(c: Certificate) -> dict[str, Any]:
-    """The dict that certificate.json holds; null where something was not measured or is not known."""
-    v = c.volume
+def certificate_dict(certificate: Certificate) -> dict[str, Any]:
+    """dict of a certificate as certificate.json holds it; null where something was not measured or is not known."""
+    v = certificate.volume
     out = {
         "schema": SCHEMA,
         "statement": [
-            certificate_sentences.scale_line(c),
-            certificate_sentences.promise_line(c),
-            certificate_sentences.volume_line(c),
-            *certificate_sentences.basis_lines(c),
+            certificate_sentences.length_scale_line(certificate),
+            certificate_sentences.promise_line(certificate),
+            certificate_sentences.measured_volume_line(certificate),
+            *certificate_sentences.basis_lines(certificate),
         ],
-        "machine": c.machine,
-        "promise": _promise(c.promise),
+        "machine": certificate.machine,
+        "promise": _promise(certificate.promise),
         "scale": {
-            "certified": c.asked.scale is not None,
-            "relative_standard_uncertainty": c.asked.scale,
-            "source": c.asked.scale_source,
+            "certified": certificate.asked.scale is not None,
+            "relative_standard_uncertainty": certificate.asked.scale,
+            "source": certificate.asked.scale_source,
         },
         "volume": {
             "position_low_m": v.low,
@@ -52,31 +49,31 @@ def certificate_dict(c: Certificate) -> dict[str, Any]:
         },
         "cells": [
             {"position_low_m": cell.low, "position_high_m": cell.high, "promise": _promise(cell.promise)}
-            for cell in c.cells
+            for cell in certificate.cells
         ],
-        "held_out": {"before": _figures(c.before), "after": _figures(c.after)},
-        "repeatability": asdict(c.repeatability),
-        "iso9283": asdict(c.iso9283),
-        "iso230": [asdict(axis) for axis in c.iso230],
-        "conformity": [asdict(k) for k in c.conformity],
-        "budget": _budget(c.budget),
-        "conditions": asdict(c.conditions),
+        "held_out": {"before": _figures(certificate.before), "after": _figures(certificate.after)},
+        "repeatability": asdict(certificate.repeatability),
+        "iso9283": asdict(certificate.iso9283),
+        "iso230": [asdict(axis) for axis in certificate.iso230],
+        "conformity": [asdict(k) for k in certificate.conformity],
+        "budget": _budget(certificate.budget),
+        "conditions": asdict(certificate.conditions),
         "claim": {
-            "kept": all(one.found.kept for one in c.claims),
-            "recordings": [_against_claim(one) for one in c.claims],
+            "kept": all(one.found.kept for one in certificate.claims),
+            "recordings": [_against_claim(one) for one in certificate.claims],
         }
-        if c.claims
+        if certificate.claims
         else None,
-        "verdict": certificate_verdict(c).tree(),
-        **({} if c.confounds is None else {"confounds": c.confounds.tree()}),
-        **c.provenance,
+        "verdict": certificate_verdict(certificate).tree(),
+        **({} if certificate.confounds is None else {"confounds": certificate.confounds.tree()}),
+        **certificate.provenance,
     }
     return {name: nan_to_null(value) for name, value in out.items()}
 
 
-def certificate_text(c: Certificate) -> str:
-    """What is written to certificate.json."""
-    return json.dumps(certificate_dict(c), indent=1, allow_nan=False) + "\n"
+def certificate_text(certificate: Certificate) -> str:
+    """JSON text of a certificate, as certificate.json holds it."""
+    return json.dumps(certificate_dict(certificate), indent=1, allow_nan=False) + "\n"
 
 
 def _promise(p: Promise) -> dict[str, Any]:

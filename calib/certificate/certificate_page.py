@@ -1,45 +1,168 @@
-"""A certificate as a page: what is promised and on whose scale, then on what it rests."""
+"""HTML page of a certificate and its figures: what is promised, on whose scale, and what that rests on."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from calib.certificate import certificate_figures, certificate_sentences
-from calib.certificate.certificate import Certificate
-from calib.certificate.certificate_verdict import certificate_verdict
+import numpy as np
+
+from calib.certificate import certificate_sentences
+from calib.certificate.certificate import Certificate, certificate_verdict
+from calib.certificate.certificate_sentences import micrometre_text
 from calib.certify.iso9283 import FEWEST
 from calib.report.calibration_page import flattened_rows
 from rig.report.pages.html_elements import folding_section, heading, note, paragraph, table
-from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.page_and_svg_templates import Link, Page, write_page
+from rig.report.pages.svg_elements import round_ticks, svg_figure, svg_text, text_within, tooltip
+
+
+def _error_distribution_figure(certificate: Certificate) -> str:
+    """Share of poses nearer than a length, as measured, with the promise and a tolerance drawn in."""
+    lengths = np.sort(np.linalg.norm(certificate.errors[:, :3], axis=1)) * 1e6
+    upper = certificate.promise.position.upper * 1e6
+    lines = [("promise", upper)] + [
+        ("tolerance", k.tolerance * 1e6) for k in certificate.conformity if k.quantity == "position"
+    ]
+    top = 1.08 * max(lengths[-1], *(value for _, value in lines))
+    left, right, high = 44.0, 388.0, 8.0 + 16 * len(lines)
+    bottom = high + 154
+
+    def x(value: float) -> float:
+        return left + (right - left) * value / top
+
+    def y(part: float) -> float:
+        return bottom - (bottom - high) * part
+
+    steps = " ".join(
+        f"{x(v):.1f},{y(k / len(lengths)):.1f} {x(v):.1f},{y((k + 1) / len(lengths)):.1f}"
+        for k, v in enumerate(lengths)
+    )
+    parts = [
+        f'<path class="axis" d="M{left},{high}V{bottom}H{right}"/>',
+        f'<polyline class="line" points="{x(0):.1f},{y(0):.1f} {steps}"/>',
+    ]
+    parts += [svg_text(left - 6, y(p) + 4, f"{p:.0%}", "end") for p in (0.0, 0.5, 1.0)]
+    parts += [svg_text(x(v), bottom + 16, f"{v:g}", "middle") for v in round_ticks(0.0, top)]
+    for row, (name, value) in enumerate(lines):
+        aside, anchor = (-5, "end") if value > top / 2 else (5, "start")
+        parts += [
+            f'<path class="mark" d="M{x(value):.1f},{4 + 16 * row}V{bottom}"/>',
+            svg_text(x(value) + aside, 14 + 16 * row, f"{name} {value:.1f}", anchor),
+        ]
+    parts.append(svg_text((left + right) / 2, bottom + 34, "position error as measured, um", "middle"))
+    return svg_figure(
+        int(bottom) + 40, f"{len(lengths)} poses: share nearer than a length; promise {upper:.1f} um", parts
+    )
+
+
+def _cell_bound_figures(certificate: Certificate) -> str:
+    """The cells of the volume from above (x, y) and from the side (x, z), each with its bound; where some lie behind
+    each other, the worst.
+    """
+    parts, height, left = [], 0.0, 6.0
+    worst = max(cell.promise.position.upper for cell in certificate.cells)
+    boxes = np.array([(cell.low, cell.high) for cell in certificate.cells])
+    bounds = np.array([cell.promise.position.upper for cell in certificate.cells])
+    for a, b in ((0, 1), (0, 2)):
+        low, high = np.array(certificate.volume.low)[[a, b]], np.array(certificate.volume.high)[[a, b]]
+        scale = min(388 / (high[0] - low[0]), 260 / (high[1] - low[1]))
+        base = height + 20 + scale * (high[1] - low[1])
+        for (x0, y0, x1, y1), bound in visible_rectangles(boxes[:, :, [a, b]], bounds):
+            at, up, wide, tall = (
+                left + scale * (x0 - low[0]),
+                base - scale * (y1 - low[1]),
+                scale * (x1 - x0),
+                scale * (y1 - y0),
+            )
+            parts.append(
+                f'<rect class="cell" fill-opacity="{0.1 + 0.5 * bound / worst:.2f}" x="{at:.1f}" '
+                f'y="{up:.1f}" width="{wide:.1f}" '
+                f'height="{tall:.1f}">{tooltip(f"{bound * 1e6:.1f} um")}</rect>'
+            )
+            parts.append(text_within((at, up, wide, tall), f"{bound * 1e6:.0f}"))
+        parts += [
+            svg_text(left, height + 14, f"{'xyz'[b]} up, {low[1] * 1e3:.0f} to {high[1] * 1e3:.0f} mm"),
+            svg_text(left, base + 16, f"{'xyz'[a]} to the right, {low[0] * 1e3:.0f} to {high[0] * 1e3:.0f} mm"),
+        ]
+        height = base + 26
+    return svg_figure(int(height) + 6, "bounds in um, cell by cell, from above and from the side", parts)
+
+
+def visible_rectangles(boxes: np.ndarray, values: np.ndarray) -> list[tuple[tuple[float, ...], float]]:
+    """Visible rectangles of boxes seen along an axis: without overlap, each with the greatest value behind it.
+
+    boxes : (n, 2, 2), low and high corner; values : (n,)
+    Returns [((x low, y low, x high, y high), value)]
+    """
+    xs, ys = np.unique(boxes[:, :, 0]), np.unique(boxes[:, :, 1])
+    middle = np.stack(np.meshgrid((xs[1:] + xs[:-1]) / 2, (ys[1:] + ys[:-1]) / 2, indexing="ij"), axis=-1)
+    behind = ((middle[:, :, None] > boxes[:, 0]) & (middle[:, :, None] < boxes[:, 1])).all(axis=-1)
+    greatest = np.where(behind, values, -np.inf).max(axis=-1)
+    out, left = [], np.isfinite(greatest)
+    for i, j in np.argwhere(left).tolist():
+        if not left[i, j]:
+            continue
+        same = left & (greatest == greatest[i, j])
+        wide = int(np.argmin(np.append(same[i:, j], False)))
+        tall = int(np.argmin(np.append(same[i : i + wide, j:].all(axis=0), False)))
+        left[i : i + wide, j : j + tall] = False
+        out.append((tuple(map(float, (xs[i], ys[j], xs[i + wide], ys[j + tall]))), float(greatest[i, j])))
+    return out
+
+
+def _budget_figure(certificate: Certificate) -> str:
+    """U (coverage 95 %) of each contribution to a position, as bars."""
+    rows = [row for row in certificate.budget.rows if row.position is not None]
+    top = max([row.position or 0.0 for row in rows] + [1e-12])
+    parts = []
+    for k, row in enumerate(rows):
+        wide = 220 * (row.position or 0.0) / top
+        size, style = micrometre_text(row.position or 0.0), "bar" if row.of == "machine" else "measuring"
+        parts += [
+            svg_text(92, 16 + 22 * k, row.name, "end"),
+            f'<rect class="{style}" x="98" y="{5 + 22 * k}" width="{wide:.1f}" height="14">'
+            f"{tooltip(f'{row.name}, {row.of}: {size}')}</rect>",
+            svg_text(102 + wide, 16 + 22 * k, size),
+        ]
+    return svg_figure(10 + 22 * len(rows), "contributions to a position's uncertainty, coverage 95 %", parts)
+
 
 NOT_KNOWN = "not known"
 
 
-def certificate_page(path: Path, c: Certificate, links: Sequence[Link] = ()) -> None:
-    """Write the page of a certificate: one file, offline."""
+def write_certificate_page(path: Path, certificate: Certificate, links: Sequence[Link] = ()) -> None:
+    """Write a certificate's HTML page: one file, usable offline."""
     parts = [
-        *_promise(c),
-        *_against(c),
-        *_cells(c),
-        *_floor(c),
-        *_standards(c),
-        *_budget(c),
-        *_conditions(c),
-        *_origin(c),
+        *_promise(certificate),
+        *_against(certificate),
+        *_cells(certificate),
+        *_floor(certificate),
+        *_standards(certificate),
+        *_budget(certificate),
+        *_conditions(certificate),
+        *_origin(certificate),
     ]
-    verdict = certificate_verdict(c)
+    verdict = certificate_verdict(certificate)
     write_page(
-        path, Page("certify", f"Certificate of {c.machine} {c.provenance['id']}", verdict, parts, verdict.next, links)
+        path,
+        Page(
+            "certify",
+            f"Certificate of {certificate.machine} {certificate.provenance['id']}",
+            verdict,
+            parts,
+            verdict.next,
+            links,
+        ),
     )
 
 
 def _promise(c: Certificate) -> list[str]:
     lines = (
-        certificate_sentences.scale_line(c),
+        certificate_sentences.length_scale_line(c),
         certificate_sentences.promise_line(c),
-        certificate_sentences.volume_line(c),
+        certificate_sentences.measured_volume_line(c),
         *certificate_sentences.basis_lines(c),
     )
-    return [*map(paragraph, lines), certificate_figures.error_distribution_figure(c)]
+    return [*map(paragraph, lines), _error_distribution_figure(c)]
 
 
 def _against(c: Certificate) -> list[str]:
@@ -70,7 +193,7 @@ def _cells(c: Certificate) -> list[str]:
     ]
     return [
         heading("Part by part"),
-        certificate_figures.cell_bound_figures(c),
+        _cell_bound_figures(c),
         note(
             "The same promise for boxes of the volume, each by its own poses and with the stated confidence by itself."
         ),
@@ -147,7 +270,7 @@ def _standards(c: Certificate) -> list[str]:
             a.axis,
             *(
                 f"{value * 1e6:.1f}" if value is not None else ""
-                for _, value in certificate_sentences.iso230_figures(a)
+                for _, value in certificate_sentences.iso230_symbol_values(a)
             ),
             f"{a.u * 1e6:.1f}",
             a.positions,
@@ -156,7 +279,7 @@ def _standards(c: Certificate) -> list[str]:
         )
         for a in c.iso230
     ]
-    names = [name for name, _ in certificate_sentences.iso230_figures(c.iso230[0])]
+    names = [name for name, _ in certificate_sentences.iso230_symbol_values(c.iso230[0])]
     return [
         *parts,
         table(("axis", *names, "u of one reading", "positions", "cycles", "as many as the standard requires"), rows),
@@ -188,7 +311,7 @@ def _budget(c: Certificate) -> list[str]:
     return [
         heading("Where it comes from (U, coverage 95 %)"),
         paragraph("; ".join(said) + ". What is not known is in neither."),
-        certificate_figures.budget_figure(c),
+        _budget_figure(c),
         table(("contribution", "to", "position, um", "rotation, urad", "k", "kind", "how"), rows),
         note(
             "95 % of the error's lengths lie within U = k u, with u their RMS. k depends on the directions "

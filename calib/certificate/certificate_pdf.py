@@ -1,4 +1,4 @@
-"""A certificate on paper: A4 pages with the same sentences, figures and tables as the page."""
+"""PDF of a certificate: A4 pages with the sentences, figures and tables of its HTML page."""
 
 import io
 import textwrap
@@ -86,24 +86,24 @@ class _Paper:
         return self.figure, (LEFT + 0.06, self.y + 0.05, 0.72, high - 0.07)
 
 
-def write_certificate_pdf(path: Path, c: Certificate) -> None:
-    """Write certificate.pdf, whole or not at all."""
+def write_certificate_pdf(path: Path, certificate: Certificate) -> None:
+    """Write a certificate as PDF, whole or not at all."""
     buffer = io.BytesIO()
-    title = f"Certificate of {c.machine} {c.provenance['id']}"
+    title = f"Certificate of {certificate.machine} {certificate.provenance['id']}"
     with PdfPages(buffer, metadata={"Title": title, "CreationDate": None}) as pages:
         paper = _Paper(pages, title)
-        _promise(paper, c, title)
-        _standards(paper, c)
-        _rest(paper, c)
+        _promise(paper, certificate, title)
+        _standards(paper, certificate)
+        _rest(paper, certificate)
         paper.close()
     write_bytes(path, buffer.getvalue())
 
 
 def _promise(paper: _Paper, c: Certificate, title: str) -> None:
     paper.line(title, 15, bold=True)
-    paper.line(certificate_sentences.scale_line(c))
+    paper.line(certificate_sentences.length_scale_line(c))
     paper.line(certificate_sentences.promise_line(c), 11, bold=True)
-    for said in (certificate_sentences.volume_line(c), *certificate_sentences.basis_lines(c)):
+    for said in (certificate_sentences.measured_volume_line(c), *certificate_sentences.basis_lines(c)):
         paper.line(said)
     for said in certificate_sentences.conformity_lines(c):
         paper.line(said, bold=True)
@@ -155,7 +155,7 @@ def _standards(paper: _Paper, c: Certificate) -> None:
         paper.table(
             (
                 "axis",
-                *(name for name, _ in certificate_sentences.iso230_figures(c.iso230[0])),
+                *(name for name, _ in certificate_sentences.iso230_symbol_values(c.iso230[0])),
                 "u",
                 "positions",
                 "cycles",
@@ -165,7 +165,7 @@ def _standards(paper: _Paper, c: Certificate) -> None:
                     a.axis,
                     *(
                         "" if value is None else f"{value * 1e6:.1f}"
-                        for _, value in certificate_sentences.iso230_figures(a)
+                        for _, value in certificate_sentences.iso230_symbol_values(a)
                     ),
                     f"{a.u * 1e6:.1f}",
                     a.positions,

@@ -1,5 +1,4 @@
-"""A certificate as a digital calibration certificate: XML after PTB's DCC 3.3.0, values in the D-SI's units with their
-uncertainties.
+"""Digital calibration certificate of a machine as XML (PTB's DCC 3.3.0) with values in D-SI units.
 
 No package carries the schema files; a test holds what is written to those that a folder named by DCC_SCHEMAS has. Who
 calibrated, for whom and where is for the owner to state; what is not stated stands as "not stated".
@@ -28,8 +27,7 @@ from calib.certificate.digital_si_values import (
     si_element,
 )
 from calib.certify import uncertainty_budget
-from calib.certify.pose_error_promise import Promise
-from calib.certify.tolerance_conformity import CONFORMS, OPEN
+from calib.certify.promise_and_conformity import CONFORMS, OPEN, Promise
 from calib.certify.uncertainty_budget import COVERAGE
 
 VERSION = "3.3.0"
@@ -53,15 +51,15 @@ class Issuer:
     manufacturer: str = NOT_STATED
 
 
-def certificate_xml(c: Certificate, issuer: Issuer) -> str:
-    """The XML of a certificate."""
+def digital_certificate_xml(certificate: Certificate, issuer: Issuer) -> str:
+    """Digital calibration certificate (DCC) of a certificate, as XML."""
     for prefix, name in (("dcc", DCC), ("si", SI), ("xsi", INSTANCE)):
         ET.register_namespace(prefix, name)
     root = ET.Element(
         f"{{{DCC}}}digitalCalibrationCertificate", {"schemaVersion": VERSION, f"{{{INSTANCE}}}schemaLocation": SCHEMA}
     )
-    _administrative(_sub(root, "administrativeData"), c, issuer)
-    _result(_sub(_sub(root, "measurementResults"), "measurementResult"), c)
+    _administrative(_sub(root, "administrativeData"), certificate, issuer)
+    _result(_sub(_sub(root, "measurementResults"), "measurementResult"), certificate)
     ET.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, "unicode") + "\n"
 
@@ -127,7 +125,7 @@ def _statements(part: ET.Element, c: Certificate) -> None:
     scale = _sub(part, "statement")
     _content(scale, "name", "scale")
     _sub(scale, "traceable", "false")
-    _content(scale, "declaration", certificate_sentences.scale_line(c))
+    _content(scale, "declaration", certificate_sentences.length_scale_line(c))
     if c.conformity:
         found = _sub(part, "statement")
         _content(found, "name", " and ".join(f"conformity of {k.quantity}" for k in c.conformity))
@@ -146,7 +144,7 @@ def _result(part: ET.Element, c: Certificate) -> None:
         part,
         "description",
         certificate_sentences.promise_line(c),
-        certificate_sentences.volume_line(c),
+        certificate_sentences.measured_volume_line(c),
         *certificate_sentences.basis_lines(c),
     )
     methods = _sub(part, "usedMethods")
@@ -193,7 +191,7 @@ def _result(part: ET.Element, c: Certificate) -> None:
             (f"{axis.positions} positions, {axis.cycles} cycles", "the uncertainty is that of one reading"),
             [
                 (name, value, UNITS[axis.unit], Standard(axis.u))
-                for name, value in certificate_sentences.iso230_figures(axis)
+                for name, value in certificate_sentences.iso230_symbol_values(axis)
             ],
         )
     totals = [

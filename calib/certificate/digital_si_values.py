@@ -1,4 +1,4 @@
-"""Values in the D-SI's form: each with its uncertainty, coverage and distribution, or as a constant where it is exact.
+"""Values as D-SI XML elements: each with its unit and uncertainty, or as an exact constant.
 
 Source: Physikalisch-Technische Bundesanstalt, D-SI 2.2 (https://ptb.de/si), realQuantityType and constantQuantityType.
 """
@@ -47,7 +47,7 @@ Uncertainty = Standard | Expanded | Interval | None  # None : of a number that i
 
 
 def si_element(value: float, unit: str, uncertainty: Uncertainty) -> ET.Element:
-    """si:real of a value with its uncertainty, si:constant of an exact one."""
+    """D-SI XML element of a value: si:real with its uncertainty, si:constant of an exact one."""
     root = ET.Element(_name("constant" if uncertainty is None else "real"))
     _add(root, "value", f"{value:.9g}")
     _add(root, "unit", unit)

@@ -1,5 +1,4 @@
-"""One more pass of the method on a machine that is corrected already: maps in the configuration space, in pose space or
-in both, in parts of either.
+"""Certification of an additional pass: correction maps fitted on a machine that is already corrected.
 
 Source: configuration-space patent, [0035]
 """
@@ -12,25 +11,29 @@ import numpy as np
 
 from calib.certify.calibration import Calibration
 from calib.certify.distinct_configurations import axis_ranges, configuration_numbers
-from calib.certify.extension_certification import Stand, Tried, certify_extension_of, stated_position_variance
-from calib.certify.platform_certification import Certified, Progress, model_covariance, silent_progress
-from calib.certify.workspace_claim import extension_scatter, sample_workspace
+from calib.certify.extension_certification import (
+    Stand,
+    Tried,
+    certify_interpolation_method,
+    mean_stated_position_variance,
+)
+from calib.certify.platform_certification import Certified, Progress, platform_pose_covariance, silent_progress
+from calib.certify.workspace_claim import extension_error_squares, sample_workspace
 from calib.correct.correction import Correction
 from calib.correct.interpolation.field import Field
-from calib.correct.interpolation.repeated_passes import Passes
-from calib.correct.interpolation.restricted_map import Part, Within
+from calib.correct.interpolation.field_combinations import RestrictedMap, SpacePart, SummedPasses
 from calib.correct.pose_space_map import PoseMap, pose_coordinates
 from calib.correct.summand_extension import (
+    base_geometry,
     correction_with_map,
     correction_with_pass,
     fit_summand_field,
-    geometry_of,
     home_pose,
     pass_residual_poses,
     pass_residual_summands,
     pose_coordinate_indices,
 )
-from calib.models.platform.identification import inverse_strut_jacobian
+from calib.models.platform.identification import inverse_strut_length_jacobian
 from calib.samples.pose_samples import Samples
 from rig.errors import NotEnoughData
 from rig.model.pose import pose_difference
@@ -47,25 +50,28 @@ class Pass(NamedTuple):
 
     kind: str
     space: str = CONFIGURATION
-    configurations: Part | None = None
-    poses: Part | None = None
+    configurations: SpacePart | None = None
+    poses: SpacePart | None = None
 
 
 def certify_additional_pass(
-    samples: Samples, before: Calibration, asked: Pass, rng: np.random.Generator, progress: Progress | None = None
+    samples: Samples,
+    previous_calibration: Calibration,
+    requested_pass: Pass,
+    rng: np.random.Generator,
+    progress: Progress | None = None,
 ) -> tuple[Certified, tuple[Tried, ...], int]:
-    """(Certified, what was tried, samples that took part): a pass by samples measured anew. In both spaces the pose map
-    is of what the other leaves.
+    """(Certified additional pass, methods tried, samples used): a pass of correction by samples measured anew.
 
     Raises NotEnoughData where a part holds no samples; the rest as `certify_extended`
     """
-    correction, said = before.correction, progress or silent_progress
-    some = samples.take(_within(samples, correction, asked))
-    found = geometry_of(samples, correction.nominal, True)
+    correction, said = previous_calibration.correction, progress or silent_progress
+    some = samples.take(_within(samples, correction, requested_pass))
+    found = base_geometry(samples, correction.nominal, True)
     if (
-        asked.configurations is not None or asked.poses is not None
+        requested_pass.configurations is not None or requested_pass.poses is not None
     ):  # beyond the part the machine is known as it was before
-        found = replace(found, covariance=before.covariance, scatter=before.scatter)
+        found = replace(found, covariance=previous_calibration.covariance, scatter=previous_calibration.scatter)
     basis = (
         correction.nominal,
         configuration_numbers(some.commanded, axis_ranges(correction.nominal)),
@@ -75,28 +81,33 @@ def certify_additional_pass(
     def struts(of: Samples) -> Stand:
         return Stand(
             pass_residual_summands(of, correction),
-            lambda field: correction_with_pass(correction, _part(field, asked.configurations)),
-            lambda field, at: stated_position_variance(field, at, correction.nominal),
+            lambda field: correction_with_pass(correction, _part(field, requested_pass.configurations)),
+            lambda field, at: mean_stated_position_variance(field, at, correction.nominal),
         )
 
-    done, tried = certify_extension_of(
+    done, tried = certify_interpolation_method(
         some,
         basis,
-        struts if asked.space != POSE else _posed(lambda of: correction, asked.poses),
-        asked.kind,
+        struts if requested_pass.space != POSE else _posed(lambda of: correction, requested_pass.poses),
+        requested_pass.kind,
         rng,
         said,
     )
-    if asked.space == BOTH:
-        done, more = certify_extension_of(
-            some, basis, _posed(_again(done.correction, correction, asked), asked.poses), asked.kind, rng, said
+    if requested_pass.space == BOTH:
+        done, more = certify_interpolation_method(
+            some,
+            basis,
+            _posed(_again(done.correction, correction, requested_pass), requested_pass.poses),
+            requested_pass.kind,
+            rng,
+            said,
         )
         tried = (*tried, *more)
     found = replace(
         found, mechanism=correction.fitted, residuals=pass_residual_summands(samples, done.correction).values
     )
     done = replace(done, label=configuration_numbers(samples.commanded, axis_ranges(correction.nominal)), found=found)
-    return _with_covariance(done, before, rng), tried, len(some)
+    return _with_covariance(done, previous_calibration, rng), tried, len(some)
 
 
 def _with_covariance(done: Certified, before: Calibration, rng: np.random.Generator) -> Certified:
@@ -105,8 +116,10 @@ def _with_covariance(done: Certified, before: Calibration, rng: np.random.Genera
     if done.left is None:
         return done
     commands, T = sample_workspace(done.correction)
-    was = float(np.trace(model_covariance(before, T)[:, :3, :3], axis1=1, axis2=2).mean())
-    stated = float(extension_scatter(done.correction, commands, inverse_strut_jacobian(T, done.correction.fitted))[0])
+    was = float(np.trace(platform_pose_covariance(before, T)[:, :3, :3], axis1=1, axis2=2).mean())
+    stated = float(
+        extension_error_squares(done.correction, commands, inverse_strut_length_jacobian(T, done.correction.fitted))[0]
+    )
     moved = pose_difference(before.correction.predict(commands), T)[:, :3]
     held = float(done.left.own(stated, rng)[0])
     now = max(held, was - float((moved**2).sum(axis=1).mean()), min(was, done.left.unnoticed()))
@@ -115,7 +128,7 @@ def _with_covariance(done: Certified, before: Calibration, rng: np.random.Genera
     return replace(done, covariance=scale * before.covariance, strut_covariance=scale * struts)
 
 
-def _posed(base: Callable[[Samples], Correction], part: Part | None) -> Callable[[Samples], Stand]:
+def _posed(base: Callable[[Samples], Correction], part: SpacePart | None) -> Callable[[Samples], Stand]:
     """The stand of a map in pose space on a Correction by some samples."""
 
     def stand(of: Samples) -> Stand:
@@ -132,10 +145,10 @@ def _posed(base: Callable[[Samples], Correction], part: Part | None) -> Callable
 def _again(done: Correction, before: Correction, asked: Pass) -> Callable[[Samples], Correction]:
     """By some samples alone, the Correction with the map in the configuration space that all of them chose."""
     extension = done.extension
-    field = extension.fields[-1] if isinstance(extension, Passes) else extension
+    field = extension.fields[-1] if isinstance(extension, SummedPasses) else extension
     if extension is before.extension or field is None:
         return lambda of: before
-    own = field.field if isinstance(field, Within) else field
+    own = field.field if isinstance(field, RestrictedMap) else field
     return lambda of: correction_with_pass(
         before, _part(fit_summand_field(pass_residual_summands(of, before), own.kind, own), asked.configurations)
     )
@@ -146,8 +159,8 @@ def _said(field: Field, at: Samples, on: Correction) -> float:
     return float((one.error(on.predict(at.commanded))[:, :3] ** 2).sum(axis=1).mean())
 
 
-def _part(field: Field | None, part: Part | None) -> Field | None:
-    return field if field is None or part is None else Within(field, part)
+def _part(field: Field | None, part: SpacePart | None) -> Field | None:
+    return field if field is None or part is None else RestrictedMap(field, part)
 
 
 def _within(samples: Samples, correction: Correction, asked: Pass) -> np.ndarray:

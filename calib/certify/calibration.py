@@ -1,23 +1,153 @@
-"""A calibration as it is kept: what corrects, how well its parameters are known, what it is worth, and where it came
-from.
-"""
+"""Calibration of a machine: correction, covariance, claim and provenance, and sentences on its claim."""
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from calib.certify.calibration_verdict import claim_lines
+from calib.certify.claim_verification import Verification
+from calib.certify.distinct_configurations import LEAST
 from calib.certify.held_out_errors import HeldOut
 from calib.certify.workspace_claim import Claim
 from calib.correct.correction import Correction
-from calib.correct.physics import Physics
+from calib.correct.physics_compensation import Physics
 from calib.samples.confounded_conditions import Confounds
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_cells import Workspace
 from rig.errors import RigError
 from rig.recording.recording_folder import Recording
-from rig.report.notebook_display import result_html
+from rig.report.pages.html_elements import result_html
+
+WHERE = {"base": "base, or the instrument,", "platform": "target on the platform"}
+
+
+def claim_lines(claim: Claim) -> list[str]:
+    """Lines on a claim, the first of which is its summary."""
+    configurations = f"{claim.distinct} distinct configuration{'' if claim.distinct == 1 else 's'}"
+    rest = claim.unknowns - claim.determined
+    told = (
+        (
+            f"{claim.determined} of {claim.unknowns} combinations of the parameters are told by these poses"
+            + (
+                f", {claim.better} of them better than the owner's figures are"
+                if claim.better < claim.determined
+                else ""
+            )
+            + (f"; {rest} rest on the owner's figures" if rest else "")
+            + f" ({claim.tolerance})"
+        )
+        if claim.unknowns
+        else claim.tolerance
+    )
+    if claim.ratio is None or claim.before is None or claim.after is None or claim.measured is None:
+        few = [
+            "no held-out figure either: what is left at the recorded configurations would only say how well "
+            "these are known"
+        ]
+        return [f"no factor is claimed: {claim.reason}", told, *(few if claim.distinct < LEAST else [])]
+    before, after = claim.before[0], claim.after[0]
+    turned = (
+        f", rotation {claim.before[1][0] * 1e3:.3f} -> {claim.after[1][0] * 1e3:.4f} mrad"
+        if any(claim.before[1])
+        else ""
+    )
+    return [
+        f"{ratio_interval_text(claim.ratio)} all over the workspace: position error {before[0] * 1e3:.3f} -> "
+        f"{after[0] * 1e3:.4f} mm RMS ("
+        f"{after[1] * 1e3:.4f} to {after[2] * 1e3:.4f}){turned}; "
+        f"from {configurations}",
+        told,
+        f"the workspace is {claim.workspace}; seen there by an instrument like this one, its own errors "
+        f"included: {ratio_interval_text(claim.measured)}",
+    ]
+
+
+def ratio_interval_text(ratio_interval: tuple[float, ...]) -> str:
+    """Text of a ratio (median, low, high) and its interval; low and high are NaN where there is none."""
+    interval = (
+        "too few configurations for an interval"
+        if math.isnan(ratio_interval[1])
+        else f"95 % interval {ratio_interval[1]:.3g} to {ratio_interval[2]:.3g}"
+    )
+    return f"{ratio_interval[0]:.3g} times better ({interval})"
+
+
+def verification_line(held_out: HeldOut, claim: Claim | None, verification: Verification | None) -> str:
+    """Line on the verification of a calibration's claim by a recording's held-out poses.
+    verification : Verification of the claim, None where no factor is claimed
+    """
+    where = (
+        "this 1 configuration" if held_out.configurations == 1 else f"these {held_out.configurations} configurations"
+    )
+    placed = math.isfinite(held_out.after.position[0])
+    before, after, unit = (
+        (held_out.before.position, held_out.after.position, "mm")
+        if placed
+        else (held_out.before.rotation, held_out.after.rotation, "mrad")
+    )
+    here = (
+        f"{ratio_interval_text(held_out.ratio)} on {where}: {before[0] * 1e3:.3f} -> {after[0] * 1e3:.4f} {unit} "
+        "RMS as measured"
+    )
+    if claim is None or verification is None:
+        return f"{here}; no factor was claimed" + (f": {claim.reason}" if claim else "")
+    if not verification.parts:
+        return f"{here}; nothing that was measured is claimed"
+    return (
+        f"{here}; the claim is {claim_status_text(verification)} ({_claim_comparison_text(verification)})"
+        + explaining_rigid_motion_text(verification)
+    )
+
+
+def claim_status_text(verification: Verification) -> str:
+    """Text of a claim's status: kept or not kept."""
+    if verification.kept:
+        return "kept"
+    within = (
+        verification.unexplained
+        and not verification.refutes
+        and (verification.offset is None or not verification.offset.kept)
+    )
+    return "exceeded by no more than what it names as unexplained may" if within else "NOT kept"
+
+
+def _claim_comparison_text(verification: Verification) -> str:
+    """Each part of a claim against what was measured, in words."""
+    said = []
+    for name, part in verification.parts.items():
+        unit = "mm" if name == "position" else "mrad"
+        said.append(
+            f"{name} {part.rms * 1e3:.4f} {unit} where up to {part.claimed * 1e3:.4f} is claimed, "
+            f"{part.of_allowed:.2f} times what claim and "
+            f"noise allow, chance up to {part.limit:.2f}"
+        )
+    return "; ".join(said)
+
+
+def refutation_sentence(verification: Verification) -> str:
+    """Sentence on the refutation of a claim: 45 um where 3.4 um is claimed."""
+    wrong = [(name, part) for name, part in verification.parts.items() if not part.kept]
+    return " and ".join(
+        f"{name} error {_size(part.rms, name)} RMS where up to {_size(part.claimed, name)} is claimed"
+        for name, part in wrong
+    )
+
+
+def explaining_rigid_motion_text(verification: Verification) -> str:
+    """Text of the rigid motion that explains a refuted claim; empty where none does."""
+    if verification.offset is None:
+        return ""
+    o = verification.offset
+    return (
+        f"; the {WHERE[o.of]} stands elsewhere than when it was calibrated: by {o.position * 1e3:.4f} mm, "
+        f"{o.rotation * 1e3:.4f} mrad; without "
+        f"that motion the claim is {'kept' if o.kept else 'NOT kept either'}"
+    )
+
+
+def _size(value: float, name: str) -> str:
+    return f"{value * 1e6:.3g} {'um' if name == 'position' else 'urad'}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

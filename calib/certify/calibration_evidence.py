@@ -1,19 +1,16 @@
-"""What speaks for and against a calibration, as evidence for the one judgement of it that every page and command
-shows.
-"""
+"""Evidence for and against a calibration, its verdict, and the check of its claim on a held-out recording."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from calib.certify.calibration import Calibration
-from calib.certify.calibration_verdict import WHERE, claim_lines, refutation_sentence
-from calib.certify.claim_verification import Verification, verify_claim
+from calib.certify.calibration import WHERE, Calibration, claim_lines, refutation_sentence
+from calib.certify.claim_verification import Part, Verification, verify_claim
 from calib.certify.distinct_configurations import axis_ranges, configuration_numbers
-from calib.certify.held_out_errors import HeldOut
+from calib.certify.held_out_errors import HeldOut, pose_errors
 from calib.certify.workspace_claim import Claim
 from calib.samples.confounded_conditions import Confounds
 from calib.samples.pose_samples import Samples
@@ -78,7 +75,7 @@ def calibration_evidence(
     return Evidence(
         said if statement is None else statement,
         tuple(steps),
-        error_to_claim_ratio(calibration.held_out, claim),
+        _error_to_claim_ratio(calibration.held_out, claim),
         (*unexplained, *doubted),
         confound_sentences(calibration.confounds),
         tuple(missing),
@@ -88,59 +85,66 @@ def calibration_evidence(
 
 
 def evidence_with_verification(
-    known: Evidence, found: Verification | None, by: str = "", look: str | None = None
+    evidence: Evidence, verification: Verification | None, recording_name: str = "", next_step: str | None = None
 ) -> Evidence:
-    """Evidence with what a held-out recording says of the claim. found : Verification, None where no factor is claimed
+    """Evidence with the verification of the claim on a held-out recording added.
+    verification : Verification, None where no factor is claimed
 
-    by : the recording, where the sentence names it; look : the step where the claim is refuted, that of known by
-        default
+    recording_name : the recording, where the sentence names it; next_step : the step where the claim is refuted, that
+        of known by default
     """
-    if found is None:
-        return known
-    if found.offset is not None and found.offset.kept:
+    if verification is None:
+        return evidence
+    if verification.offset is not None and verification.offset.kept:
         moved = Missing(
-            f"the {WHERE[found.offset.of]} stands elsewhere",
+            f"the {WHERE[verification.offset.of]} stands elsewhere",
             "Seat targets and instrument anew, or state where they stand in rig.toml",
         )
-        return replace(known, missing=(*known.missing, moved))
-    if found.refutes:
-        said = f"the claim is NOT kept{by and f' by {by}'}: {refutation_sentence(found)}"
-        return replace(known, refuted=(said, *known.refuted), look=known.look if look is None else look)
-    ratios = [part.of_allowed for part in found.parts.values()] + ([] if known.held_out is None else [known.held_out])
-    return replace(known, held_out=max(ratios, default=None))
+        return replace(evidence, missing=(*evidence.missing, moved))
+    if verification.refutes:
+        said = f"the claim is NOT kept{recording_name and f' by {recording_name}'}: {refutation_sentence(verification)}"
+        return replace(
+            evidence, refuted=(said, *evidence.refuted), look=evidence.look if next_step is None else next_step
+        )
+    ratios = [part.of_allowed for part in verification.parts.values()] + (
+        [] if evidence.held_out is None else [evidence.held_out]
+    )
+    return replace(evidence, held_out=max(ratios, default=None))
 
 
-def of_samples(calibration: Calibration, samples: Samples, rng: np.random.Generator) -> Verification | None:
-    """Verification of a Calibration's claim by samples as `Calibration.told` gives them, None where no factor is
-    claimed.
-    """
+def verify_claim_on_samples(
+    calibration: Calibration, samples: Samples, rng: np.random.Generator
+) -> Verification | None:
+    """Verification of a calibration's claim on samples, None where no factor is claimed."""
     if calibration.claim is None or calibration.claim.after is None:
         return None
     label = configuration_numbers(samples.commanded, axis_ranges(calibration.correction.nominal))
     return verify_claim(calibration.correction.predict(samples.effective), samples, label, calibration.claim, rng)
 
 
-def with_design(
-    known: Evidence, calibration: Calibration, confounds: Sequence[Confounds | None], which: str
+def evidence_with_confounds(
+    evidence: Evidence, calibration: Calibration, confounds: Sequence[Confounds | None], recording_names: str
 ) -> Evidence:
-    """Evidence for a calibration with what the designs of held-out recordings confound, where its own recording's is
-    not known.
+    """Evidence with what the designs of held-out recordings confound, where its own recording's is not known.
 
-    Only what that does not separate can have gone into the correction. which : the recordings, in words
+    Only what that does not separate can have gone into the correction. recording_names : the recordings, in words
     """
     if calibration.confounds is not None:
-        return known
+        return evidence
     return replace(
-        known,
+        evidence,
         confounds=tuple(
             dict.fromkeys(
-                [*known.confounds, *(f"{which}: {said}" for one in confounds for said in confound_sentences(one))]
+                [
+                    *evidence.confounds,
+                    *(f"{recording_names}: {said}" for one in confounds for said in confound_sentences(one)),
+                ]
             )
         ),
     )
 
 
-def error_to_claim_ratio(held: HeldOut | None, claim: Claim | None) -> float | None:
+def _error_to_claim_ratio(held: HeldOut | None, claim: Claim | None) -> float | None:
     """Held-out RMS error over what claim and noise allow, the greater of position's and rotation's; None where nothing
     was held out or claimed.
     """
@@ -155,7 +159,7 @@ def error_to_claim_ratio(held: HeldOut | None, claim: Claim | None) -> float | N
 
 
 def confound_sentences(confounds: Confounds | None) -> tuple[str, ...]:
-    """What a recording's design cannot separate, a sentence; nothing where it can, or states no conditions."""
+    """Sentence on the confounds of a recording's design, as a list; empty where there are none."""
     return (confounds.line().split("; record the same")[0],) if confounds is not None and confounds.serious else ()
 
 
@@ -166,3 +170,50 @@ def _missing(calibration: Calibration) -> list[Missing]:
     if claim.ratio is None:
         return [Missing("it is not known how the correction does at other configurations", MORE)]
     return []
+
+
+@dataclass(frozen=True, slots=True)
+class AgainstClaim:
+    """Of a recording's n poses. found : Verification; beyond : (m, rad), RMS errors beyond what measuring adds, 0 where
+    that explains all, None where not judged
+    claimed : ((median, low, high), ..) m and rad, the claim's 95 % intervals of them"""
+
+    recording: str
+    found: Verification
+    beyond: tuple[float | None, float | None]
+    claimed: tuple[tuple[float, ...], ...]
+
+    @property
+    def parts(self) -> dict[str, tuple[Part, float, tuple[float, ...]]]:
+        """{"position" | "rotation": (Part, RMS beyond noise, (median, low, high) claimed)} of what was judged; m and
+        rad.
+        """
+        rows = zip(("position", "rotation"), (self.found.position, self.found.rotation), self.beyond, self.claimed)
+        return {
+            name: (part, beyond, claimed)
+            for name, part, beyond, claimed in rows
+            if part is not None and beyond is not None
+        }
+
+
+def check_claim_on_recording(
+    calibration: Calibration, recording: str, samples: Samples, rng: np.random.Generator
+) -> AgainstClaim | None:
+    """Check of a calibration's claim on a recording's samples, None where no factor is claimed. recording : its name"""
+    found = verify_claim_on_samples(calibration, samples, rng)
+    if found is None or calibration.claim is None or calibration.claim.after is None:
+        return None
+    errors, covariance = (
+        pose_errors(calibration.correction.predict(samples.effective), samples),
+        samples.total_covariance(),
+    )
+
+    def beyond(part: slice) -> float:
+        square = (errors[:, part] ** 2).sum(axis=1) - np.trace(covariance[:, part, part], axis1=1, axis2=2)
+        return float(np.sqrt(max(square.mean(), 0.0)))
+
+    sizes = [
+        None if judged is None else beyond(part)
+        for judged, part in ((found.position, slice(0, 3)), (found.rotation, slice(3, 6)))
+    ]
+    return AgainstClaim(recording, found, (sizes[0], sizes[1]), calibration.claim.after)

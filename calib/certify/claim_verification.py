@@ -1,5 +1,4 @@
-"""Whether a recording's poses keep a calibration's claim: whitened squares against the claim's upper end, position and
-rotation apart.
+"""Verification of a calibration's claim: whether the errors of a recording's poses lie within what is claimed.
 
 Of n poses the machine's error may be as large as the claim's upper end, the instrument's own errors are drawn anew in
 every pose and so average out, its shared errors are drawn once. The squares are whitened by all three together, so that
@@ -107,7 +106,7 @@ class Verification:
 def verify_claim(
     predicted: RigidTransform, samples: Samples, label: np.ndarray, claim: Claim, rng: np.random.Generator
 ) -> Verification:
-    """Verification of a Claim by poses predicted (n,) and measured.
+    """Verification of a Claim by predicted poses (n,) and measured samples.
 
     samples : Samples, the poses as measured; label : (n,) configuration of each pose; rng : numpy Generator
     Raises ValueError for a Claim without a factor

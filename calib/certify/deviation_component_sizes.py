@@ -1,5 +1,4 @@
-"""How large each component of struts' deviations is: draws from what the struts' closures and experience with machines
-leave open.
+"""Sizes of the components of each strut's deviations, drawn from their posterior given the closures.
 
 Three kinds of machines are weighed: a sound one; one whose struts, most of them, have one component alone, of one size;
 and one whose struts have each their own. A strut's closures are normal, with the variances of the poses, of its own
@@ -40,7 +39,7 @@ class Closures(NamedTuple):
 def draw_component_sizes(
     struts: list[Closures], scattered: Callable[[np.ndarray], np.ndarray], count: int, rng: np.random.Generator
 ) -> list[np.ndarray]:
-    """Per strut (count, components) m, draws of the sizes of its components; the same row of all struts is one machine.
+    """Draws of component sizes per strut (count, components) m; the same row of all struts is one machine.
 
     scattered : (k,) m -> (k,) by how much the log likelihood of all closures grows where all struts scatter by so much
     """

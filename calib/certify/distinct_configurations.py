@@ -1,6 +1,4 @@
-"""Distinct configurations among samples: repeats of one, from whichever side it was approached, are one witness of the
-geometry.
-"""
+"""Distinct configurations among samples: their numbers, folds and mean samples; repeats count as one."""
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -18,7 +16,7 @@ LEAST = 8
 
 
 def configuration_numbers(commanded: np.ndarray, ranges: np.ndarray) -> np.ndarray:
-    """(n,) number of each command's configuration, counted in the order of their first visits.
+    """Configuration number of each command (n,), counted in the order of first visits.
 
     commanded : (n, axes) m or rad; ranges : (axes, 2) of the axes
     """
@@ -34,18 +32,17 @@ def configuration_numbers(commanded: np.ndarray, ranges: np.ndarray) -> np.ndarr
 
 
 def axis_ranges(mechanism: Struts | Arm | Chain) -> np.ndarray:
-    """(axes, 2) m or rad, from where to where each axis of a mechanism goes."""
+    """Range of each axis of a mechanism: (axes, 2) m or rad."""
     return mechanisms.kinematics_of(mechanism).travel(mechanism)
 
 
 def configuration_folds(label: np.ndarray, count: int) -> np.ndarray:
-    """(n,) fold of each sample: whole stretches in time of the configurations (n,), none of which is in two folds."""
+    """Folds of configurations (n,): whole stretches in time, no configuration in two folds."""
     return time_block_folds(label.max() + 1, count)[label]
 
 
 def mean_sample_per_configuration(samples: Samples, label: np.ndarray, to_pose: np.ndarray) -> Samples:
-    """Samples with one row for each configuration: the mean of its repeats, weighted by their covariance, at the mean
-    of their commands.
+    """Mean sample of each configuration: its repeats averaged, weighted by their covariance.
 
     samples : Samples; label : (n,) from `configuration_numbers`; to_pose : (n, 6, axes) change of each pose's tangent
         with the commands

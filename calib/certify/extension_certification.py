@@ -1,6 +1,4 @@
-"""What an extension over the configuration space promises, from configurations it was not fitted to; of several ways
-the best one there.
-"""
+"""Certification of corrections extended over the configuration space, on held-out configurations."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,7 +15,7 @@ from calib.certify.distinct_configurations import (
 from calib.certify.held_out_error_statistics import (
     draw_common_error_squares,
     held_out_error_statistics,
-    parameter_squares_without,
+    held_out_parameter_error_squares,
 )
 from calib.certify.held_out_errors import HeldOut, compare_errors, is_significant_gain, pose_errors
 from calib.certify.platform_certification import (
@@ -25,10 +23,10 @@ from calib.certify.platform_certification import (
     SURELY,
     Certified,
     Progress,
-    of_geometry,
+    draw_and_add_machines,
     silent_progress,
-    sizes_beyond,
-    with_drawn,
+    strut_deviation_sizes_of_samples,
+    uncertified_geometry,
 )
 from calib.certify.workspace_claim import (
     DRAWS,
@@ -39,22 +37,26 @@ from calib.certify.workspace_claim import (
     Workspace,
     claim_of_drawn_machines,
     claim_of_too_few_configurations,
-    extension_scatter,
+    extension_error_squares,
     sample_workspace,
 )
 from calib.correct.correction import Correction, commands_with_pose
 from calib.correct.interpolation import interpolation_methods
-from calib.correct.interpolation.field import Field, Known
+from calib.correct.interpolation.field import Field, Known, WeightedField
 from calib.correct.interpolation.gaussian_process import RadialMap
-from calib.correct.interpolation.grid import lattice_of_configurations
-from calib.correct.interpolation.weighted_fields import Weighted
+from calib.correct.interpolation.grid import grid_lattice_of_configurations
 from calib.correct.summand_extension import (
+    base_geometry,
     correction_with_field,
     fit_summand_field,
-    geometry_of,
     geometry_residual_summands,
 )
-from calib.models.platform.identification import Identified, identify, inverse_strut_jacobian, pose_jacobian
+from calib.models.platform.identification import (
+    Identified,
+    identify_platform,
+    inverse_strut_length_jacobian,
+    pose_parameter_jacobian,
+)
 from calib.samples.pose_samples import Samples, inverse_covariance
 from rig.errors import RigError
 from rig.model import mechanisms
@@ -98,10 +100,10 @@ class Tried(NamedTuple):
     chosen: bool
 
 
-def certify_extended(
-    samples: Samples, nominal: Struts, asked: Asked, rng: np.random.Generator, progress: Progress | None = None
+def certify_extended_correction(
+    samples: Samples, nominal: Struts, request: Asked, rng: np.random.Generator, progress: Progress | None = None
 ) -> tuple[Certified, tuple[Tried, ...]]:
-    """(Certified, what was tried): calibrated on all samples, and what was left at configurations held out.
+    """(Certified, methods tried) of a correction extended over the space, judged at held-out configurations.
 
     Of samples on a grid whole levels are held out in turn, so that what remains is a grid, and where there are LEAST
     configurations beside it, these; else whole stretches. AUTO takes what leaves least there, weighed by the poses'
@@ -111,33 +113,35 @@ def certify_extended(
     said = progress or silent_progress
     label = configuration_numbers(samples.commanded, axis_ranges(nominal))
     said("fitting the geometry", 0, 1)
-    found = geometry_of(samples, nominal, asked.alone)
+    found = base_geometry(samples, nominal, request.alone)
     sizes = (
         None
-        if asked.alone or label.max() + 1 < LEAST
-        else sizes_beyond(samples, of_geometry(nominal, found, label), rng)
+        if request.alone or label.max() + 1 < LEAST
+        else strut_deviation_sizes_of_samples(samples, uncertified_geometry(nominal, found, label), rng)
     )
     said("fitting the geometry", 1, 1)
 
     def stand(some: Samples) -> Stand:
-        geometry = found if some is samples else geometry_of(some, nominal, asked.alone, found.prior)
+        geometry = found if some is samples else base_geometry(some, nominal, request.alone, found.prior)
         return Stand(
             geometry_residual_summands(some, geometry),
             lambda field: correction_with_field(nominal, geometry, field),
-            lambda field, at: stated_position_variance(field, at, nominal),
+            lambda field, at: mean_stated_position_variance(field, at, nominal),
         )
 
     against = None if sizes is None or (sizes.of_place() > SURELY).any() else ELSE
-    done, tried = certify_extension_of(samples, (nominal, label, found), stand, asked.kind, rng, said, against)
+    done, tried = certify_interpolation_method(
+        samples, (nominal, label, found), stand, request.kind, rng, said, against
+    )
     field = done.correction.extension
     if field is not None:
-        done = replace(done, found=_without(samples, nominal, found, field, asked.alone))
+        done = replace(done, found=_without(samples, nominal, found, field, request.alone))
     elif sizes is not None:  # the geometry as it is, of which more is known
-        return with_drawn(samples, replace(done, left=None), sizes, rng), tried
-    return with_scatter(samples, done, rng), tried
+        return draw_and_add_machines(samples, replace(done, left=None), sizes, rng), tried
+    return _with_scatter(samples, done, rng), tried
 
 
-def with_scatter(samples: Samples, done: Certified, rng: np.random.Generator) -> Certified:
+def _with_scatter(samples: Samples, done: Certified, rng: np.random.Generator) -> Certified:
     """The Certified of an extension, its scatter no less than what was left at configurations held out, that freed of
     the parameters' errors.
     """
@@ -145,29 +149,29 @@ def with_scatter(samples: Samples, done: Certified, rng: np.random.Generator) ->
         return done
     correction, found = done.correction, done.found
     J, out = (
-        pose_jacobian(samples.T_base_platform, correction.fitted),
-        inverse_strut_jacobian(samples.T_base_platform, correction.fitted),
+        pose_parameter_jacobian(samples.T_base_platform, correction.fitted),
+        inverse_strut_length_jacobian(samples.T_base_platform, correction.fitted),
     )
     noise = samples.covariance + (out * found.scatter**2) @ np.swapaxes(out, 1, 2)
     part = configuration_folds(done.label, min(FOLDS, done.label.max() + 1))
-    left = replace(done.left, parameters=parameter_squares_without(J, found.covariance, noise, part))
+    left = replace(done.left, parameters=held_out_parameter_error_squares(J, found.covariance, noise, part))
     commands, T = sample_workspace(correction)
-    back = inverse_strut_jacobian(T, correction.fitted)
-    stated = float(extension_scatter(correction, commands, back)[0])
+    back = inverse_strut_length_jacobian(T, correction.fitted)
+    stated = float(extension_error_squares(correction, commands, back)[0])
     own = np.sqrt(max(left.own(stated, rng)[0] - stated, 0.0) / (back[:, :3] ** 2).sum(axis=(1, 2)).mean())
     return replace(done, left=left, found=replace(found, scatter=np.maximum(found.scatter, own)))
 
 
-def certify_extension_of(
+def certify_interpolation_method(
     samples: Samples,
     basis: tuple[Struts | Arm, np.ndarray, Any],
     stand: Callable[[Samples], "Stand"],
     kind: str,
     rng: np.random.Generator,
-    said: Progress,
+    progress: Progress,
     against: str | None = None,
 ) -> tuple[Certified, tuple[Tried, ...]]:
-    """(Certified, what was tried): what one way, or of all ways the best, makes of what a stand leaves.
+    """(Certified, methods tried) of one interpolation method, or of the best of all.
 
     basis : nominal, label (n,) of the samples, the geometry; against : why none is to be taken of all ways, or None
     """
@@ -175,8 +179,8 @@ def certify_extension_of(
     known, correct, said_of = stand(samples)
     fields: dict[str, Field | None] = {NONE: None}
     refused: dict[str, str] = {}
-    for name in interpolation_methods.ALL if kind == AUTO else (kind,):
-        said(f"extending: {name}", 0, 1)
+    for name in interpolation_methods.METHODS if kind == AUTO else (kind,):
+        progress(f"extending: {name}", 0, 1)
         try:
             fields[name] = fit_summand_field(known, name)
         except RigError as error:
@@ -184,7 +188,7 @@ def certify_extension_of(
                 raise
             refused[name] = str(error)
     splits = _splits(samples, label, nominal)
-    outcome = None if not splits else _held_out(samples, stand, fields, splits, said)
+    outcome = None if not splits else _held_out(samples, stand, fields, splits, progress)
     auto = kind == AUTO
     kind = kind if not auto else NONE if outcome is None or against is not None else _best(outcome)
     held = (
@@ -203,7 +207,7 @@ def certify_extension_of(
     left = held_out_error_statistics(outcome.after[kind], outcome.samples, label[outcome.rows], outcome.said[kind])
     if outcome.beside and left.stated:  # where noise explains all that is left, there is no error to scale
         scale = float(np.sqrt(left.beyond()[0] / left.stated))
-        if isinstance(field, Weighted):
+        if isinstance(field, WeightedField):
             field, left = replace(field, misfit=field.misfit * scale), replace(left, scale=scale)
         elif isinstance(field, RadialMap):
             field, left = replace(field, inflation=max(1.0, scale)), replace(left, scale=max(1.0, scale))
@@ -219,7 +223,7 @@ def _without(samples: Samples, nominal: Struts, found: Identified, field: Field,
     """
     taken = field.value(samples.commanded)
     if not alone:
-        again = identify(samples, nominal, taken, found.prior)
+        again = identify_platform(samples, nominal, taken, found.prior)
         found = replace(found, covariance=again.covariance, root=again.root, scatter=again.scatter)
     return replace(found, residuals=found.residuals - taken)
 
@@ -242,7 +246,7 @@ def _splits(samples: Samples, label: np.ndarray, nominal: Struts | Arm) -> list[
     """[(fitted (n,) bool, held out (n,) bool)]; none where there are fewer than LEAST configurations."""
     if label.max() + 1 < LEAST:
         return []
-    found = lattice_of_configurations(samples.commanded, axis_ranges(nominal))
+    found = grid_lattice_of_configurations(samples.commanded, axis_ranges(nominal))
     if found is None:
         fold = configuration_folds(label, min(FOLDS, label.max() + 1))
         return [(fold != k, fold == k) for k in np.unique(fold)]
@@ -290,9 +294,9 @@ def _held_out(
     )
 
 
-def stated_position_variance(field: Field, samples: Samples, nominal: Struts) -> float:
-    """m^2, mean square by which a Field over the configuration space says that positions of samples may be off."""
-    back = inverse_strut_jacobian(samples.T_base_platform, nominal)
+def mean_stated_position_variance(field: Field, samples: Samples, nominal: Struts) -> float:
+    """Mean of the position variance that a Field states at samples, m^2."""
+    back = inverse_strut_length_jacobian(samples.T_base_platform, nominal)
     return float((back[:, :3] ** 2 @ (field.error(samples.commanded) ** 2)[..., None]).sum(axis=1).mean())
 
 
@@ -310,14 +314,12 @@ def _best(outcome: _Outcome) -> str:
     return best if is_significant_gain(loss[NONE] - loss[best]) else NONE
 
 
-def claim_without_geometry(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
-    """Claim of a correction that stands on the owner's model alone: its field's error estimate all over the workspace,
-    and the shared errors.
-    """
-    correction: Correction = done.correction
+def claim_without_geometry(samples: Samples, certified: Certified, rng: np.random.Generator) -> Claim:
+    """Claim of a correction without fitted geometry: its field's error estimate over the workspace."""
+    correction: Correction = certified.correction
     kinematics = mechanisms.kinematics_of(correction.nominal)
     each = mean_sample_per_configuration(
-        samples, done.label, inverse_strut_jacobian(samples.T_base_platform, correction.nominal)
+        samples, certified.label, inverse_strut_length_jacobian(samples.T_base_platform, correction.nominal)
     )
     ways = ([] if correction.extension is None else [correction.extension.kind]) + [
         f"{one.field.kind} in pose space" for one in correction.posed
@@ -329,27 +331,29 @@ def claim_without_geometry(samples: Samples, done: Certified, rng: np.random.Gen
     middle = f"the middle {FILL * 100:.0f} % of every stroke, all axes free of each other"
     if len(each) < LEAST:
         return claim_of_too_few_configurations(told, middle)
-    if done.left is None:
+    if certified.left is None:
         return claim_without_held_out_data(told, middle)
     commands, T = commands_with_pose(low_discrepancy(kinematics.travel(correction.nominal), PLACES, FILL), correction)
     offset = pose_difference(T, kinematics.forward(commands, correction.nominal))
-    stated = float(extension_scatter(correction, commands, inverse_strut_jacobian(T, correction.fitted))[0])
-    own = done.left.own_draws(stated, DRAWS, rng) + draw_common_error_squares(samples, DRAWS, rng)
-    known = done.found.covariance  # of what an earlier pass left, where this one does not hold
+    stated = float(
+        extension_error_squares(correction, commands, inverse_strut_length_jacobian(T, correction.fitted))[0]
+    )
+    own = certified.left.own_draws(stated, DRAWS, rng) + draw_common_error_squares(samples, DRAWS, rng)
+    known = certified.found.covariance  # of what an earlier pass left, where this one does not hold
     draws = (
         rng.multivariate_normal(np.zeros(len(known)), known, DRAWS, method="eigh")
         if known.any()
         else np.zeros((DRAWS, len(known)))
     )
     return claim_of_drawn_machines(
-        Workspace(pose_jacobian(T, correction.nominal), -offset, own, middle), draws, each, told, rng
+        Workspace(pose_parameter_jacobian(T, correction.nominal), -offset, own, middle), draws, each, told, rng
     )
 
 
-def claim_without_held_out_data(told: ConfigurationInformation, workspace: str) -> Claim:
-    """The Claim of samples of which none could be held out: none, and why."""
+def claim_without_held_out_data(information: ConfigurationInformation, workspace: str) -> Claim:
+    """Empty Claim of samples without held-out data, with the reason."""
     return replace(
-        claim_of_too_few_configurations(told, workspace),
+        claim_of_too_few_configurations(information, workspace),
         reason="no configuration could be held out, so nothing says what is left between those recorded; record "
         f"{LEAST} beside the grid, as the plan `division:2,sobol:{2 * LEAST}` does",
     )

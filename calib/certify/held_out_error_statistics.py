@@ -1,5 +1,4 @@
-"""What errors at held-out configurations say of the errors anywhere: their mean square beyond what measuring adds, and
-how sure that is.
+"""Statistics of errors at held-out configurations: mean squares beyond measuring noise, and their uncertainty.
 
 Nothing is assumed of where the errors come from, so that what no model has (friction, play, sag, gears) is in it. Few
 configurations tell a mean square badly, and badly told it is more often too small: draws are of the mean square over
@@ -67,7 +66,7 @@ class HeldErrors:
             squares, noise = self.squares[:, k], float(self.noise[:, k].mean())
             if np.isnan(squares).any() or not squares.any():
                 continue
-            freedom = degrees_of_freedom(squares)
+            freedom = _degrees_of_freedom(squares)
             seen = squares.mean() * freedom / rng.chisquare(freedom, count)
             out[:, k] = np.maximum(seen - noise * TRUSTED / rng.chisquare(TRUSTED, count), 0.0)
         return out
@@ -90,7 +89,7 @@ class HeldErrors:
         """m^2, mean square of position errors that so many poses held out do not tell from the noise of measuring
         them.
         """
-        return float(self.noise[:, 0].mean() * np.sqrt(2 / degrees_of_freedom(self.squares[:, 0])))
+        return float(self.noise[:, 0].mean() * np.sqrt(2 / _degrees_of_freedom(self.squares[:, 0])))
 
     def beyond(self) -> np.ndarray:
         """(2,) m^2 and rad^2, mean square of the true errors as estimated; 0 for what was not measured."""
@@ -100,9 +99,10 @@ class HeldErrors:
 def held_out_error_statistics(
     errors: np.ndarray, samples: Samples, label: np.ndarray, stated: float = 0.0, parameters: np.ndarray | None = None
 ) -> HeldErrors:
-    """HeldErrors of errors (n, 6) m and rad, NaN where not measured. samples : Samples that they are of; label : (n,)
-    configuration of each
-    stated, parameters : as there, nothing by default"""
+    """Held-out error statistics (HeldErrors) of errors (n, 6) m and rad, NaN where not measured.
+    samples : Samples that they are of; label : (n,) configuration of each
+    stated, parameters : as there, nothing by default
+    """
     label = np.unique(label, return_inverse=True)[1]
     size = np.bincount(label)
     variances = np.einsum("nii->ni", samples.covariance)
@@ -123,10 +123,9 @@ def held_out_error_statistics(
 def standardised_residuals(
     residuals: np.ndarray, jacobian: np.ndarray, covariance: np.ndarray, noise: np.ndarray, label: np.ndarray
 ) -> np.ndarray:
-    """(n, 6) m and rad, residuals of a linear fit freed of what it took into itself: as great as errors at its
-    configurations are in the mean.
+    """Standardised residuals (n, 6) of a linear fit: corrected for the noise that the fit absorbed, m and rad.
 
-    residuals : (n, 6); label : (n,) configuration of each sample; the rest as `parameter_squares_without`
+    residuals : (n, 6); label : (n,) configuration of each sample; the rest as `held_out_parameter_error_squares`
     Source: Cook and Weisberg, Residuals and Influence in Regression, 1982, section 2.1, by blocks
     """
     out = np.empty_like(residuals)
@@ -136,11 +135,10 @@ def standardised_residuals(
     return out
 
 
-def parameter_squares_without(
+def held_out_parameter_error_squares(
     jacobian: np.ndarray, covariance: np.ndarray, noise: np.ndarray, part: np.ndarray
 ) -> np.ndarray:
-    """(2,) m^2 and rad^2, mean square of pose errors by parameters that were fitted without the samples of the same
-    part.
+    """Mean squares (2,) of held-out pose errors by parameters fitted without the samples of the same part.
 
     jacobian : (n, 6, p) of poses with the parameters; covariance : (p, p) of the parameters of a fit of all samples;
         noise : (n, 6, 6) by which that
@@ -166,7 +164,7 @@ def _leverages(
         yield own, L, U, share.clip(0, ALL_OWN)
 
 
-def degrees_of_freedom(squares: np.ndarray) -> float:
+def _degrees_of_freedom(squares: np.ndarray) -> float:
     """Degrees of freedom of the mean of squares (c,), in order of time, as they scatter and as neighbours say the
     same.
     """
@@ -176,8 +174,6 @@ def degrees_of_freedom(squares: np.ndarray) -> float:
 
 
 def draw_common_error_squares(samples: Samples, count: int, rng: np.random.Generator) -> np.ndarray:
-    """(count, 2) m^2 and rad^2, draws of the mean square of what all poses of samples share: whoever measured them
-    carries it into what is fitted.
-    """
+    """Draws (count, 2) of the mean square of the samples' common pose errors, m^2 and rad^2."""
     drawn = np.einsum("nik,kd->dni", samples.common, rng.normal(size=(samples.common.shape[2], count)))
     return np.stack([(drawn[..., part] ** 2).sum(axis=2).mean(axis=1) for part in PARTS], axis=1)

@@ -1,6 +1,4 @@
-"""Pose errors at configurations that nothing was fitted to: their figures, before and after, and how sure their ratio
-is.
-"""
+"""Held-out pose errors: their figures before and after correction, and the significance of the gain."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -50,7 +48,7 @@ class HeldOut:
     configurations: int
 
 
-def error_figures(errors: np.ndarray) -> Figures:
+def error_statistics(errors: np.ndarray) -> Figures:
     """Figures of pose errors (n, 6), position (m) and rotation (rad), NaN where these were not measured."""
 
     def three(parts: np.ndarray) -> tuple[float, float, float]:
@@ -74,12 +72,12 @@ def compare_errors(
     rng: np.random.Generator,
     label: np.ndarray | None = None,
 ) -> HeldOut:
-    """HeldOut of the errors (n, 6) on the same poses; covariance : (n, 6, 6) of the measured poses.
+    """Comparison of errors before and after on the same poses, as HeldOut; covariance : (n, 6, 6)
 
     label : (n,) configuration of each pose, each its own by default; rng : numpy Generator, for the bootstrap
     """
     label = np.arange(len(errors_before)) if label is None else np.unique(label, return_inverse=True)[1]
-    before, after = error_figures(errors_before), error_figures(errors_after)
+    before, after = error_statistics(errors_before), error_statistics(errors_after)
     count, size = label.max() + 1, np.bincount(label)
     turned = bool(np.isnan(errors_after[:, :3]).any())
     part = slice(3, 6) if turned else slice(0, 3)
@@ -92,16 +90,16 @@ def compare_errors(
     return HeldOut(before, after, rms_uncertainty(covariance), ratio, len(size))
 
 
-def errors_before_and_after(correction: Correction[Any, Any], samples: Samples) -> tuple[np.ndarray, np.ndarray]:
-    """(before, after), both (n, 6): measured pose against the owner's model's and against the corrected model's; NaN
-    where a rotation was not measured, or is not the machine's to give."""
+def errors_before_and_after_correction(
+    correction: Correction[Any, Any], samples: Samples
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pose errors (before, after) correction, both (n, 6): measured against the nominal and the corrected model."""
     nominal = mechanisms.kinematics_of(correction.nominal).forward(samples.commanded, correction.nominal)
     return pose_errors(nominal, samples), pose_errors(correction.predict(samples.effective), samples)
 
 
 def pose_errors(T_base_platform: RigidTransform, samples: Samples) -> np.ndarray:
-    """(n, 6) measured poses against these (n,), NaN as `errors_before_and_after` and for positions that were not
-    measured; of a wire's length along x."""
+    """Pose errors (n, 6) of measured samples against predicted poses (n,), NaN where not measured."""
     if samples.measured == "distance":
         error = np.full((len(samples), 6), np.nan)
         error[:, 0] = samples.T_base_platform.translation[:, 0] - np.linalg.norm(T_base_platform.translation, axis=1)
@@ -117,16 +115,12 @@ def pose_errors(T_base_platform: RigidTransform, samples: Samples) -> np.ndarray
 
 
 def is_significant_gain(gain: np.ndarray) -> bool:
-    """Whether what each held-out pose gains (n,), in order of time, is beyond chance by GAIN standard errors,
-    neighbours taken for alike.
-    """
+    """Whether the gain of held-out poses (n,) is significant: beyond GAIN standard errors, autocorrelation included."""
     return bool(gain.mean() > GAIN * gain.std() / np.sqrt(len(gain) / autocorrelation_factor(gain)))
 
 
 def autocorrelation_factor(series: np.ndarray) -> float:
-    """How many neighbours in time say the same in a series (n,): 1 + 2 x the sum of the autocorrelations before they
-    first turn negative.
-    """
+    """Autocorrelation factor of a series (n,): 1 + 2 x the sum of its first positive autocorrelations."""
     centred = series - series.mean()
     total = (centred**2).sum()
     factor = 1.0

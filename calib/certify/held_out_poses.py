@@ -1,9 +1,4 @@
-"""Poses of recordings that a calibration was not made from: their errors, what measuring them adds, and which of them
-count.
-
-Only exposures of a machine at rest count, and of each configuration the first visit alone speaks for poses at large:
-the others are repeats, from which repeatability is read.
-"""
+"""Held-out poses of recordings with their errors, and the repeatability of poses visited again."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -68,7 +63,7 @@ class HeldPoses:
         return np.sqrt(np.trace(self.own[:, part, part], axis1=1, axis2=2) / 3)
 
 
-def is_at_rest(commands: Commands, t: np.ndarray) -> np.ndarray:
+def _is_at_rest(commands: Commands, t: np.ndarray) -> np.ndarray:
     """(n,) bool, whether nothing was commanded to move for REST s before times t (n,) s."""
     earlier = np.maximum(t - REST, commands.t[0])
     between = np.searchsorted(commands.t, t) - np.searchsorted(commands.t, earlier)
@@ -82,7 +77,7 @@ def is_at_rest(commands: Commands, t: np.ndarray) -> np.ndarray:
     return same & (knots < 1e-9)
 
 
-def last_moves(commands: Commands, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _last_moves(commands: Commands, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(before (n, axes) sign of each axis' last move before times t (n,) s, step (n, axes) whether it was part of the
     machine's last).
     """
@@ -94,23 +89,26 @@ def last_moves(commands: Commands, t: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return sign, (at == at.max(axis=1, keepdims=True)) & (at > 0)
 
 
-def held_poses(correction: Correction, parts: Sequence[tuple[Samples, Commands, np.ndarray, np.ndarray]]) -> HeldPoses:
-    """HeldPoses of recordings, each (Samples, Commands, plain (n, 6), errors (n, 6) as `errors_of` gives them).
+def held_out_poses(
+    correction: Correction, recordings: Sequence[tuple[Samples, Commands, np.ndarray, np.ndarray]]
+) -> HeldPoses:
+    """Held-out poses of recordings under a correction, as HeldPoses.
 
     Raises NotEnoughData where the machine never stood still, RigError where positions were not measured
     """
-    for samples, *_ in parts:
+    for samples, *_ in recordings:
         if samples.measured in ("orientation", "distance"):
             raise RigError(f"a certificate speaks for poses, and of these the {samples.measured} alone was measured")
-    kept = [np.flatnonzero(is_at_rest(commands, samples.t)) for samples, commands, _, _ in parts]
-    moving = sum(len(samples) - len(k) for k, (samples, *_) in zip(kept, parts))
+    kept = [np.flatnonzero(_is_at_rest(commands, samples.t)) for samples, commands, _, _ in recordings]
+    moving = sum(len(samples) - len(k) for k, (samples, *_) in zip(kept, recordings))
     if not sum(map(len, kept)):
         raise NotEnoughData(
             f"none of {moving} exposures is of a machine at rest for {REST:g} s; a certificate speaks for "
             "poses that are held"
         )
     each = [
-        (samples.take(k), commands, plain[k], errors[k]) for k, (samples, commands, plain, errors) in zip(kept, parts)
+        (samples.take(k), commands, plain[k], errors[k])
+        for k, (samples, commands, plain, errors) in zip(kept, recordings)
     ]
     sizes = [len(samples) for samples, *_ in each]
     ends = np.cumsum(sizes)
@@ -120,11 +118,11 @@ def held_poses(correction: Correction, parts: Sequence[tuple[Samples, Commands, 
         factor[end - size : end] = samples.common
         common.append(factor)
     commanded = np.concatenate([samples.commanded for samples, *_ in each])
-    moves = [last_moves(commands, samples.t) for samples, commands, *_ in each]
+    moves = [_last_moves(commands, samples.t) for samples, commands, *_ in each]
     T = RigidTransform.from_matrix(np.concatenate([samples.T_base_platform.as_matrix() for samples, *_ in each]))
     own = np.concatenate([np.where(np.isinf(samples.covariance), 0.0, samples.covariance) for samples, *_ in each])
     return HeldPoses(
-        np.repeat(np.arange(len(parts)), sizes),
+        np.repeat(np.arange(len(recordings)), sizes),
         np.concatenate([samples.frame for samples, *_ in each]),
         np.concatenate([samples.t for samples, *_ in each]),
         commanded,
@@ -138,3 +136,49 @@ def held_poses(correction: Correction, parts: Sequence[tuple[Samples, Commands, 
         configuration_numbers(commanded, axis_ranges(correction.nominal)),
         moving,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Repeatability:
+    """position m, rotation rad : RMS distance of visits from their pose's barycentre, freedom allowed for, measuring
+    noise included
+    one_sided : the same of visits come to from one side; each None where nothing was visited again so; noise : (m, rad)
+        of one measured pose
+    visits, poses : how many."""
+
+    position: float | None
+    rotation: float | None
+    one_sided: tuple[float, float] | None
+    noise: tuple[float, float]
+    visits: int
+    poses: int
+
+
+def pose_repeatability(poses: HeldPoses) -> Repeatability:
+    """Repeatability of revisited poses."""
+    noise = tuple(float(np.sqrt(3) * np.sqrt((poses.sigma(part) ** 2).mean())) for part in (slice(0, 3), slice(3, 6)))
+    position, rotation, visits, count = _scatter(poses, poses.label)
+    sides = np.unique(np.column_stack([poses.label, poses.recording, poses.before]), axis=0, return_inverse=True)[
+        1
+    ].ravel()
+    one = _scatter(poses, sides)
+    return Repeatability(
+        position, rotation, None if one[0] is None else (one[0], one[1] or 0.0), (noise[0], noise[1]), visits, count
+    )
+
+
+def _scatter(poses: HeldPoses, group: np.ndarray) -> tuple[float | None, float | None, int, int]:
+    """(position m, rotation rad, visits, groups) of groups with two visits at least."""
+    size = np.bincount(group)
+    again = np.flatnonzero(size[group] > 1)
+    if not len(again):
+        return None, None, 0, 0
+    index = np.unique(group[again], return_inverse=True)[1]
+    count = int(index.max()) + 1
+    mean = (
+        np.stack([np.bincount(index, weights=column) for column in poses.errors[again].T], axis=1)
+        / np.bincount(index)[:, None]
+    )
+    off = poses.errors[again] - mean[index]
+    lengths = [float(np.sqrt((off[:, part] ** 2).sum() / (len(again) - count))) for part in (slice(0, 3), slice(3, 6))]
+    return lengths[0], lengths[1] if poses.rotations else None, len(again), count

@@ -1,5 +1,4 @@
-"""ISO 230-2 of each axis from ladders: accuracy A, repeatability R, reversal B, systematic deviation E and its mean M
-of positions come to from both sides by that axis alone; A, R and E of either side as well.
+"""ISO 230-2 errors of each axis: accuracy A, repeatability R, reversal B and systematic deviation E.
 
 An axis' deviation is what the calibrated machine would have had to be commanded beyond the command for the pose that
 was measured. The standard requires five positions at least, each come to five times from either side; what a recording
@@ -14,7 +13,7 @@ import numpy as np
 
 from calib.certify.held_out_poses import HeldPoses
 from calib.correct.correction import Correction
-from calib.models.platform.identification import strut_jacobian
+from calib.models.platform.identification import strut_length_jacobian
 from rig.model import mechanisms
 from rig.model.design import Arm, Chain
 from rig.model.mechanisms import arm, chain
@@ -53,8 +52,8 @@ class AxisTest:
     formal: bool
 
 
-def iso230(correction: Correction, poses: HeldPoses) -> tuple[AxisTest, ...]:
-    """AxisTest of each axis that was moved alone from both sides; none where rotations were not measured."""
+def iso230_axis_tests(correction: Correction, poses: HeldPoses) -> tuple[AxisTest, ...]:
+    """ISO 230-2 test of each axis that was moved alone from both sides."""
     if not poses.rotations:
         return ()
     J = _to_axes(correction, poses)
@@ -85,7 +84,7 @@ def _to_axes(correction: Correction, poses: HeldPoses) -> np.ndarray:
         return np.linalg.pinv(arm.jacobian(poses.commanded, correction.fitted))
     if isinstance(correction.fitted, Chain):
         return np.linalg.pinv(chain.jacobian(poses.commanded, correction.fitted))
-    return strut_jacobian(poses.T_base_platform, correction.fitted)
+    return strut_length_jacobian(poses.T_base_platform, correction.fitted)
 
 
 def _test(
@@ -123,24 +122,26 @@ def _test(
 
 
 def reversal_values(mean: np.ndarray) -> tuple[float, float]:
-    """(B, mean B) of means (positions, 2), from below and from above."""
+    """Reversal values (B, mean B) of means (positions, 2), from below and from above."""
     B = mean[:, 0] - mean[:, 1]
     return float(np.abs(B).max()), float(B.mean())
 
 
-def axis_accuracy(mean: np.ndarray, s: np.ndarray) -> tuple[float | None, float | None, float | None]:
-    """(A, A up, A down) of means and standard deviations (positions, 2); None where one is not known."""
-    if not np.isfinite(s).all():
+def axis_accuracy(mean: np.ndarray, standard_deviation: np.ndarray) -> tuple[float | None, float | None, float | None]:
+    """Axis accuracy (A, A up, A down) of means and standard deviations (positions, 2); None where unknown."""
+    if not np.isfinite(standard_deviation).all():
         return None, None, None
-    high, low = mean + 2 * s, mean - 2 * s
+    high, low = mean + 2 * standard_deviation, mean - 2 * standard_deviation
     up, down = (high.max(axis=0) - low.min(axis=0)).tolist()
     return float(high.max() - low.min()), up, down
 
 
-def axis_repeatability(mean: np.ndarray, s: np.ndarray) -> tuple[float | None, float | None, float | None]:
-    """(R, R up, R down) of means and standard deviations (positions, 2); None where one is not known."""
-    if not np.isfinite(s).all():
+def axis_repeatability(
+    mean: np.ndarray, standard_deviation: np.ndarray
+) -> tuple[float | None, float | None, float | None]:
+    """Axis repeatability (R, R up, R down) of means and standard deviations (positions, 2); None where unknown."""
+    if not np.isfinite(standard_deviation).all():
         return None, None, None
-    up, down = (4 * s).max(axis=0).tolist()
-    both = 2 * s.sum(axis=1) + np.abs(mean[:, 0] - mean[:, 1])
+    up, down = (4 * standard_deviation).max(axis=0).tolist()
+    both = 2 * standard_deviation.sum(axis=1) + np.abs(mean[:, 0] - mean[:, 1])
     return float(max(both.max(), up, down)), up, down

@@ -1,5 +1,4 @@
-"""ISO 9283: pose accuracy AP and pose repeatability RP of poses that were visited again, and what keeps them from being
-the standard's.
+"""ISO 9283 pose accuracy AP and repeatability RP of revisited poses, and requirements that are not met.
 
 Of each pose that was visited k times from commands alike: AP, the barycentre's distance from where the pose should be;
 l_j, the visits' distances from the barycentre; RP = mean of l + 3 s_l; for rotations AP and RP = 3 s axis by axis. They
@@ -65,8 +64,8 @@ class Duty:
     rated_load: float | None
 
 
-def iso9283(poses: HeldPoses, duty: Duty) -> Iso9283:
-    """Iso9283 of HeldPoses."""
+def iso9283_accuracy_and_repeatability(poses: HeldPoses, duty: Duty) -> Iso9283:
+    """ISO 9283 pose accuracy and repeatability of HeldPoses."""
     rows = []
     for label in np.flatnonzero(np.bincount(poses.label) >= FEWEST):
         at = np.flatnonzero(poses.label == label)
@@ -91,7 +90,7 @@ def iso9283(poses: HeldPoses, duty: Duty) -> Iso9283:
         )
     first = poses.errors[poses.first]
     lengths, turned = np.linalg.norm(first[:, :3], axis=1), np.linalg.norm(first[:, 3:], axis=1)
-    missing = unmet_requirements(poses, duty)
+    missing = _unmet_requirements(poses, duty)
     return Iso9283(
         tuple(rows),
         not missing,
@@ -101,7 +100,7 @@ def iso9283(poses: HeldPoses, duty: Duty) -> Iso9283:
     )
 
 
-def unmet_requirements(poses: HeldPoses, duty: Duty) -> tuple[str, ...]:
+def _unmet_requirements(poses: HeldPoses, duty: Duty) -> tuple[str, ...]:
     """What the standard requires of the test and these HeldPoses do not show, one sentence each, without its full
     stop.
     """
@@ -166,15 +165,15 @@ def _duty(duty: Duty) -> list[str]:
     return out
 
 
-def duty_of(
+def test_duty(
     poses: HeldPoses,
     recordings: Sequence[Recording],
     design: Design,
     load: tuple[float, float] | None,
     rated_load: float | None,
 ) -> Duty:
-    """Duty of HeldPoses. recordings : in the order of poses.recording; load : as logged, kg; rated_load : kg, as
-    stated
+    """Duty of a test: the least speed and the load of held-out poses, and those rated.
+    recordings : in the order of poses.recording; load : as logged, kg; rated_load : kg, as stated
     """
     top = design.actuator.max_speed
     return Duty(_least_speed(poses, recordings), top, load, rated_load)

@@ -1,5 +1,4 @@
-"""Machines drawn as recorded poses leave them: parameters, what struts do beyond them, and the poses' shared errors,
-all together.
+"""Draws of machines that the recorded poses allow: parameters, strut deviations and shared pose errors.
 
 What the design of a recording confounds is drawn together: where play, time or a function of the configuration stand
 for a parameter, one draw has the one and the next the other. docs/mathematics.md (21)
@@ -21,8 +20,13 @@ from calib.certify.strut_deviation_kernels import (
     deviation_components,
     scaled_commands,
 )
-from calib.models.platform.identification import Identified, loop_jacobian, parameters, strut_jacobian
-from calib.models.platform.stated_geometry_accuracy import Tolerance, parameter_widths
+from calib.models.platform.identification import (
+    Identified,
+    geometric_parameters,
+    loop_closure_jacobian,
+    strut_length_jacobian,
+)
+from calib.models.platform.parameter_accuracy import Tolerance, expand_parameter_widths
 from calib.samples.pose_samples import Samples
 from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts
@@ -58,23 +62,28 @@ class Sizes:
         )
 
 
-def deviation_sizes(
-    found: Identified, known: Tolerance, samples: Samples, label: np.ndarray, nominal: Struts, rng: np.random.Generator
+def strut_deviation_sizes(
+    identified: Identified,
+    tolerance: Tolerance,
+    samples: Samples,
+    label: np.ndarray,
+    nominal: Struts,
+    rng: np.random.Generator,
 ) -> Sizes:
-    """Sizes of what struts do beyond their geometry.
+    """Sizes of strut deviations beyond the geometry, drawn from samples.
 
-    found : Identified, of a geometry alone; known : Tolerance; samples : Samples, each visit one; label : (n,)
+    identified : Identified, of a geometry alone; tolerance : Tolerance; samples : Samples, each visit one; label : (n,)
         configurations
     """
-    counted = found.inliers if (~found.inliers).mean() <= WILD else np.ones(len(samples), bool)
+    counted = identified.inliers if (~identified.inliers).mean() <= WILD else np.ones(len(samples), bool)
     samples, label = samples.take(counted), np.unique(label[counted], return_inverse=True)[1]
-    model, struts = _Closures(found, samples), []
+    model, struts = _Closures(identified, samples), []
     parts, y = deviation_components(samples, label, nominal), model.about(nominal)
     for i, own in enumerate(parts):
         D, C = model.D[:, i], model.common[:, i]
-        V = np.diag(model.own[:, i, i]) + C @ C.T + (D * known.prior**2) @ D.T
+        V = np.diag(model.own[:, i, i]) + C @ C.T + (D * tolerance.prior**2) @ D.T
         struts.append(Closures(y[:, i], V, float(np.sqrt(np.mean(model.own[:, i, i] + (C**2).sum(axis=1)))), own))
-    return Sizes(counted, parts, draw_component_sizes(struts, _scattered(found, model, counted), COUNT, rng))
+    return Sizes(counted, parts, draw_component_sizes(struts, _scattered(identified, model, counted), COUNT, rng))
 
 
 def _scattered(found: Identified, model: "_Closures", counted: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
@@ -97,9 +106,9 @@ def _scattered(found: Identified, model: "_Closures", counted: np.ndarray) -> Ca
     return lambda size: likelihood(size) - likelihood(np.zeros(1))
 
 
-def draw_machines(
-    found: Identified,
-    known: Tolerance,
+def draw_possible_machines(
+    identified: Identified,
+    tolerance: Tolerance,
     samples: Samples,
     sizes: Sizes,
     nominal: Struts,
@@ -107,13 +116,15 @@ def draw_machines(
     noise: np.ndarray,
     rng: np.random.Generator,
 ) -> Machines:
-    """Machines about a fit. found : Identified, whose mechanism the parameters are about; known : Tolerance;
-    samples : Samples, each visit one
+    """Draws of possible machines about a fit, at places of the workspace.
+    identified : Identified, whose mechanism the parameters are about; tolerance : Tolerance; samples : Samples, each
+        visit
+    one
 
     sizes : Sizes by the same samples; places : (m, axes) m commands; noise : (COUNT,) factors on the poses' covariance
     """
     model, parts, x = (
-        _Closures(found, samples.take(sizes.inliers)),
+        _Closures(identified, samples.take(sizes.inliers)),
         sizes.components,
         scaled_commands(places, nominal.strut_range),
     )
@@ -121,8 +132,14 @@ def draw_machines(
         [part.at(x) if part.kernel is not None else part.use(x) if part.use is not None else None for part in own]
         for own in parts
     ]
-    middle, y, count = parameters(nominal) - parameters(found.mechanism), model.about(nominal), COUNT
-    width = parameter_widths(known.widths, known.counts)[rng.choice(len(known.weight), count, p=known.weight)]
+    middle, y, count = (
+        geometric_parameters(nominal) - geometric_parameters(identified.mechanism),
+        model.about(nominal),
+        COUNT,
+    )
+    width = expand_parameter_widths(tolerance.widths, tolerance.counts)[
+        rng.choice(len(tolerance.weight), count, p=tolerance.weight)
+    ]
     size = sizes.draws
     together, seen = np.zeros((2, count, EACH, len(parts), len(parts)))
     looks = model.common.shape[2] > 0  # whoever measures with errors that all poses share may drift and scatter as well
@@ -195,14 +212,14 @@ class _Closures:
 
     def __init__(self, found: Identified, samples: Samples) -> None:
         T, self.fitted = samples.T_base_platform, found.mechanism
-        A = strut_jacobian(T, self.fitted)
-        self.D, self.common = loop_jacobian(T, self.fitted), A @ samples.common
+        A = strut_length_jacobian(T, self.fitted)
+        self.D, self.common = loop_closure_jacobian(T, self.fitted), A @ samples.common
         self.left = samples.effective - mechanisms.kinematics_of(self.fitted).inverse(T, self.fitted)
         self.own = A @ samples.covariance @ np.swapaxes(A, 1, 2)
 
     def about(self, nominal: Struts) -> np.ndarray:
         """(n, axes) m, the closures as the owner's figures have them, to first order."""
-        return np.asarray(self.left + self.D @ (parameters(nominal) - parameters(self.fitted)))
+        return np.asarray(self.left + self.D @ (geometric_parameters(nominal) - geometric_parameters(self.fitted)))
 
     def draw(
         self,

@@ -1,11 +1,4 @@
-"""Measuring limbs beside the struts: the platform's pose from six lengths, held against vision before it is believed;
-more limbs check it.
-
-The limbs' own joints and zeros are found as the struts' are, from poses that vision measured. Agreement is judged on
-poses that were not used for that: bias, scatter, and limits of agreement, axis by axis, against a tolerance that is
-stated. Sources: the on-line learning patent for Stewart platforms, [0016]-[0021]; Bland and Altman, Lancet 327, 1986
-(limits of agreement).
-"""
+"""Measuring limbs: calibration against vision, held-out poses and agreement, and slips of a limb."""
 
 from dataclasses import dataclass, replace
 
@@ -13,14 +6,15 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify import redundant_limb_checks
-from calib.certify.fitted_limbs import Limbs
-from calib.models.platform.identification import Identified, identify
+from calib.certify import measuring_limb_checks
+from calib.certify.measuring_limb_checks import Limbs
+from calib.models.platform.identification import PRIOR, Identified, identify_platform
 from calib.samples.pose_samples import Samples, time_block_folds
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Design, Hexapod, MeasuringLimbs
 from rig.model.mechanism_kinds import hexapod_of
 from rig.model.mechanisms import hexapod as mechanism
+from rig.model.mechanisms import redundant_legs
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.recording.recording_folder import Recording
 
@@ -60,7 +54,7 @@ class Agreement:
 
 
 def stated_limbs(design: Design) -> MeasuringLimbs:
-    """The measuring limbs as rig.toml has them. Raises RigError for a rig without [insitu]."""
+    """Measuring limbs as rig.toml states them. Raises RigError for a rig without [insitu]."""
     if design.insitu is None:
         raise RigError(
             "rig.toml has no [insitu] table with the measuring limbs' base_joints, platform_joints and length_sigma"
@@ -68,19 +62,22 @@ def stated_limbs(design: Design) -> MeasuringLimbs:
     return design.insitu
 
 
-def limb_hexapod(design: Design, chosen: np.ndarray | None = None) -> Hexapod:
-    """Hexapod of six of the limbs as rig.toml has them. chosen : (6,) their numbers, from 0, the first six by default
+def limb_hexapod(design: Design, limb_numbers: np.ndarray | None = None) -> Hexapod:
+    """Hexapod of six of the limbs as rig.toml has them. limb_numbers : (6,) their numbers, from 0, the first six by
+    default
 
     Raises RigError for a rig without [insitu], with fewer than six limbs, or that is no hexapod
     """
     limbs = stated_limbs(design)
     if not isinstance(design.mechanism, Hexapod):
         raise RigError(f"measuring limbs are for hexapods, not for a mechanism of kind {design.mechanism.kind!r}")
-    return redundant_limb_checks.limb_legs(limbs, design.mechanism.home).six(np.arange(6) if chosen is None else chosen)
+    return measuring_limb_checks.stated_limb_legs(limbs, design.mechanism.home).six(
+        np.arange(6) if limb_numbers is None else limb_numbers
+    )
 
 
 def limb_readings(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-    """(frames (f,), lengths (f, limbs) m): what the limbs read at the exposures that have readings about them.
+    """(frames (f,), limb readings (f, limbs) m) of a recording's exposures.
 
     Raises RigError where sensors.csv lacks a channel, NotEnoughData where no exposure has readings within half a second
     """
@@ -106,8 +103,8 @@ def limb_readings(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
 
 
 def samples_by_limbs(samples: Samples, frames: np.ndarray, lengths: np.ndarray) -> Samples:
-    """Samples whose commands are the limbs' readings. samples : Samples by vision; frames (f,), lengths (f, 6) m : as
-    `limb_readings` gives them, of six.
+    """Samples by limbs: the same poses with limb readings as their commands.
+    samples : Samples by vision; frames (f,), lengths (f, 6) m : as `limb_readings` gives them, of six.
 
     Raises NotEnoughData where no frame has both
     """
@@ -119,22 +116,21 @@ def samples_by_limbs(samples: Samples, frames: np.ndarray, lengths: np.ndarray) 
 
 
 def calibrate_limbs(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[Limbs, Identified]:
-    """(Limbs, Identified) from Samples as `samples_by_limbs` makes them. nominal : Hexapod as stated; sigma : m of one
-    reading
+    """(Limbs, Identified) of measuring limbs calibrated on samples. sigma : m of one reading
+    nominal : Hexapod as stated; sigma : m of one reading
     """
-    found: Identified = identify(add_reading_noise(samples, nominal, sigma), nominal)
+    found: Identified = identify_platform(_add_reading_noise(samples, nominal, sigma), nominal)
     return Limbs(hexapod_of(found.mechanism), found.covariance, np.hypot(found.scatter, sigma)), found
 
 
-def add_reading_noise(samples: Samples, nominal: Hexapod, sigma: float) -> Samples:
+def _add_reading_noise(samples: Samples, nominal: Hexapod, sigma: float) -> Samples:
     """The Samples with what the readings' own noise (m) does to a pose added to vision's covariance."""
     back = np.linalg.inv(mechanism.jacobian(samples.T_base_platform, nominal))
     return replace(samples, covariance=samples.covariance + sigma**2 * back @ np.swapaxes(back, 1, 2))
 
 
 def held_out_limb_poses(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[RigidTransform, np.ndarray]:
-    """(T_limbs RigidTransform (n,), expected (n, 6, 6) covariance of the difference): every pose by limbs fitted to
-    other stretches.
+    """(T_limbs (n,), expected covariance): poses by limbs that were fitted to other stretches.
 
     The expectation holds what the limbs' fit to the same cameras shares with vision once only: vision's shared errors
     go into the limbs, so that they do not show in the difference. Raises NotEnoughData for fewer than FEWEST poses
@@ -158,10 +154,12 @@ def held_out_limb_poses(samples: Samples, nominal: Hexapod, sigma: float) -> tup
 
 
 def limb_agreement(
-    T_vision: RigidTransform, T_limbs: RigidTransform, expected: np.ndarray, tolerance: tuple[float, float]
+    T_vision: RigidTransform, T_limbs: RigidTransform, expected_covariance: np.ndarray, tolerance: tuple[float, float]
 ) -> Agreement:
-    """Agreement of two measurements of the same poses (n,). expected : (n, 6, 6) covariance of their difference
-    tolerance : (m, rad) for position and rotation, each axis"""
+    """Agreement of limbs with vision on the same poses (n,), by axis.
+    expected_covariance : (n, 6, 6) covariance of their difference
+    tolerance : (m, rad) for position and rotation, each axis
+    """
     d, n = pose_difference(T_vision, T_limbs), len(T_vision)
     bias, scatter = d.mean(axis=0), d.std(axis=0, ddof=1)
     limits = np.stack([bias - COVERAGE * scatter, bias + COVERAGE * scatter])
@@ -175,7 +173,7 @@ def limb_agreement(
         scatter,
         limits,
         np.abs(limits).max(axis=0) + unsure,
-        np.sqrt(np.einsum("nii->ni", expected).mean(axis=0)),
+        np.sqrt(np.einsum("nii->ni", expected_covariance).mean(axis=0)),
         np.ptp(motion, axis=0),
         np.repeat(tolerance, 3),
     )
@@ -189,3 +187,54 @@ def vision_agrees_with_limbs(
     """
     d = pose_difference(T_vision, T_limbs)
     return bool(d @ np.linalg.solve(covariance + own + common @ common.T, d) < scipy.special.chdtri(6, TRUST))
+
+
+RARE = 1e-4  # share of sessions without a step in which one is found, all limbs and onsets together
+LEAST = 3  # poses on either side of a step
+
+
+@dataclass(frozen=True, slots=True)
+class Slip:
+    """limb : 1..6, of the six that tell the pose
+    frame : number of the first one after it; size, sigma : m by which the limb is longer than it reads since."""
+
+    limb: int
+    frame: int
+    size: float
+    sigma: float
+
+
+def detect_limb_slip(samples: Samples, limbs: Limbs, sigma: float) -> Slip | None:
+    """Likeliest slip of a measuring limb among samples; None where none is beyond chance.
+
+    limbs : Limbs as fitted to these; sigma : m of one reading, as stated
+    """
+    n, of = (
+        len(samples),
+        redundant_legs.combine_legs([("m", limbs.hexapod, np.full(6, sigma), np.zeros((42, 42)))], limbs.hexapod.home),
+    )
+    if n < 2 * LEAST:
+        return None
+    told, J, _ = redundant_legs.leg_length_jacobians(of, samples.T_base_platform)
+    spread = J @ samples.covariance @ np.swapaxes(J, 1, 2) + sigma**2 * np.eye(6)
+    W = np.linalg.inv(np.linalg.cholesky(spread))
+    y = (W @ (samples.commanded - told)[..., None]).reshape(-1)
+    geometry = redundant_legs.leg_parameter_jacobians(of, samples.T_base_platform)  # (n, 6, 42)
+    known = np.concatenate([W @ geometry * PRIOR, W @ J @ samples.common], axis=2).reshape(6 * n, -1)
+    known = np.vstack([known, np.eye(known.shape[1])])  # each of these is a draw of unit size
+    Q = np.linalg.qr(known)[0][: 6 * n]
+    onset = np.arange(LEAST, n - LEAST + 1)
+    steps = np.where(np.arange(n)[:, None] >= onset, 1.0, 0.0)
+    columns = (W[:, :, :, None] * steps[:, None, None, :]).reshape(6 * n, -1)  # limbs by onsets
+    gram = (columns**2).sum(axis=0) - ((Q.T @ columns) ** 2).sum(axis=0)
+    right = columns.T @ y - (Q.T @ columns).T @ (Q.T @ y)
+    gain = right**2 / np.maximum(gram, 1e-300)
+    best = int(gain.argmax())
+    left = float(y @ y - (Q.T @ y) @ (Q.T @ y) - gain[best])
+    scale = max(left / (6 * n - 42), 1.0)  # where the poses are worse than they say
+    if gain[best] / scale < scipy.special.chdtri(1, RARE / len(gain)):
+        return None
+    limb, at = divmod(best, len(onset))
+    return Slip(
+        limb + 1, int(samples.frame[onset[at]]), float(-right[best] / gram[best]), float(np.sqrt(scale / gram[best]))
+    )

@@ -1,4 +1,4 @@
-"""How far poses truly lie from where they should, from errors that were measured with noise.
+"""Noise-free error distribution: true errors of poses estimated from errors measured with noise.
 
 What is measured is e = t + n: t the pose's own error, of which nothing is assumed, n the instrument's noise, of known
 size. With noise alike in all directions the length |e| depends on the length |t| alone. A pose has one such length, or
@@ -135,7 +135,7 @@ def _held(at: np.ndarray, weights: np.ndarray, groups: list[tuple[slice, float]]
     return out
 
 
-def fit_depth_mixture(lengths: np.ndarray, sigma: np.ndarray) -> Mixture | None:
+def _fit_depth_mixture(lengths: np.ndarray, sigma: np.ndarray) -> Mixture | None:
     """Mixture of measured lengths (n, d) with noise sigma (n, d) per direction; None where all noise is too small to
     matter.
 
@@ -169,8 +169,9 @@ def _likelihood(lengths: np.ndarray, sigma: np.ndarray, rho: np.ndarray) -> np.n
 def true_depth_limits(
     lengths: np.ndarray, sigma: np.ndarray, coverage: float = 0.95, confidence: float = 0.95
 ) -> Limits:
-    """Limits of true depths. lengths : (n,) or (n, d) measured, in units of each; sigma : alike, standard deviation of
-    their noise in each direction.
+    """Tolerance limits of the true depths of poses, from lengths (n,) or (n, d) measured with noise.
+    lengths : (n,) or (n, d) measured, in units of each; sigma : alike, standard deviation of their noise in each
+    direction.
 
     Raises NotEnoughData for fewer than tolerance_limits.smallest
     """
@@ -184,7 +185,7 @@ def true_depth_limits(
     most = np.sqrt(
         (lengths**2).sum(axis=0) / np.maximum(DIMENSIONS * (sigma**2).sum(axis=0), 1e-300)
     )  # beyond which noise is all there is
-    found = fit_depth_mixture(lengths, sigma * np.minimum(1.0, most))
+    found = _fit_depth_mixture(lengths, sigma * np.minimum(1.0, most))
     if found is None:
         return Limits(float(np.quantile(measured, coverage)), *plain)
     free = found.best()
@@ -192,7 +193,7 @@ def true_depth_limits(
     middle = float(
         found.depth[free.at[order[min(int(np.searchsorted(np.cumsum(free.weights[order]), coverage)), len(order) - 1)]]]
     )
-    allowed = tolerance_limits.log_likelihood_drop(
+    allowed = tolerance_limits.coverage_log_likelihood_drop(
         n, tolerance_limits.count_beyond_upper_limit(n, coverage, confidence), coverage
     )
     high = _crossing(found, free, allowed, 1 - coverage, middle, True)
@@ -200,7 +201,9 @@ def true_depth_limits(
     low = (
         0.0
         if k is None
-        else _crossing(found, free, tolerance_limits.log_likelihood_drop(n, k, coverage), 1 - coverage, middle, False)
+        else _crossing(
+            found, free, tolerance_limits.coverage_log_likelihood_drop(n, k, coverage), 1 - coverage, middle, False
+        )
     )
     high = min(high, plain[1])  # noise makes lengths longer, so that the limit of those measured is one as well
     return Limits(min(middle, high), min(low, middle, high), high)

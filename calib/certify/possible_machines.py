@@ -1,6 +1,4 @@
-"""Machines that recorded poses leave possible, and how far a correction is off on them all over the workspace.
-docs/mathematics.md (21)
-"""
+"""Possible machines given the recorded poses, and the pose errors of a correction on them over the workspace."""
 
 from dataclasses import dataclass, replace
 

@@ -1,20 +1,62 @@
-"""What struts may do beyond their geometry: functions of conditions and of the configuration, as covariance kernels at
-the samples.
-
-Each component has a mean square of 1 in use: over the workspace, moves between its configurations, and the recording's
-own times, temperatures and loads. Its size (m) is then what it adds to a strut's error there. docs/mathematics.md (21)
-"""
+"""Covariance kernels of strut deviations beyond the geometry, and the sign of each strut's load."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
-from calib.certify.strut_load_signs import strut_load_signs
 from calib.samples.pose_samples import Samples
+from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts
-from rig.planning.plan import FILL
+from rig.planning.plan import FILL, low_discrepancy
 from rig.recording.recording_folder import PAYLOAD
+
+PLACES = 64  # of the workspace, at which signs are looked at
+NOTHING = 1e-9  # of the greatest load, below which a strut is not loaded
+
+Use = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+def strut_load_signs(samples: Samples, nominal: Struts) -> list[tuple[np.ndarray, Use] | None]:
+    """Per strut ((n,) sign of its load at the samples, positive where it pushes, and a `Component.use` of it), None
+    where no sign changes over the workspace or nothing is known of weights. By the owner's geometry; payloads are those
+    of the recording, each as likely as it was there."""
+    if samples.conditions is None or samples.conditions.weight is None:
+        return [None] * len(nominal.axes)
+    weight, nothing = samples.conditions.weight, np.zeros(len(samples))
+    carried = samples.conditions.channels.get(PAYLOAD, nothing)
+    each, count = np.unique(np.round(carried, 3), return_counts=True)
+    middle, half = nominal.strut_range.mean(axis=1), np.ptp(nominal.strut_range, axis=1) / 2
+
+    def seen(T: RigidTransform, commands: np.ndarray, payload: np.ndarray) -> np.ndarray:
+        loads = mechanisms.kinematics_of(nominal).loads(T, commands, nominal, weight.wrench(T, payload))
+        return np.asarray(np.sign(loads) * (np.abs(loads) > NOTHING * np.abs(loads).max(initial=0.0)))
+
+    @cache
+    def there(
+        places: bytes,
+    ) -> np.ndarray:  # (m, axes), mean over the payloads; the same places are looked at for every strut
+        commands = middle + half * np.frombuffer(places).reshape(-1, len(middle))
+        T = mechanisms.kinematics_of(nominal).forward(commands, nominal)
+        return np.asarray(
+            np.average([seen(T, commands, np.full(len(commands), kg)) for kg in each], axis=0, weights=count)
+        )
+
+    def use(i: int) -> Use:
+        def mean_and_variance(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            mean = there(np.ascontiguousarray(places, float).tobytes())[:, i]
+            return mean, np.maximum(1 - mean**2, 0.0)
+
+        return mean_and_variance
+
+    recorded = seen(samples.T_base_platform, samples.effective, carried)
+    anywhere = there(((low_discrepancy(nominal.strut_range, PLACES, FILL) - middle) / half).tobytes())
+    both = np.concatenate([recorded, anywhere])
+    turning = recorded.any(axis=0) & (both.min(axis=0) < 1) & (both.max(axis=0) > -1)
+    return [(recorded[:, i], use(i)) if turns else None for i, turns in enumerate(turning)]
+
 
 OWN, WHOLE = (
     (0.15, 0.5, 1.5),
@@ -66,14 +108,12 @@ class Component:
 
 
 def scaled_commands(commands: np.ndarray, strokes: np.ndarray) -> np.ndarray:
-    """(n, axes) commands (n, axes) m in half strokes from the middle. strokes : (axes, 2) m"""
+    """Commands (n, axes) m scaled to half strokes from the middle. strokes : (axes, 2) m"""
     return np.asarray((commands - strokes.mean(axis=1)) / (np.ptp(strokes, axis=1) / 2))
 
 
 def deviation_components(samples: Samples, label: np.ndarray, nominal: Struts) -> list[list[Component]]:
-    """Per strut the Components that samples may show. label : (n,) configuration of each; nominal : the owner's
-    geometry
-    """
+    """Components of each strut's deviations that samples may show. label : (n,) configuration of each"""
     x, n = scaled_commands(samples.effective, nominal.strut_range), len(samples)
     spread = FILL / np.sqrt(3)  # of a strut's place over the workspace, half strokes
     shared = [_scatter(n), *_repeated(label), *_times(samples), *_loads(samples, x)]

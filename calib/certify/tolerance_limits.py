@@ -1,4 +1,4 @@
-"""How far a share of all poses lies, from a sample of them, whatever their distribution: limits by order statistics.
+"""Distribution-free tolerance limits from order statistics, and the sample sizes they need.
 
 With confidence c at least a share p of a population lies below the r-th smallest of n independent values once
 P(Bin(n, p) <= r - 1) >= c; nothing is assumed of the distribution but that the sample was drawn from it. Between two
@@ -20,22 +20,20 @@ TIGHT = 1e-12
 
 
 def least_sample_size(coverage: float = 0.95, confidence: float = 0.95) -> int:
-    """How many values it takes at the least: below their greatest lies `coverage` with `confidence`. 59 for 0.95 and
-    0.95.
-    """
+    """Least sample size whose greatest value bounds `coverage` with `confidence`: 59 for 0.95 and 0.95."""
     return ceil(log(1 - confidence) / log(coverage) - TIGHT)
 
 
-def reachable_confidence_and_coverage(n: int, coverage: float = 0.95, confidence: float = 0.95) -> tuple[float, float]:
+def _reachable_confidence_and_coverage(n: int, coverage: float = 0.95, confidence: float = 0.95) -> tuple[float, float]:
     """(confidence reachable for that coverage, coverage reachable with that confidence) with n values."""
     return 1 - coverage**n, (1 - confidence) ** (1 / n) if n else 0.0
 
 
 def require_sample_size(n: int, coverage: float, confidence: float, what: str = "distinct configurations") -> None:
-    """Raise NotEnoughData, saying what n values can promise, where these are fewer than `least_sample_size`."""
+    """Raise NotEnoughData where n is below the required sample size (`least_sample_size`)."""
     least = least_sample_size(coverage, confidence)
     if n < least:
-        sure, share = reachable_confidence_and_coverage(n, coverage, confidence)
+        sure, share = _reachable_confidence_and_coverage(n, coverage, confidence)
         can = (
             f"they can speak for {share:.1%} of poses with {confidence:.1%} confidence, or for "
             f"{coverage:.0%} with {sure:.1%}: ask with "
@@ -50,22 +48,21 @@ def require_sample_size(n: int, coverage: float, confidence: float, what: str = 
 
 
 def count_beyond_upper_limit(n: int, coverage: float, confidence: float) -> float:
-    """How many (real) of n values lie beyond the upper limit, at least 0. Raises NotEnoughData for fewer than
-    `least_sample_size`
+    """Count (real) of n values beyond the upper limit, at least 0.
+    Raises NotEnoughData for fewer than `least_sample_size`
     """
     require_sample_size(n, coverage, confidence)
     return n - min(order_statistic_rank(n, coverage, 1 - confidence), float(n))
 
 
 def count_beyond_lower_limit(n: int, coverage: float, confidence: float) -> float | None:
-    """How many (real) of n values lie at the lower limit or beyond; None where n is too small for any."""
+    """Count (real) of n values at the lower limit or beyond; None where n is too small."""
     found = order_statistic_rank(n, coverage, confidence)
     return None if found < 1 else n + 1 - found
 
 
 def order_statistic_rank(n: int, coverage: float, chance: float) -> float:
-    """Real rank r, from 1 to n, of n values, so that with `chance` the value there lies below the `coverage` quantile;
-    0 where even the least does with less.
+    """Rank (real) of the order statistic below the `coverage` quantile with `chance`; 0 where none is.
 
     Near the quantile the gaps to its neighbours X_r and X_(r+1) are as good as exponential, at the rates r / p and (n -
     r) / (1 - p)
@@ -80,7 +77,8 @@ def order_statistic_rank(n: int, coverage: float, chance: float) -> float:
 
 
 def upper_tolerance_limit(values: np.ndarray, coverage: float = 0.95, confidence: float = 0.95) -> float:
-    """Limit below which a share `coverage` of the population lies, with `confidence`. values : (n,) drawn from it.
+    """Upper tolerance limit: `coverage` of the population lies below it, with `confidence`. values : (n,)
+    values : (n,) drawn from it.
 
     Raises NotEnoughData for fewer than `least_sample_size`
     """
@@ -89,9 +87,7 @@ def upper_tolerance_limit(values: np.ndarray, coverage: float = 0.95, confidence
 
 
 def lower_tolerance_limit(values: np.ndarray, coverage: float = 0.95, confidence: float = 0.95) -> float:
-    """Limit beyond which a share 1 - coverage of the population lies, with `confidence`; 0 where n values cannot say.
-    values : (n,) >= 0
-    """
+    """Lower tolerance limit: 1 - coverage of the population lies beyond it, with `confidence`. values : (n,) >= 0"""
     n = len(values)
     k = count_beyond_lower_limit(n, coverage, confidence)
     return 0.0 if k is None else _at(np.sort(values), n + 1 - k)
@@ -104,9 +100,7 @@ def _at(ordered: np.ndarray, rank: float) -> float:
     return float(ordered[low - 1] + (rank - low) * (ordered[high - 1] - ordered[low - 1]))
 
 
-def log_likelihood_drop(n: int, beyond_it: float, coverage: float) -> float:
-    """By how much the log likelihood falls when `coverage` is forced on a limit that `beyond_it` (real) of n values
-    exceed.
-    """
+def coverage_log_likelihood_drop(n: int, beyond_it: float, coverage: float) -> float:
+    """Drop of the log likelihood when `coverage` is forced on a limit that `beyond_it` of n values exceed."""
     share = beyond_it / n
     return float(n * (xlogy(share, share / (1 - coverage)) + xlogy(1 - share, (1 - share) / coverage)))

@@ -1,5 +1,4 @@
-"""Where a pose's uncertainty comes from: contributions of measuring and of the machine, each with how it was
-determined.
+"""Uncertainty budget of a pose: contributions of measuring and of the machine, and the expanded uncertainty.
 
 Each is expanded so that 95 % of the error's lengths lie within it: by a factor of the RMS length that depends on the
 directions of the error, 1.61 where all three are alike and 1.96 where there is one. What is not known is given as not
@@ -14,8 +13,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from calib.certify.calibration import Calibration
-from calib.certify.held_out_poses import HeldPoses
-from calib.certify.repeatability import Repeatability
+from calib.certify.held_out_poses import HeldPoses, Repeatability
 from calib.samples.pose_samples import Samples
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Recording, Sensors
@@ -71,13 +69,13 @@ class Budget:
 
 
 def expanded_uncertainty(covariance: np.ndarray) -> Expanded:
-    """Expanded of errors normal with covariances (n, 6, 6), every pose as likely."""
-    u = rms_uncertainty(covariance)
-    k = coverage_factor(covariance[:, PARTS[0], PARTS[0]]), coverage_factor(covariance[:, PARTS[1], PARTS[1]])
+    """Expanded uncertainty of errors with covariances (n, 6, 6), every pose as likely."""
+    u = rms_length_uncertainty(covariance)
+    k = _coverage_factor(covariance[:, PARTS[0], PARTS[0]]), _coverage_factor(covariance[:, PARTS[1], PARTS[1]])
     return Expanded(k[0] * u[0], k[1] * u[1], k)
 
 
-def coverage_factor(covariance: np.ndarray) -> float:
+def _coverage_factor(covariance: np.ndarray) -> float:
     """COVERAGE quantile over RMS of the lengths of errors normal with covariances (n, 3, 3), every pose as likely; by
     draws with a fixed seed.
     """
@@ -92,8 +90,8 @@ def coverage_factor(covariance: np.ndarray) -> float:
     return float(found)
 
 
-def rms_uncertainty(covariance: np.ndarray) -> tuple[float, float]:
-    """(m, rad) RMS standard uncertainty of the lengths, of covariances (n, 6, 6)."""
+def rms_length_uncertainty(covariance: np.ndarray) -> tuple[float, float]:
+    """RMS standard uncertainty (m, rad) of the error lengths, of covariances (n, 6, 6)."""
     position, rotation = (float(np.sqrt(np.trace(covariance[:, p, p], axis1=1, axis2=2).mean())) for p in PARTS)
     return position, rotation
 
@@ -101,8 +99,7 @@ def rms_uncertainty(covariance: np.ndarray) -> tuple[float, float]:
 def camera_and_lens_covariance(
     measured: Sequence[tuple[Samples, Measurement | None]],
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """(cameras, lenses), each (n, 6, 6) covariance that their uncertainty adds to the poses, None where poses came
-    without their images.
+    """(camera, lens) covariance (n, 6, 6) that their uncertainty adds to the poses, None without images.
 
     Where a camera stands and what its lens does go together: cameras' part is what is left were all lenses known,
     lenses' part the rest, so that both make up what all poses share
@@ -132,7 +129,7 @@ def uncertainty_budget(
     scale: float | None,
     warmth: np.ndarray | None,
 ) -> Budget:
-    """Budget of held-out poses.
+    """Uncertainty budget of held-out poses.
 
     model : (n, 6, 6) covariance that the calibration's parameters give each pose; repeat : Repeatability
     measured : (Samples, Measurement or None) of each recording
@@ -140,13 +137,13 @@ def uncertainty_budget(
     warmth : (n, 6, 6) as `thermometer_covariance` has it
     """
     shared = np.sum([c @ np.swapaxes(c, 1, 2) for c in poses.common], axis=0)
-    noise = rms_uncertainty(poses.own)
+    noise = rms_length_uncertainty(poses.own)
     seen = [float(np.sqrt((poses.errors[:, p] ** 2).sum(axis=1).mean())) for p in PARTS]
     again = [
         None if value is None else _less(value, own) for value, own in zip((repeat.position, repeat.rotation), noise)
     ]
     rest = [
-        _less(seen[i], noise[i], rms_uncertainty(shared)[i], rms_uncertainty(model)[i], again[i] or 0.0)
+        _less(seen[i], noise[i], rms_length_uncertainty(shared)[i], rms_length_uncertainty(model)[i], again[i] or 0.0)
         for i in range(2)
     ]
     physics = _alike(poses.errors, rest)
@@ -233,8 +230,7 @@ def _alike(errors: np.ndarray, sizes: Sequence[float]) -> np.ndarray:
 
 
 def thermometer_covariance(calibration: Calibration, held: Sequence[tuple[Recording, Samples]]) -> np.ndarray | None:
-    """(n, 6, 6) covariance that the noise of logged temperatures adds to poses through the physics that is undone; None
-    where none follows one.
+    """Covariance (n, 6, 6) of poses by thermometer noise through compensated physics; None where there is none.
 
     The noise is what a log shows against the straight line through a row's neighbours.
     """

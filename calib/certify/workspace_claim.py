@@ -1,5 +1,4 @@
-"""What a calibration is worth all over the workspace, at configurations that were not recorded: a posterior, not the
-recorded poses' own error.
+"""Claim of a calibration's error over the whole workspace: a posterior at configurations not recorded.
 
 Machines are drawn that are as the poses have them, where the poses tell, and as the owner's tolerance has them, where
 these do not: so what is promised away from the recorded configurations holds how far it is extrapolated. Each drawn
@@ -19,8 +18,14 @@ from calib.certify.held_out_error_statistics import HeldErrors
 from calib.certify.possible_machines import Machines
 from calib.correct.correction import Correction, commands_with_pose
 from calib.correct.interpolation.gaussian_process import Radial
-from calib.models.platform.identification import PRIOR, Identified, inverse_strut_jacobian, parameters, pose_jacobian
-from calib.models.platform.stated_geometry_accuracy import Tolerance, parameter_widths
+from calib.models.platform.identification import (
+    PRIOR,
+    Identified,
+    geometric_parameters,
+    inverse_strut_length_jacobian,
+    pose_parameter_jacobian,
+)
+from calib.models.platform.parameter_accuracy import Tolerance, expand_parameter_widths
 from calib.samples.pose_samples import Samples
 from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts
@@ -109,26 +114,31 @@ class ConfigurationInformation(NamedTuple):
 
 
 def claim_of_drawn_machines(
-    workspace: Workspace, draws: np.ndarray, samples: Samples, told: ConfigurationInformation, rng: np.random.Generator
+    workspace: Workspace,
+    draws: np.ndarray,
+    samples: Samples,
+    information: ConfigurationInformation,
+    rng: np.random.Generator,
 ) -> Claim:
-    """Claim of machines drawn (d, k) about the corrected model; samples : Samples, for what their instrument adds.
+    """Claim of drawn machines (d, k) about the corrected model; samples : for what their instrument adds.
+    samples : Samples, for what their instrument adds.
 
-    told : ConfigurationInformation by the poses that the machines were drawn from; rng : numpy Generator
+    information : ConfigurationInformation by the poses that the machines were drawn from; rng : numpy Generator
     """
     before, after = workspace.squares(draws)
-    return claim_of_mean_squares(before, after, workspace.words, samples, told, rng)
+    return claim_of_mean_squares(before, after, workspace.words, samples, information, rng)
 
 
 def claim_of_mean_squares(
     before: np.ndarray,
     after: np.ndarray,
-    words: str,
+    reference_name: str,
     samples: Samples,
-    told: ConfigurationInformation,
+    information: ConfigurationInformation,
     rng: np.random.Generator,
 ) -> Claim:
-    """Claim of drawn machines' mean squares over the workspace, before and after (d, 2) m^2 and rad^2. words : what is
-    meant by it
+    """Claim of mean squares over the workspace, before and after (d, 2) m^2 and rad^2.
+    reference_name : what is meant by it
     """
     count, after = len(after), _wider(after)
     seen = np.full(count, np.trace(samples.covariance[:, :3, :3], axis1=1, axis2=2).mean())
@@ -140,7 +150,7 @@ def claim_of_mean_squares(
     )  # the mean square that so many poses' noise leaves unnoticed
     ratio = np.sqrt(np.maximum(before[:, 0], least) / np.maximum(after[:, 0], least))
     measured = np.sqrt((np.maximum(before[:, 0], least) + seen) / (np.maximum(after[:, 0], least) + seen))
-    return Claim(*told, words, _both(before), _both(after), _three(ratio), _three(measured))
+    return Claim(*information, reference_name, _both(before), _both(after), _three(ratio), _three(measured))
 
 
 def _wider(squares: np.ndarray) -> np.ndarray:
@@ -158,16 +168,16 @@ def _both(squares: np.ndarray) -> tuple[tuple[float, ...], ...]:
     return tuple(_three(np.sqrt(column)) for column in squares.T)
 
 
-def claim_of_too_few_configurations(told: ConfigurationInformation, workspace: str) -> Claim:
-    """The Claim of fewer than LEAST distinct configurations: none, and why."""
+def claim_of_too_few_configurations(information: ConfigurationInformation, workspace: str) -> Claim:
+    """Empty Claim of too few distinct configurations, with the reason."""
     return Claim(
-        *told,
+        *information,
         workspace,
         None,
         None,
         None,
         None,
-        f"{_counted(told.distinct)} cannot say how the model does at others; a factor takes {LEAST}",
+        f"{_counted(information.distinct)} cannot say how the model does at others; a factor takes {LEAST}",
     )
 
 
@@ -176,8 +186,7 @@ def _counted(distinct: int) -> str:
 
 
 def draw_variance_ratio(cost: float, freedom: int, count: int, rng: np.random.Generator) -> np.ndarray:
-    """(count,) draws of by how much variances exceed the stated ones: the stated ones are worth TRUSTED degrees of
-    freedom.
+    """Draws (count,) of the ratio of true to stated variances, by a cost and its degrees of freedom.
 
     cost : whitened squares of a fit, its priors' included; freedom : how many numbers were fitted
     """
@@ -185,7 +194,7 @@ def draw_variance_ratio(cost: float, freedom: int, count: int, rng: np.random.Ge
 
 
 def workspace_claim(
-    found: Identified,
+    identified: Identified,
     tolerance: Tolerance,
     correction: Correction[Struts, Radial],
     samples: Samples,
@@ -195,7 +204,7 @@ def workspace_claim(
 ) -> Claim:
     """Claim of a calibration of a machine on struts.
 
-    found : Identified of one pose a configuration, from which the machines are drawn; tolerance : Tolerance by it;
+    identified : Identified of one pose a configuration, from which the machines are drawn; tolerance : Tolerance by it;
         correction : Correction
     samples : Samples of one pose a configuration; rng : numpy Generator; machines : Machines drawn with all that struts
     may do beyond their geometry, or None: parameters and scatter alone; left : HeldErrors, in place of the scatter, of
@@ -203,45 +212,47 @@ def workspace_claim(
     """
     distinct = len(samples)
     determined, better = (
-        int((np.linalg.svd(found.root * width, compute_uv=False) > 1).sum()) for width in (PRIOR, tolerance.prior)
+        int((np.linalg.svd(identified.root * width, compute_uv=False) > 1).sum()) for width in (PRIOR, tolerance.prior)
     )
     nominal, fitted = correction.nominal, correction.fitted
     middle = f"the middle {FILL * 100:.0f} % of every stroke, all struts free of each other"
-    told = ConfigurationInformation(distinct, determined, better, len(found.prior), _tolerance_in_words(tolerance))
+    told = ConfigurationInformation(distinct, determined, better, len(identified.prior), _tolerance_in_words(tolerance))
     if distinct < LEAST:
         return claim_of_too_few_configurations(told, middle)
     commands, T = sample_workspace(correction)
     offset = pose_difference(T, mechanisms.kinematics_of(nominal).forward(commands, nominal))
-    back, J = inverse_strut_jacobian(T, fitted), pose_jacobian(T, fitted)
+    back, J = inverse_strut_length_jacobian(T, fitted), pose_parameter_jacobian(T, fitted)
     if machines is not None:
         claim = claim_of_mean_squares(
             *machines.squares(J, back, -offset, correction.rho(commands)), middle, samples, told, rng
         )
         corrected = tuple(part is not None for part in correction.remainder)
         return replace(claim, unexplained=machines.unexplained(corrected, mechanisms.kinematics_of(nominal).AXIS))
-    stated = extension_scatter(correction, commands, back)
+    stated = extension_error_squares(correction, commands, back)
     if left is None:
-        own = _scatters(found, rng) @ (back**2).mean(axis=0).reshape(2, 3, -1).sum(axis=1).T + stated
+        own = _scatters(identified, rng) @ (back**2).mean(axis=0).reshape(2, 3, -1).sum(axis=1).T + stated
     else:
         own = left.own_draws(float(stated[0]), DRAWS, rng)
-    draws = _machines(found, tolerance, nominal, rng) - (parameters(fitted) - parameters(nominal))
+    draws = _machines(identified, tolerance, nominal, rng) - (
+        geometric_parameters(fitted) - geometric_parameters(nominal)
+    )
     return claim_of_drawn_machines(Workspace(J, -offset, own, middle), draws, samples, told, rng)
 
 
 def sample_workspace(correction: Correction[Any, Any]) -> tuple[np.ndarray, RigidTransform]:
-    """(commands (m, axes) m, poses (m,) of the corrected machine) all over the middle of the strokes."""
+    """Samples of the workspace: (commands (m, axes) m, poses (m,) of the corrected machine)."""
     return commands_with_pose(low_discrepancy(correction.nominal.strut_range, PLACES, FILL), correction)
 
 
-def draw_fit_variance_ratio(found: Identified, nominal: Struts, count: int, rng: np.random.Generator) -> np.ndarray:
-    """(count,) draws of by how much the poses' variances exceed the stated ones, by a fit of one pose a
-    configuration.
-    """
-    return draw_variance_ratio(found.cost, len(nominal.axes) * int(found.inliers.sum()), count, rng)
+def draw_fit_variance_ratio(
+    identified: Identified, nominal: Struts, count: int, rng: np.random.Generator
+) -> np.ndarray:
+    """Draws (count,) of the ratio of the poses' variances in a fit to the stated ones."""
+    return draw_variance_ratio(identified.cost, len(nominal.axes) * int(identified.inliers.sum()), count, rng)
 
 
-def extension_scatter(correction: Correction[Any, Any], commands: np.ndarray, back: np.ndarray) -> np.ndarray:
-    """(2,) m^2 and rad^2, mean square of the pose's error by that of a Correction's extension at commands (m, axes).
+def extension_error_squares(correction: Correction[Any, Any], commands: np.ndarray, back: np.ndarray) -> np.ndarray:
+    """Mean squares (2,) of pose errors by a correction's extension at commands (m, axes), m^2 and rad^2.
 
     back : (m, 6, axes) change of the pose with the axes there
     """
@@ -262,7 +273,7 @@ def _machines(found: Identified, tolerance: Tolerance, nominal: Struts, rng: np.
     z = rng.normal(size=(DRAWS, len(found.prior)))
     H = (
         tolerance.information / inflated[:, None, None]
-        + np.eye(len(found.prior)) / parameter_widths(tolerance.widths, tolerance.counts)[pick][:, :, None] ** 2
+        + np.eye(len(found.prior)) / expand_parameter_widths(tolerance.widths, tolerance.counts)[pick][:, :, None] ** 2
     )
     L = np.linalg.cholesky(H)
     mean = np.linalg.solve(H, (tolerance.right / inflated[:, None])[..., None])[..., 0]

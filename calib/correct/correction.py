@@ -1,4 +1,4 @@
-"""Correction summands over the whole configuration space, and the mechanism that they correct.
+"""Correction of a machine over its configuration space: geometry fit, remainder, and commands for poses.
 
 KSF(x) = x - IK(GDK(x)): x commanded, GDK the pose it really gives, IK the inverse kinematics as the owner believes it.
 It is kept as a fitted geometry (its smooth part) and a remainder rho(x) = x - IK_fitted(GDK(x)). To get a wanted pose,
@@ -16,18 +16,18 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.correct.interpolation import gaussian_process
 from calib.correct.interpolation.field import Field
+from calib.correct.interpolation.field_combinations import RestrictedMap
 from calib.correct.interpolation.gaussian_process import Radial
-from calib.correct.interpolation.restricted_map import Within
-from calib.correct.interpolation.simplex import Simplex
+from calib.correct.interpolation.grid import Simplex
 from calib.correct.pose_space_map import PoseMap
 from calib.models.platform.identification import (
     Identified,
-    identify,
-    inverse_strut_jacobian,
-    pose_jacobian,
-    strut_jacobian,
+    identify_platform,
+    inverse_strut_length_jacobian,
+    pose_parameter_jacobian,
+    strut_length_jacobian,
 )
-from calib.models.platform.stated_geometry_accuracy import stated_geometry_accuracy
+from calib.models.platform.parameter_accuracy import stated_geometry_accuracy
 from calib.samples.pose_samples import Samples
 from rig.compute.parallel_map import parallel_map
 from rig.effects.framework.covariate import DRAWN
@@ -143,7 +143,7 @@ class Correction(Generic[M, R]):
         for one in self.posed:
             weight = (
                 one.field.part.weight(one.at(T_base_platform))[0][..., None]
-                if isinstance(one.field, Within)
+                if isinstance(one.field, RestrictedMap)
                 else np.ones(1)
             )
             out = np.sqrt((1 - weight) * out**2 + one.error(T_base_platform) ** 2)
@@ -169,9 +169,9 @@ class Correction(Generic[M, R]):
         """Responses at poses (n,), of which the fitted geometry gets effective (n, axes) m or rad."""
         fitted = struts_of(self.fitted)
         return Responses(
-            inverse_strut_jacobian(T_base_platform, fitted),
-            strut_jacobian(T_base_platform, fitted),
-            pose_jacobian(T_base_platform, fitted),
+            inverse_strut_length_jacobian(T_base_platform, fitted),
+            strut_length_jacobian(T_base_platform, fitted),
+            pose_parameter_jacobian(T_base_platform, fitted),
         )
 
     def scattering(self, scatter: np.ndarray, responses: Responses) -> np.ndarray:
@@ -251,9 +251,7 @@ class Correction(Generic[M, R]):
 
 
 def commands_with_pose(commands: np.ndarray, correction: Correction[Any, Any]) -> tuple[np.ndarray, RigidTransform]:
-    """Those of the commands (m, axes) m or rad that close on a pose, and these poses (k,). Raises NotConverged where
-    none does.
-    """
+    """Commands (m, axes) that close on a pose, and these poses (k,). Raises NotConverged where none does."""
     index, T = filter_closed_commands(commands, correction.predict)
     return commands[index], T
 
@@ -261,8 +259,7 @@ def commands_with_pose(commands: np.ndarray, correction: Correction[Any, Any]) -
 def filter_closed_commands(
     commands: np.ndarray, predict: Callable[[np.ndarray], RigidTransform]
 ) -> tuple[np.ndarray, RigidTransform]:
-    """(index (k,) of those of the commands (m, axes) m or rad that close on a pose, these poses (k,)), by what predicts
-    poses of commands.
+    """(indices (k,) of the commands that close on a pose, these poses (k,)), by a prediction of poses.
 
     Raises NotConverged where none does
     """
@@ -303,29 +300,29 @@ def identify_geometry(samples: Samples, nominal: Struts, near: Identified | None
     whose prior is taken over, or None: how good the owner's figures are is told by these samples. Raises NotEnoughData
     as `identify`"""
     if near is None:
-        first = identify(samples, nominal)
-        return identify(samples, nominal, prior=stated_geometry_accuracy(first, nominal).prior, near=first)
-    return identify(samples, nominal, prior=near.prior, near=near)
+        first = identify_platform(samples, nominal)
+        return identify_platform(samples, nominal, prior=stated_geometry_accuracy(first, nominal).prior, near=first)
+    return identify_platform(samples, nominal, prior=near.prior, near=near)
 
 
-def calibrate(
+def calibrate_correction(
     samples: Samples,
     nominal: Struts,
     remainder: str | tuple[Radial | None, ...] = "find",
-    alone: Identified | None = None,
+    geometry: Identified | None = None,
     only: np.ndarray | None = None,
 ) -> tuple[Correction[Struts, Radial], Identified]:
-    """(Correction, Identified) of samples: geometry fitted, then what it leaves extended over the configuration space.
+    """(Correction, Identified) calibrated on samples: geometry fitted, then its remainder extended.
 
     samples : Samples; nominal : the owner's
     remainder : "find" keeps a strut's where it stands out of the noise; "none" fits the geometry alone; a tuple of
-    Radial or None takes over size and smoothness from there; alone : `identify_geometry` of the same, where it is known
-    already
+    Radial or None takes over size and smoothness from there; geometry : `identify_geometry` of the same, where it is
+    known already
     only : (axes,) bool, the struts that may have one where it is to be found; all by default
     Raises RigError for a machine without struts, NotEnoughData as `identify`
     """
     nominal = struts_of(nominal)
-    found = identify_geometry(samples, nominal) if alone is None else alone
+    found = identify_geometry(samples, nominal) if geometry is None else geometry
     parts: tuple[Radial | None, ...] = (None,) * len(nominal.axes)
     like = remainder if isinstance(remainder, tuple) else parts
     if (
@@ -337,7 +334,7 @@ def calibrate(
     may = np.ones(len(nominal.axes), bool) if only is None else only
     for _ in range(ROUNDS):
         parts = _remainder(samples, found, nominal, parts, like, may)
-        found = identify(
+        found = identify_platform(
             samples, nominal, Correction(nominal, nominal, parts).rho(samples.effective), found.prior, found
         )
         if remainder == "find":

@@ -1,4 +1,4 @@
-"""Correction values as data: what each sample says, and tables that a controller adds to its commands.
+"""Correction tables: summands of each sample, and tables by axis or grid for a controller.
 
 Source: configuration-space patent, [0052], [0061] (data that comprise the correction values), [0130]
 """
@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calib.correct.correction import Correction
-from calib.models.platform.identification import strut_jacobian
+from calib.models.platform.identification import strut_length_jacobian
 from calib.samples.pose_samples import Samples
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
@@ -20,9 +20,7 @@ AVERAGED = 256  # configurations over which a table for one joint alone is the m
 
 
 def summand_columns(axes: int) -> tuple[str, ...]:
-    """The columns of a ksf.csv: frame; x commanded; y = IK(GDK(x)); k = x - y; its covariance's upper triangle. All m,
-    m^2 or rad, rad^2.
-    """
+    """Columns of a table of summands (ksf.csv): frame, x, y = IK(GDK(x)), k = x - y, covariance."""
     triangle = tuple(f"c{i}{j}" for i in range(axes) for j in range(i, axes))
     return ("frame", *(f"{name}{i + 1}" for name in "xyk" for i in range(axes)), *triangle)
 
@@ -38,7 +36,7 @@ def strut_summands(samples: Samples, nominal: Struts) -> Summands:
     """Summands of a machine on struts: commands less IK(GDK(x)) of the owner's model; covariance : what all poses share
     included.
     """
-    A = strut_jacobian(samples.T_base_platform, nominal)
+    A = strut_length_jacobian(samples.T_base_platform, nominal)
     return Summands(
         samples.commanded - mechanisms.kinematics_of(nominal).inverse(samples.T_base_platform, nominal),
         A @ samples.total_covariance() @ np.swapaxes(A, 1, 2),
@@ -46,7 +44,7 @@ def strut_summands(samples: Samples, nominal: Struts) -> Summands:
 
 
 def summand_rows(samples: Samples, summands: Summands) -> Iterator[str]:
-    """The lines of a ksf.csv, one for each sample."""
+    """Rows of a table of summands (ksf.csv), one for each sample."""
     upper = np.triu_indices(summands.values.shape[1])
     for frame, x, k, C in zip(samples.frame, samples.commanded, *summands):
         yield ",".join(
@@ -63,9 +61,8 @@ class JointTables(NamedTuple):
     left: np.ndarray
 
 
-def joint_tables(correction: Correction[Any, Any], count: int) -> JointTables:
-    """For each axis alone, the mean over the others of what goes on top of the fitted geometry, as a controller that
-    runs it adds it.
+def axis_correction_tables(correction: Correction[Any, Any], count: int) -> JointTables:
+    """Correction table of each axis alone: the mean of the remainder over the other axes.
 
     c = x + trim, c the fixed point c = x + rho(c) at the axis' own level x, the other axes all over their strokes
     """
@@ -82,11 +79,14 @@ def joint_tables(correction: Correction[Any, Any], count: int) -> JointTables:
     return JointTables(levels, trims, left)
 
 
-def grid_table(correction: Correction[Any, Any], parts: int, fill: float = FILL) -> tuple[np.ndarray, np.ndarray]:
-    """(x (vertices, axes), k (vertices, axes)) m or rad on an even grid of so many parts an axis: x + k is to be
-    commanded where the owner's model says x. Raises RigError where a vertex closes on no pose."""
+def grid_correction_table(
+    correction: Correction[Any, Any], divisions: int, fill: float = FILL
+) -> tuple[np.ndarray, np.ndarray]:
+    """Correction table on an even grid: (x, k), both (vertices, axes) m or rad; x + k is to be commanded for x."""
     strokes = mechanisms.kinematics_of(correction.nominal).travel(correction.nominal)
-    levels = strokes.mean(axis=1)[:, None] + fill * np.ptp(strokes, axis=1)[:, None] / 2 * np.linspace(-1, 1, parts + 1)
+    levels = strokes.mean(axis=1)[:, None] + fill * np.ptp(strokes, axis=1)[:, None] / 2 * np.linspace(
+        -1, 1, divisions + 1
+    )
     x = np.stack(np.meshgrid(*levels, indexing="ij"), axis=-1).reshape(-1, len(strokes))
     try:
         wanted = mechanisms.kinematics_of(correction.nominal).forward(x, correction.nominal)

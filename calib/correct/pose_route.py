@@ -1,4 +1,4 @@
-"""A route through wanted poses in time: when the axes leave one, when they come to the next, and from which side."""
+"""Route through wanted poses in time: when the axes leave, arrive and wait, and from which side."""
 
 from dataclasses import dataclass
 
@@ -62,15 +62,19 @@ class Pace:
     fastest: float | None
 
 
-def timed_route(pace: Pace, held: np.ndarray, start: np.ndarray, reach: np.ndarray | None = None) -> Route:
-    """Route through values (n, axes) at the times of a Pace: the axes set out as soon as a pose has been held, and wait
-    at the next.
+def timed_route(
+    pace: Pace, commands: np.ndarray, start: np.ndarray, approach_offsets: np.ndarray | None = None
+) -> Route:
+    """Route through commands (n, axes) timed by a Pace: when the axes leave, arrive and wait.
 
-    start : (axes,); reach : (n, axes) of approaches, zero for none. Raises Unreachable, listing the poses that come too
-        soon
+    start : (axes,); approach_offsets : (n, axes) of approaches, zero for none. Raises Unreachable, listing the poses
+        that come too soon
     """
-    reach, t = np.zeros_like(held) if reach is None else reach, pace.t
-    out, back = np.abs(held + reach - np.vstack([start, held[:-1]])).max(axis=1), np.abs(reach).max(axis=1)
+    approach_offsets, t = np.zeros_like(commands) if approach_offsets is None else approach_offsets, pace.t
+    out, back = (
+        np.abs(commands + approach_offsets - np.vstack([start, commands[:-1]])).max(axis=1),
+        np.abs(approach_offsets).max(axis=1),
+    )
     way = out + back
     begin = t[0] - SETTLE - way[0] / pace.speed if pace.begin is None or pace.begin >= t[0] else pace.begin
     gap = t - np.r_[begin, t[:-1]]
@@ -99,11 +103,13 @@ def timed_route(pace: Pace, held: np.ndarray, start: np.ndarray, reach: np.ndarr
     when, pose, doing = (np.concatenate(x) for x in zip(*((t[k], p[k], np.full(k.sum(), d)) for t, p, d, k in parts)))
     order = np.lexsort((doing, when))
     when, pose, doing = when[order], pose[order], doing[order]
-    return Route(when, pose, doing, np.where((doing == TURNING)[:, None], reach[pose], 0.0), start)
+    return Route(when, pose, doing, np.where((doing == TURNING)[:, None], approach_offsets[pose], 0.0), start)
 
 
-def untimed_route(held: np.ndarray, start: np.ndarray) -> Route:
-    """Route through values (n, axes) in their order from start (axes,), each held until all has come to rest."""
+def untimed_route(commands: np.ndarray, start: np.ndarray) -> Route:
+    """Route through commands (n, axes) without times: in order from start (axes,), each held until at rest."""
     return timed_route(
-        Pace(AT_REST * np.arange(1, len(held) + 1), 0.0, np.abs(held - start).max() + 1.0, None), held, start
+        Pace(AT_REST * np.arange(1, len(commands) + 1), 0.0, np.abs(commands - start).max() + 1.0, None),
+        commands,
+        start,
     )

@@ -1,5 +1,4 @@
-"""A map in pose space: where the machine really stands when all corrections so far have it at a pose, and what to ask
-for instead.
+"""Correction map in pose space: pose errors left by earlier corrections, and the pose to request instead.
 
 Source: configuration-space patent, [0035] (error maps and compensation in the configuration space, the workspace or
     both)
@@ -70,12 +69,10 @@ class PoseMap:
 
 
 def pose_coordinates(T: RigidTransform, home: RigidTransform) -> np.ndarray:
-    """(..., 6) of poses (...): position in the base frame (m), rotation vector from home's turn (rad)."""
+    """Coordinates (..., 6) of poses (...): position (m) and rotation vector (rad) from home's orientation."""
     return np.concatenate([T.translation, (home.rotation.inv() * T.rotation).as_rotvec()], axis=-1)
 
 
-def pose_error_tangents(T_taken: RigidTransform, T_measured: RigidTransform) -> np.ndarray:
-    """(n, 6) tangents on the right, m and rad, from where a machine is taken to stand (n,) to where it was measured
-    (n,).
-    """
-    return log(T_taken.inv() * T_measured)
+def pose_error_tangents(T_expected: RigidTransform, T_measured: RigidTransform) -> np.ndarray:
+    """Tangents (n, 6) of pose errors, m and rad, on the right: from the expected to the measured pose."""
+    return log(T_expected.inv() * T_measured)

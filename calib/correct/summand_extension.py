@@ -1,5 +1,4 @@
-"""The method in its own terms: summands at the visited configurations, extended over the whole configuration space by a
-way that is asked for.
+"""Extension of correction summands from the visited configurations over the configuration space.
 
 KSF_PM(x) = x - IK(GDK(x)) at each sample x; KSF_KR is its Field over all of the configuration space. It stands alone,
 with the owner's model as IK, or on top of the fitted geometry, where it extends what that leaves.
@@ -16,10 +15,16 @@ from calib.correct import pose_space_map
 from calib.correct.correction import Correction, commands_with_pose
 from calib.correct.interpolation import interpolation_methods
 from calib.correct.interpolation.field import Field, Known
+from calib.correct.interpolation.field_combinations import SummedPasses
 from calib.correct.interpolation.gaussian_process import RadialMap
-from calib.correct.interpolation.repeated_passes import Passes
-from calib.models.platform.identification import PRIOR, Identified, identify, parameters, strut_jacobian
-from calib.models.platform.stated_geometry_accuracy import stated_geometry_accuracy
+from calib.models.platform.identification import (
+    PRIOR,
+    Identified,
+    geometric_parameters,
+    identify_platform,
+    strut_length_jacobian,
+)
+from calib.models.platform.parameter_accuracy import stated_geometry_accuracy
 from calib.samples.pose_samples import Samples
 from rig.model import mechanisms
 from rig.model.design import Planar2
@@ -29,14 +34,13 @@ from rig.planning.configuration_sets import FILL, low_discrepancy
 PLACES = 500  # at which a single step is held against the fixed point
 
 
-def summands(samples: Samples, model: Struts) -> Known:
-    """KSF_PM of samples, each with its variances by the measured poses' covariance, shared errors left out.
-    model : whose IK is meant.
+def measured_summands(samples: Samples, model: Struts) -> Known:
+    """Summands (KSF_PM) measured at samples, with variances by the poses' covariance. model : whose IK is used
 
     Source: configuration-space patent, [0130]
     """
     kinematics = mechanisms.kinematics_of(model)
-    A = strut_jacobian(samples.T_base_platform, model)
+    A = strut_length_jacobian(samples.T_base_platform, model)
     variances = np.einsum("nij,njk,nik->ni", A, samples.covariance, A)
     return Known(
         samples.commanded,
@@ -46,17 +50,17 @@ def summands(samples: Samples, model: Struts) -> Known:
     )
 
 
-def geometry_of(samples: Samples, nominal: Struts, alone: bool, prior: np.ndarray | None = None) -> Identified:
-    """Identified geometry that an extension stands on; alone : the owner's own, with nothing sought. prior : (p,) m, or
-    None: as poses have it.
+def base_geometry(samples: Samples, nominal: Struts, alone: bool, prior: np.ndarray | None = None) -> Identified:
+    """Base geometry (Identified) of an extension; alone : the nominal geometry with nothing fitted.
+    alone : the owner's own, with nothing sought. prior : (p,) m, or None: as poses have it.
     """
     if not alone:
         if prior is None:
-            prior = stated_geometry_accuracy(identify(samples, nominal), nominal).prior
-        return identify(samples, nominal, prior=prior)
-    known = summands(samples, nominal)
+            prior = stated_geometry_accuracy(identify_platform(samples, nominal), nominal).prior
+        return identify_platform(samples, nominal, prior=prior)
+    known = measured_summands(samples, nominal)
     n, axes = known.values.shape
-    A, p = strut_jacobian(samples.T_base_platform, nominal), len(parameters(nominal))
+    A, p = strut_length_jacobian(samples.T_base_platform, nominal), len(geometric_parameters(nominal))
     covariance = A @ samples.covariance @ np.swapaxes(A, 1, 2)
     return Identified(
         nominal,
@@ -72,43 +76,39 @@ def geometry_of(samples: Samples, nominal: Struts, alone: bool, prior: np.ndarra
     )
 
 
-def geometry_residual_summands(samples: Samples, found: Identified) -> Known:
-    """What a geometry leaves of the summands, shared errors taken out: KSF_PM of the owner's model where none was
-    sought.
-    """
-    kinematics = mechanisms.kinematics_of(found.mechanism)
+def geometry_residual_summands(samples: Samples, identified: Identified) -> Known:
+    """Residual summands of a geometry, shared errors removed."""
+    kinematics = mechanisms.kinematics_of(identified.mechanism)
     return Known(
         samples.commanded,
-        found.residuals,
-        np.einsum("nii->ni", found.residual_covariance),
-        kinematics.travel(found.mechanism),
+        identified.residuals,
+        np.einsum("nii->ni", identified.residual_covariance),
+        kinematics.travel(identified.mechanism),
     )
 
 
 def pass_residual_summands(samples: Samples, correction: Correction[Any, Any]) -> Known:
-    """What an earlier pass leaves: the lengths that its correction takes the struts to have, less those of the pose
-    that was measured.
+    """Residual summands of an earlier pass: corrected strut lengths less those of the measured pose.
 
     Source: configuration-space patent, [0035]
     """
-    known = summands(
+    known = measured_summands(
         replace(samples, T_base_platform=correction.target_poses(samples.T_base_platform)), correction.fitted
     )
     return Known(known.configurations, known.values - correction.rho(samples.commanded), known.variances, known.strokes)
 
 
 def correction_with_pass(correction: Correction[Any, Any], field: Field | None) -> Correction[Any, Any]:
-    """The Correction with one more pass on top; the same where the pass is None."""
+    """Correction with one more pass; unchanged where the pass is None."""
     if field is None:
         return correction
     before = correction.extension
-    fields = () if before is None else before.fields if isinstance(before, Passes) else (before,)
-    return replace(correction, extension=Passes((*fields, field)))
+    fields = () if before is None else before.fields if isinstance(before, SummedPasses) else (before,)
+    return replace(correction, extension=SummedPasses((*fields, field)))
 
 
 def pass_residual_poses(samples: Samples, correction: Correction[Any, Any]) -> Known:
-    """What an earlier pass leaves in pose space: where machines were measured, as tangents from where its correction
-    takes them to stand.
+    """Residual poses of an earlier pass: tangents from its corrected poses to the measured ones.
 
     Over the coordinates in which the mechanism's poses differ, see `posed.PoseMap`. Source: configuration-space patent,
     [0035]
@@ -131,44 +131,44 @@ def pass_residual_poses(samples: Samples, correction: Correction[Any, Any]) -> K
 
 
 def pose_coordinate_indices(mechanism: Struts) -> tuple[int, ...]:
-    """Indices of posed.NAMES in which poses of a mechanism differ."""
+    """Indices of the pose coordinates in which poses of a mechanism differ."""
     return (0, 1) if isinstance(mechanism, Planar2) else tuple(range(6))
 
 
 def home_pose(mechanism: Struts) -> RigidTransform:
-    """T_base_platform at a mechanism's home."""
+    """Home pose of a mechanism, T_base_platform."""
     kinematics = mechanisms.kinematics_of(mechanism)
     return kinematics.forward(kinematics.home(mechanism), mechanism)
 
 
 def correction_with_map(correction: Correction[Any, Any], field: Field | None) -> Correction[Any, Any]:
-    """The Correction with one more map in pose space, applied last; the same where the map is None."""
+    """Correction with one more map in pose space, applied last; unchanged where the map is None."""
     if field is None:
         return correction
     one = pose_space_map.PoseMap(home_pose(correction.nominal), pose_coordinate_indices(correction.nominal), field)
     return replace(correction, posed=(*correction.posed, one))
 
 
-def fit_summand_field(known: Known, kind: str, like: Field | None = None) -> Field:
-    """KSF_KR, the Field of a kind through samples. like : a Field of the same kind of more samples, whose smoothness
-    holds for these as well.
+def fit_summand_field(samples: Known, kind: str, smoothness_from: Field | None = None) -> Field:
+    """Field fitted to summands (KSF_KR). smoothness_from : a Field of the same kind of more samples
+    smoothness_from : a Field of the same kind of more samples, whose smoothness holds for these as well.
 
     Raises RigError as `kinds.fit`
     """
     return (
-        RadialMap.fit(known, like)
-        if isinstance(like, RadialMap) and kind == RadialMap.kind
-        else interpolation_methods.fit_field(kind, known)
+        RadialMap.fit(samples, smoothness_from)
+        if isinstance(smoothness_from, RadialMap) and kind == RadialMap.kind
+        else interpolation_methods.fit_field(kind, samples)
     )
 
 
-def correction_with_field(nominal: Struts, found: Identified, field: Field | None) -> Correction[Struts, Any]:
-    """Correction by a geometry and a Field of what it leaves, or None."""
-    return Correction(nominal, found.mechanism, (None,) * len(nominal.axes), extension=field)
+def correction_with_field(nominal: Struts, identified: Identified, field: Field | None) -> Correction[Struts, Any]:
+    """Correction of a geometry with a Field for its remainder, or None."""
+    return Correction(nominal, identified.mechanism, (None,) * len(nominal.axes), extension=field)
 
 
 def single_step_errors(correction: Correction[Any, Any]) -> tuple[float, float]:
-    """(RMS, greatest) m by which X + KSF(X) misses the fixed point's commands, all over the middle of the strokes.
+    """Errors (RMS, greatest) m of the single step X + KSF(X) against the fixed point's commands.
 
     Source: configuration-space patent, [0030], [0091]
     """

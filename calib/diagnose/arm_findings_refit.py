@@ -1,6 +1,4 @@
-"""What a diagnosis found of an arm, taken into its calibration: refined with the geometry on the calibration's own
-recording.
-"""
+"""Refit of an arm's calibration with the findings of a diagnosis as parameters."""
 
 from dataclasses import dataclass, replace
 
@@ -8,13 +6,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from calib.certify.platform_certification import Progress, silent_progress
-from calib.correct.physics import Physics
-from calib.diagnose.platform_findings_refit import Findings, sensor_statistics, unnamed_findings
+from calib.correct.physics_compensation import Physics
+from calib.diagnose.platform_findings_refit import Findings, sensor_medians_and_deviations, unexplained_findings
 from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis
 from calib.diagnose.problems.temperature_smoothing import smooth_temperatures
-from calib.models.arm.certification import UNPLACED, Certified, start_of
-from calib.models.arm.error_model import names
-from calib.models.arm.instrument_observations import of_samples
+from calib.models.arm.certification import UNPLACED, Certified, start_arm
+from calib.models.arm.error_model import parameter_names
+from calib.models.arm.instrument_observations import sample_observations
 from calib.models.arm.joint_physics_fit import History, JointFit, Prior, fit_geometry_and_effects
 from calib.samples.recording_samples import Sampled
 from rig.effects.framework.fit_coordinates import coordinates_of
@@ -44,17 +42,16 @@ class ArmRefit:
         return replace(self.physics, cross=cross, unknown=unknown), done.found.covariance + cross @ response.T
 
 
-def findings_of_arm_diagnosis(found: ArmDiagnosis) -> Findings:
-    """Findings of a diagnosis of the recording that is calibrated."""
-    return Findings(found.effects, None, unnamed_findings(found.left))
+def findings_of_arm_diagnosis(diagnosis: ArmDiagnosis) -> Findings:
+    """Findings of an arm's diagnosis, of the recording that is calibrated."""
+    return Findings(diagnosis.effects, None, unexplained_findings(diagnosis.left))
 
 
 @threadpool_limits.wrap(limits=1)
 def refit_arm_with_findings(
     recording: Recording, sampled: Sampled, findings: Findings, progress: Progress | None = None
 ) -> ArmRefit:
-    """ArmRefit of a recording's samples: the findings' parameters refined with the geometry, and what they make of each
-    command.
+    """ArmRefit of a recording's samples: the arm's geometry and the findings' parameters fitted together.
 
     Raises RigError where neither poses nor positions were measured, and what identifying raises
     """
@@ -71,7 +68,7 @@ def refit_arm_with_findings(
         before = Prior(
             np.array([c.read(findings.effects[c.effect]) for c in coordinates_of(findings.effects)]), findings.sigma
         )
-    start = start_of(of_samples(samples), nominal, sampled.instrument)
+    start = start_arm(sample_observations(samples), nominal, sampled.instrument)
     found = fit_geometry_and_effects(
         samples, History(design, commands, smooth_temperatures(recording.sensors)[0]), start, findings.effects, before
     )
@@ -79,11 +76,11 @@ def refit_arm_with_findings(
     physics = Physics(
         found.effects,
         found.own,
-        np.zeros((len(names(nominal)), len(found.own))),
+        np.zeros((len(parameter_names(nominal)), len(found.own))),
         design.gravity,
         design.actuator,
         design.platform,
-        sensor_statistics(recording, samples.t),
+        sensor_medians_and_deviations(recording, samples.t),
         findings.unknown,
     )
     return ArmRefit(found, physics)

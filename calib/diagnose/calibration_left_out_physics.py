@@ -1,5 +1,4 @@
-"""What a calibration leaves out of its own recording, by a diagnosis of that recording: named in its claim, and never
-claimed better than that.
+"""Physics that a calibration leaves out, found by diagnosing its recording, stated in its claim.
 
 Good needs that nothing is unexplained, which is known where somebody has looked for it: a calibration looks as `rig
 diagnose` does.
@@ -18,7 +17,7 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from calib.certify.calibration import Calibration
-from calib.certify.calibration_evidence import OfCalibrations, calibration_evidence, of_samples
+from calib.certify.calibration_evidence import OfCalibrations, calibration_evidence, verify_claim_on_samples
 from calib.certify.held_out_errors import pose_errors
 from calib.certify.workspace_claim import Claim
 from calib.diagnose.engine.problem_interface import Progress
@@ -27,7 +26,7 @@ from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platfor
 from calib.diagnose.report import arm_report, platform_report, report_sentences
 from calib.diagnose.report.diagnosis_json import UNKNOWN
 from calib.diagnose.report.diagnosis_report import Report
-from calib.diagnose.report.diagnosis_verdict import doubts, unexplained
+from calib.diagnose.report.diagnosis_verdict import doubts, unexplained_sentences
 from calib.files import calibration_file
 from calib.files.calibration_from_recording import SEED
 from calib.samples.pose_samples import Samples
@@ -44,7 +43,7 @@ EDGES = (0.025, 0.975)
 BEYOND = ("physics", "extension", "pose_maps")  # of a calibration that is more than a geometry and its remainder
 
 
-class Against(NamedTuple):
+class Refutation(NamedTuple):
     """What a recording says against a calibration made from it. path : its file; state : BAD where it is refuted, else
     CHECK; finding : a sentence
     """
@@ -57,7 +56,7 @@ class Against(NamedTuple):
 def search_left_out_physics(
     calibration: Calibration, recording: Recording, sampled: Sampled, progress: Progress | None = None
 ) -> Calibration:
-    """The Calibration of a recording, its claim with what a diagnosis of it leaves unexplained.
+    """The Calibration with the physics it leaves out, found by diagnosing its recording, stated in its claim.
 
     sampled : Sampled that it was made from; progress : called with (label, done, of), or None
     """
@@ -70,34 +69,34 @@ def search_left_out_physics(
             report = platform_report.platform_report(diagnose_platform(recording, progress=progress, sampled=sampled))
     except NotEnoughData as error:
         return _with(calibration, (f"what it leaves out could not be looked for: {error}",))
-    return add_left_out_physics(calibration, report, sampled.samples)
+    return _add_left_out_physics(calibration, report, sampled.samples)
 
 
-def without_search(calibration: Calibration) -> Calibration:
-    """The Calibration, its claim stating that nobody looked for what it leaves out."""
+def mark_as_not_searched(calibration: Calibration) -> Calibration:
+    """The Calibration marked, in its claim, as not searched for left-out physics."""
     return _with(calibration, (NOT_SEARCHED,))
 
 
-def add_left_out_physics(calibration: Calibration, report: Report, samples: Samples) -> Calibration:
+def _add_left_out_physics(calibration: Calibration, report: Report, samples: Samples) -> Calibration:
     """The Calibration with what a Report of its own recording says of its claim. samples : Samples of the recording,
     all of them
     """
-    if refutes_calibration(report, calibration, samples):
-        calibration = replace(calibration, claim=widened_claim(calibration, samples))
-    return _with(calibration, (*unexplained(report), *(one.text for one in doubts(report))))
+    if _refutes_calibration(report, calibration, samples):
+        calibration = replace(calibration, claim=_widened_claim(calibration, samples))
+    return _with(calibration, (*unexplained_sentences(report), *(one.text for one in doubts(report))))
 
 
-def refutes_calibration(report: Report, calibration: Calibration, samples: Samples) -> bool:
+def _refutes_calibration(report: Report, calibration: Calibration, samples: Samples) -> bool:
     """Whether the poses of its own recording, those that it left out among them, refute a calibration's claim, and a
     Report gives that a cause.
     """
     if not report.mattering and not report.unknown:
         return False
-    found = of_samples(calibration, samples, np.random.default_rng(SEED))
+    found = verify_claim_on_samples(calibration, samples, np.random.default_rng(SEED))
     return found is not None and found.refutes
 
 
-def widened_claim(calibration: Calibration, samples: Samples) -> Claim:
+def _widened_claim(calibration: Calibration, samples: Samples) -> Claim:
     """A calibration's claim, no better than the errors of all poses of its recording beyond what measuring adds.
 
     Few poses may show most of it: as many as count are taken for a Poisson draw, whose 95 % interval is that of the
@@ -136,14 +135,17 @@ def _no_better(three: tuple[float, ...], errors: np.ndarray, covariance: np.ndar
     return tuple(max(x, y * size) for x, y in zip(three, (1.0, low, high)))
 
 
-def refuted_calibrations(report: Report, of: Marks, paths: Iterable[Path], samples: Samples | None) -> list[Against]:
-    """[Against] of calibrations made from a recording that know nothing of what a Report of it finds.
+def refuted_calibrations(
+    report: Report, marks: Marks, paths: Iterable[Path], samples: Samples | None
+) -> list[Refutation]:
+    """[Refutation] of calibrations of a recording that leave out what a Report of it finds.
 
-    of : marks of the recording; paths : files that may be calibrations, all else is passed over; samples : Samples of
+    marks : marks of the recording; paths : files that may be calibrations, all else is passed over; samples : Samples
+        of
     the recording, None where nothing was commanded
     """
     out = []
-    for path, tree in _made_from(of, paths):
+    for path, tree in _made_from(marks, paths):
         known = _known(tree)
         left = [f for f in report.mattering if (f.effect, f.place) not in known]
         nameless = [f.place for f in report.unknown if (f.effect, f.place) not in known]
@@ -163,25 +165,29 @@ def refuted_calibrations(report: Report, of: Marks, paths: Iterable[Path], sampl
         refuted = (
             samples is not None
             and not tree.get("physics")
-            and refutes_calibration(report, calibration_file.load(path), samples)
+            and _refutes_calibration(report, calibration_file.load(path), samples)
         )
-        out.append(Against(path, State.BAD if refuted else State.CHECK, "; ".join(found) + claimed))
+        out.append(Refutation(path, State.BAD if refuted else State.CHECK, "; ".join(found) + claimed))
     return out
 
 
-def findings_against_calibrations(of: Marks, paths: Iterable[Path], later: bool) -> OfCalibrations:
-    """OfCalibrations made from a recording with marks `of` by its geometry, without physics. paths : files that may be
-    calibrations
+def unexplained_and_refuted_calibrations(
+    marks: Marks, paths: Iterable[Path], later_refutations: bool
+) -> OfCalibrations:
+    """OfCalibrations of a recording by its marks: what they leave unexplained, which are refuted.
 
-    later : whether what other recordings found against them counts, as for what is learnt from the recording itself
+    later_refutations : whether what other recordings found against them counts, as for what is learnt from the
+        recording itself
     """
     refuted: list[str] = []
     left: list[str] = []
-    for path, tree in _made_from(of, paths):
+    for path, tree in _made_from(marks, paths):
         if any(tree.get(key) for key in BEYOND):
             continue
-        known = calibration_evidence(calibration_file.load(path), refutations_of_file(path) if later else ())
-        refuted += [f"{path.name} {text}" for text in known.refuted] if later else []
+        known = calibration_evidence(
+            calibration_file.load(path), refutations_of_file(path) if later_refutations else ()
+        )
+        refuted += [f"{path.name} {text}" for text in known.refuted] if later_refutations else []
         left += known.unexplained
     return OfCalibrations(tuple(dict.fromkeys(refuted)), tuple(dict.fromkeys(left)))
 

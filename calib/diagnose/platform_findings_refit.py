@@ -1,6 +1,4 @@
-"""What a diagnosis found, taken into a calibration: refined with geometry and cameras on the calibration's own
-recording.
-"""
+"""Refit of a platform's calibration with the findings of a diagnosis; findings read from a diagnosis folder."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -10,18 +8,18 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from calib.certify.platform_certification import Certified, Progress, add_machine_draws, silent_progress
-from calib.correct.physics import Physics, Unknown
+from calib.correct.physics_compensation import Physics, Unknown
 from calib.diagnose.engine.chance_probability import Z95
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
-from calib.diagnose.problems.platform.exchanged_markers import exchanged
+from calib.diagnose.problems.platform.exchanged_markers import correct_marker_swaps
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording, without_distant_corners
 from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosis
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined, refine
 from calib.diagnose.report.diagnosis_json import SCHEMA, UNKNOWN
-from calib.models.platform.identification import Loops, parameters
+from calib.models.platform.identification import Loops, geometric_parameters
 from calib.samples.pose_samples import Samples
-from calib.samples.recording_samples import Sampled, freedom_conditions
+from calib.samples.recording_samples import Sampled, samples_within_freedoms
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.catalogue.marker_swap import MarkerSwap
 from rig.effects.framework.effect import MOTION_STAGES, Effect
@@ -81,7 +79,7 @@ class PlatformRefit:
         """(p, c) m, change of the fitted geometry with each coordinate of the physics."""
         found, s, base = done.found, self.samples, done.correction
         loops = Loops(s, s.effective - base.rho(s.effective), base.nominal, found.prior)
-        start, sigma = parameters(found.mechanism), np.sqrt(np.diag(self.physics.own))
+        start, sigma = geometric_parameters(found.mechanism), np.sqrt(np.diag(self.physics.own))
         middle = loops.fit(start, found.inliers, found.scatter).parameters
         response = np.zeros((len(start), len(sigma)))
         for i, column in enumerate(np.moveaxis(self._columns(), 2, 0)):
@@ -104,18 +102,18 @@ class PlatformRefit:
         return np.stack(out, axis=2) if out else np.zeros((*self.samples.commanded.shape, 0))
 
 
-def findings_of_diagnosis(found: PlatformDiagnosis) -> Findings:
-    """Findings of a diagnosis of the recording that is calibrated."""
-    return Findings((*found.swapped, *found.effects), None, unnamed_findings(found.left))
+def findings_of_platform_diagnosis(diagnosis: PlatformDiagnosis) -> Findings:
+    """Findings of a platform's diagnosis, of the recording that is calibrated."""
+    return Findings((*diagnosis.swapped, *diagnosis.effects), None, unexplained_findings(diagnosis.left))
 
 
-def unnamed_findings(left: Iterable[LackOfFit]) -> tuple[Unknown, ...]:
-    """What a diagnosis found and has no name for."""
+def unexplained_findings(left: Iterable[LackOfFit]) -> tuple[Unknown, ...]:
+    """Findings that stay unexplained: what is left over and has no name."""
     return tuple(Unknown(u.place, u.magnitude, u.unit, tuple(u.depends_on), False) for u in left)
 
 
-def findings_of_folder(folder: Path, recording: Recording, kinds: Kinds = BY_NAME) -> Findings:
-    """Findings of a folder that `rig diagnose` wrote. kinds : effects that there are
+def load_findings(folder: Path, recording: Recording, kinds: Kinds = BY_NAME) -> Findings:
+    """Findings loaded from the folder of a diagnosis. kinds : effects that there are
 
     Raises FileError for a folder that holds none, or of another rig
     """
@@ -171,8 +169,7 @@ def _sigma(effects: tuple[Effect, ...], entries: list[Entries], tree: Entries) -
 def refit_platform_with_findings(
     recording: Recording, sampled: Sampled, findings: Findings, progress: Progress | None = None
 ) -> PlatformRefit:
-    """PlatformRefit of a recording's samples: the findings' parameters refined with cameras and geometry, and what they
-    add to each command.
+    """PlatformRefit of a recording's samples: cameras, geometry and the findings' parameters fitted together.
 
     Raises RigError for a machine without struts, and what refining raises
     """
@@ -180,7 +177,9 @@ def refit_platform_with_findings(
     said = progress or silent_progress
     said("refining physics and geometry together", 0, 1)
     point, _, _ = operating_point_of_recording(recording, progress, sampled=sampled)
-    point = without_distant_corners(exchanged(point, [e for e in findings.effects if isinstance(e, MarkerSwap)]))
+    point = without_distant_corners(
+        correct_marker_swaps(point, [e for e in findings.effects if isinstance(e, MarkerSwap)])
+    )
     refined = refine(
         point.with_effects(e for e in findings.effects if not isinstance(e, MarkerSwap)), Sensitivities(point)
     )
@@ -188,17 +187,17 @@ def refit_platform_with_findings(
     said("refining physics and geometry together", 1, 1)
     k, samples = refined.point.with_effects(_motion(effects)), sampled.samples
     if any(e.stage not in MOTION_STAGES for e in findings.effects):  # what cameras left out moved every pose
-        samples = freedom_conditions(recording, replace(samples, T_base_platform=k.T))
+        samples = samples_within_freedoms(recording, replace(samples, T_base_platform=k.T))
     known = replace(k, T=samples.T_base_platform).effective() - samples.commanded
     design = recording.design
     physics = Physics(
         effects,
         own,
-        np.zeros((len(parameters(nominal)), len(own))),
+        np.zeros((len(geometric_parameters(nominal)), len(own))),
         design.gravity,
         design.actuator,
         design.platform,
-        sensor_statistics(recording, samples.t),
+        sensor_medians_and_deviations(recording, samples.t),
         findings.unknown,
     )
     return PlatformRefit(replace(samples, known=known), physics, refined)
@@ -224,8 +223,8 @@ def _motion(effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
     return tuple(e for e in effects if e.stage in MOTION_STAGES)
 
 
-def sensor_statistics(recording: Recording, t: np.ndarray) -> dict[str, tuple[float, float]]:
-    """{channel: (median, standard deviation about it)} of a recording's sensors at times t (n,) s."""
+def sensor_medians_and_deviations(recording: Recording, t: np.ndarray) -> dict[str, tuple[float, float]]:
+    """{channel: (median, standard deviation)} of a recording's sensors at times t (n,) s."""
     if recording.sensors is None:
         return {}
     values = {name: recording.sensors.at(t, name) for name in recording.sensors.channels}

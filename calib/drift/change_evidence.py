@@ -1,25 +1,88 @@
-"""Has something changed, since when, and what: the Shiryaev-Roberts procedure over all hypotheses and onsets.
-
-The likelihood of all visits with a change since visit k, over that without, averaged over what may change and how much,
-is summed over k > 1.
-While nothing changes the sum grows by one a visit in expectation, so that an alarm at A comes after A quiet visits or
-more on average.
-The first visit has none before it and is held against the calibration alone, all its numbers together.
-A change that nobody names is bet on by each visit's own p-value: p^-1/2 / 2, whose mean is one while nothing changes.
-Source: Pollak, Optimal detection of a change in distribution, Annals of Statistics 1985; Vovk and Wang, E-values, ibid.
-    2021
-"""
+"""Evidence of a change between visits: hypotheses, onsets and verdict (Shiryaev-Roberts procedure)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.special import logsumexp
 
-from calib.drift.change_hypotheses import SIZES, SOMETHING, Hypothesis
-from calib.drift.visit_equations import Equations
+from calib.drift.first_visit_reference import Reference
+from calib.drift.visit_equations import GAP, GEOMETRY, GROWTH, OWN, SOFT, UNITS, Equations
+from vision.bundle.unknown_priors import POSE_SCALE
+
+SIZES = (1.0, 0.25, 0.0625)  # of the greatest plausible size, each as likely
+PLACE_SIZE, ZERO_SIZE, GAP_SIZE, GROWTH_SIZE, SOFT_SIZE = (
+    2e-3,
+    1e-3,
+    4e-4,
+    4e-4,
+    8e-5,
+)  # m and rad, m, m, share, kg/(N/m): standard deviations
+STATED = {
+    "camera": 1e-2,
+    "target": 1e-3,
+    "instrument": 1e-3,
+}  # m, rad; how far a place may be from where it counts from, before any visit
+LEFT_OUT = (
+    *(2e-5,) * 6,
+    5e-5,
+    5e-6,
+)  # m, share, kg/(N/m): what of OWN a calibration that held on its own day may have left out
+KINDS = ("camera", "target", "zero", "nut", "temperature", "payload")  # each as likely; "something" is one more
+SOMETHING = "something"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """kind : of KINDS; name : in words; columns : (q,) of the unknowns; size : (q,) their greatest plausible standard
+    deviation, scaled
+    unit : (q,) own units (m, rad, a share, kg/(N/m)) of a scaled unknown; prior : its probability, were there a
+        change."""
+
+    kind: str
+    name: str
+    columns: np.ndarray
+    size: np.ndarray
+    unit: np.ndarray
+    prior: float
+
+
+def change_hypotheses(reference: Reference) -> list[Hypothesis]:
+    """Hypotheses of all changes that may happen to a rig."""
+    places = 6 * len(reference.places)
+    own, zeros = places + GEOMETRY, places + GEOMETRY - 6
+    found: list[tuple[str, str, list[int], float, float]] = []
+    for k, name in enumerate(reference.places):
+        kind = "target" if name.startswith("target") else "camera"
+        found.append((kind, name, list(range(6 * k, 6 * k + 6)), PLACE_SIZE, POSE_SCALE))
+    found += [("zero", f"zero of strut {i + 1}", [zeros + i], ZERO_SIZE, POSE_SCALE) for i in range(6)]
+    found += [("nut", OWN[i], [own + i], GAP_SIZE, GAP) for i in range(6)]
+    found += [("temperature", OWN[6], [own + 6], GROWTH_SIZE, GROWTH), ("payload", OWN[7], [own + 7], SOFT_SIZE, SOFT)]
+    members = {kind: sum(one[0] == kind for one in found) for kind in KINDS}
+    return [
+        Hypothesis(
+            kind,
+            name,
+            np.array(columns),
+            np.full(len(columns), size / unit),
+            np.full(len(columns), unit),
+            1 / (len(KINDS) + 1) / members[kind],
+        )
+        for kind, name, columns, size, unit in found
+    ]
+
+
+def prior_information(reference: Reference, covariance: np.ndarray) -> np.ndarray:
+    """Prior information (p, p), scaled, in what stays constant between visits."""
+    places = np.concatenate([np.full(6, POSE_SCALE / STATED[name.split(" ")[0]]) for name in reference.places])
+    values, vectors = np.linalg.eigh(covariance / POSE_SCALE**2)
+    values = np.maximum(values, values[-1] * 1e-12)
+    return np.asarray(
+        block_diag(np.diag(places**2), vectors / values @ vectors.T, np.diag((np.array(UNITS) / LEFT_OUT) ** 2))
+    )
+
 
 ALARM = 1000.0  # visits, the least average run without a false alarm
 FIRST = 1e-4  # chance below which a first visit does not agree with its calibration
@@ -68,7 +131,7 @@ class Verdict:
 
 
 def unexplained_squares(visits: Sequence[Equations], prior: np.ndarray) -> float:
-    """Whitened squares of visits that constants with a prior information (p, p) do not explain."""
+    """Whitened squares of visits unexplained by constants with a prior information (p, p)."""
     total = np.sum([v.information for v in visits], axis=0) + prior
     right = np.sum([v.right for v in visits], axis=0)
     return sum(v.square for v in visits) - float(right @ cho_solve(cho_factor(total), right))
@@ -79,18 +142,18 @@ def change_verdict(
     squares: Sequence[tuple[float, int]],
     scale: float,
     prior: np.ndarray,
-    known: Sequence[Hypothesis],
-    first: int,
+    evidence: Sequence[Hypothesis],
+    first_visit_count: int,
 ) -> Verdict:
-    """Verdict of visits in order, the first of which may stand for several older ones.
+    """Verdict on changes from visits in order, the first of which may stand for several older ones.
 
     squares : innovation and count of each visit, the last's included; scale : by which squares exceed what covariances
         say, from quiet visits
-    prior : (p, p) information in the constants; first : how many visits the first stands for
+    prior : (p, p) information in the constants; first_visit_count : how many visits the first stands for
     """
     n, factor = len(visits), cho_factor(np.sum([v.information for v in visits], axis=0) / scale + prior)
     constants = cho_solve(factor, np.sum([v.right for v in visits], axis=0) / scale)
-    onset, alone = [0, *range(first, first + n - 1)], n == 1
+    onset, alone = [0, *range(first_visit_count, first_visit_count + n - 1)], n == 1
     found: list[tuple[float, Suspect]] = []
     drop: dict[tuple[str, int], float] = {}
     bets = [np.log(0.5) - 0.5 * _log_chance(square / scale, count) for square, count in squares]
@@ -99,7 +162,7 @@ def change_verdict(
         N = np.sum([v.information for v in visits[k:]], axis=0) / scale
         b = np.sum([v.right for v in visits[k:]], axis=0) / scale
         solved = cho_solve(factor, N)
-        for h in known:
+        for h in evidence:
             S = N[np.ix_(h.columns, h.columns)] - N[:, h.columns].T @ solved[:, h.columns]
             r = b[h.columns] - N[:, h.columns].T @ constants
             weight, gain, value, covariance = _bayes(S, r, h)
@@ -112,7 +175,7 @@ def change_verdict(
             )
         found.append(
             (
-                np.log(known[0].prior * sum(h.kind == known[0].kind for h in known)) + sum(bets[k:]),
+                np.log(evidence[0].prior * sum(h.kind == evidence[0].kind for h in evidence)) + sum(bets[k:]),
                 Suspect(SOMETHING, SOMETHING, onset[k], 0.0, none, none),
             )
         )

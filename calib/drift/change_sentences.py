@@ -1,11 +1,10 @@
-"""A verdict in words: what changed, how sure that is, what to do and what to remeasure."""
+"""Sentences on a change found between visits: what changed, how sure, what to do and to remeasure."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from calib.drift.change_evidence import ALARM, Suspect, Verdict
-from calib.drift.change_hypotheses import SOMETHING
+from calib.drift.change_evidence import ALARM, SOMETHING, Suspect, Verdict
 from calib.drift.first_visit_reference import Reference
 
 SHOWN = 3  # suspects that are listed
@@ -40,11 +39,12 @@ REMEASURE = {
 }
 
 
-def change_lines(
+def change_verdict_lines(
     verdict: Verdict, name: str, names: Sequence[str], reference: Reference, scale: float, allowed: bool = False
 ) -> list[str]:
-    """Lines about a visit of a name. names : of the visits in order, for saying since when; scale : see History.scale
-    allowed : whether what a first visit disagrees by is within the calibration's claim."""
+    """Lines on a visit's change verdict. names : of the visits in order; scale : see History.scale
+    allowed : whether what a first visit disagrees by is within the calibration's claim.
+    """
     agree = np.sqrt(verdict.square / verdict.count / scale)
     against = "the visits before" if verdict.chance is None else "the calibration"
     out = [f"{name}: agrees with {against} to {agree:.3f} of what measuring repeats to (1 where nothing changed)"]

@@ -1,4 +1,4 @@
-"""What visits are counted from: the cameras as the first visit found them, and the places that may move."""
+"""Reference that visits are compared with: cameras as the first visit found them, and movable places."""
 
 from dataclasses import dataclass
 from hashlib import sha256

@@ -1,5 +1,4 @@
-"""An outside instrument that stood elsewhere in one recording than in the first: told from what all of its poses do
-together, and taken out.
+"""Displacement of an outside instrument between recordings, estimated from all its poses and removed.
 
 The geometry and, for each further recording, the six numbers of the instrument's place are fitted to all closures at
 once, each strut weighed by its poses' noise and by what it scatters beyond in that recording: what the machine's model
@@ -14,7 +13,13 @@ import scipy
 from scipy.spatial.transform import RigidTransform
 
 from calib.drift.visit_equations import base_motion_columns
-from calib.models.platform.identification import PRIOR, loop_jacobian, parameters, strut_jacobian, with_parameters
+from calib.models.platform.identification import (
+    PRIOR,
+    geometric_parameters,
+    loop_closure_jacobian,
+    mechanism_with_parameters,
+    strut_length_jacobian,
+)
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import sample_recording
 from rig.model import mechanisms
@@ -48,8 +53,7 @@ class Place:
 
 
 def remove_instrument_displacement(recording: Recording) -> tuple[Recording, list[Place]]:
-    """(the Recording of several as if the instrument had stood still, [Place] where it did not), of a platform on
-    struts.
+    """(Recording with the instrument's displacement removed, [Place] where it was displaced), of a platform.
 
     Raises what sampling raises
     """
@@ -58,12 +62,12 @@ def remove_instrument_displacement(recording: Recording) -> tuple[Recording, lis
     motions, scatter, start = (
         np.zeros((len(recording.parts), 6)),
         np.zeros((len(recording.parts), len(m.axes))),
-        parameters(m),
+        geometric_parameters(m),
     )
     for _ in range(ROUNDS):
         at = replace(samples, T_base_platform=_back(samples.T_base_platform, motions[number]))
         step, covariance, scatter = _solved(at, number, m, start, scatter)
-        m = with_parameters(m, parameters(m) + step[: len(start)])
+        m = mechanism_with_parameters(m, geometric_parameters(m) + step[: len(start)])
         motions = motions + np.concatenate([np.zeros((1, 6)), step[len(start) :].reshape(-1, 6)])
     places = []
     for k, motion in enumerate(motions[1:]):
@@ -94,15 +98,18 @@ def _solved(
     """
     T, p = samples.T_base_platform, len(start)
     later = int(number.max())
-    A = strut_jacobian(T, m)
+    A = strut_length_jacobian(T, m)
     C = A @ samples.covariance @ np.swapaxes(A, 1, 2)
     W = np.linalg.inv(np.linalg.cholesky(C + np.eye(len(m.axes)) * scatter[number][:, None] ** 2))
     moved = np.zeros((*A.shape[:2], later, 6))
     for k in range(later):
         moved[number == k + 1, :, k] = (A @ base_motion_columns(T))[number == k + 1]
-    J = np.concatenate([loop_jacobian(T, m), moved.reshape(*A.shape[:2], -1)], axis=2)
+    J = np.concatenate([loop_closure_jacobian(T, m), moved.reshape(*A.shape[:2], -1)], axis=2)
     left = mechanisms.kinematics_of(m).inverse(T, m) - samples.commanded
-    white, away = (W @ J).reshape(-1, J.shape[2]), np.r_[(start - parameters(m)) / PRIOR**2, np.zeros(6 * later)]
+    white, away = (
+        (W @ J).reshape(-1, J.shape[2]),
+        np.r_[(start - geometric_parameters(m)) / PRIOR**2, np.zeros(6 * later)],
+    )
     covariance = np.linalg.inv(white.T @ white + np.diag(np.r_[np.full(p, 1 / PRIOR**2), np.zeros(6 * later)]))
     step = covariance @ (white.T @ (W @ left[..., None]).ravel() + away)
     left, own = np.abs(left - J @ step), np.einsum("nii->ni", C)

@@ -1,5 +1,4 @@
-"""The poses of a visit: a dozen configurations, in an order, from which changes of the machine are seen and told apart
-best.
+"""Configurations of a visit, chosen and ordered to show and separate changes of the machine.
 
 D-optimal for the zeros, the nuts, growth and sag together, whatever the frame of measurement does meanwhile; a nut
 shows by the side from which its strut came, so the order is chosen with the places.
@@ -11,10 +10,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.certify.calibration import Calibration
-from calib.drift.machine_changes import AT_ORIGIN, GAP, OWN, UNITS, fitted_hexapod, machine_change_columns
-from calib.drift.visit_equations import base_motion_columns
-from calib.models.platform.d_optimal_configurations import allowed_configurations
-from calib.models.platform.identification import pose_jacobian
+from calib.drift.visit_equations import (
+    AT_ORIGIN,
+    GAP,
+    OWN,
+    UNITS,
+    base_motion_columns,
+    fitted_hexapod,
+    machine_change_columns,
+)
+from calib.models.platform.identification import pose_parameter_jacobian
+from calib.models.platform.optimal_configurations import allowed_configurations
 from calib.workspace.reachable_poses import is_pose_lost
 from rig.errors import RigError
 from rig.model.design import Actuator, Design
@@ -68,8 +74,8 @@ def choose_visit_configurations(
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Chosen:
-    """Chosen configurations of a calibrated hexapod. design : whose platform and gravity tell loads, or None;
-    progress : called with (done, of)
+    """Configurations chosen for a visit of a calibrated hexapod. design : for loads, or None
+    design : whose platform and gravity tell loads, or None; progress : called with (done, of)
 
     Raises RigError for another mechanism or too few poses
     """
@@ -157,6 +163,6 @@ def _columns(calibration: Calibration, design: Design | None, candidates: np.nda
         Design("", DOWN, mechanism, None, Actuator(None, None, None), AT_ORIGIN, (), ()) if design is None else design
     )
     changed = machine_change_columns(mechanism, stated, Commands(t, candidates), t, T)[..., 6:]
-    zeros = pose_jacobian(T, mechanism)[..., 36:]
+    zeros = pose_parameter_jacobian(T, mechanism)[..., 36:]
     white = 1 / np.repeat(SIGMAS, 3)[:, None]
     return np.concatenate([zeros * ZERO, changed, base_motion_columns(T)], axis=2) * white, zeros * GAP * white

@@ -1,10 +1,4 @@
-"""A visit -> what it says of places, geometry and wear: the normal equations of one linear model about what the history
-refers to.
-
-Unknowns, in this order: six for each camera and target (or for the instrument), the geometry's 42, the eight of
-calib.drift.machine_changes.
-Poses and lenses, which every visit has for itself, are eliminated.
-"""
+"""Normal equations of a visit in places, geometry and machine changes (wear, temperature, load)."""
 
 from dataclasses import dataclass
 
@@ -14,18 +8,71 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certify.calibration import Calibration
 from calib.drift.first_visit_reference import Reference
-from calib.drift.machine_changes import expected_poses, fitted_hexapod, machine_change_columns
-from calib.models.platform.identification import inverse_strut_jacobian, pose_jacobian
+from calib.models.platform.identification import inverse_strut_length_jacobian, pose_parameter_jacobian
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import sample_recording
+from rig.effects.catalogue.backlash import Backlash
+from rig.effects.catalogue.compliance import Compliance
+from rig.effects.catalogue.thermal_expansion import ThermalExpansion
+from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
 from rig.errors import RigError
+from rig.model import motion_simulation
+from rig.model.design import Design, Hexapod, Platform
 from rig.model.pose import log, skew
-from rig.recording.recording_folder import Recording
+from rig.recording.recording_folder import Commands, Recording, Sensors
 from vision.bundle.normal_equations import linearise, normal_equations
 from vision.bundle.unknown_priors import POSE_SCALE, adjustment_unknowns
 from vision.corner_observations import whitener
 from vision.lens import terms
 from vision.recording_adjustment import Measurement
+
+GAP = 1e-4  # m, of a worn nut: unit of its columns, and the play at which they are taken
+GROWTH = 1e-4  # share by which all struts grow: unit of its column; 9 K of steel
+SOFT = 1e-5  # kg / (N/m), added load over a strut's stiffness: unit of its column; 10 kg on struts of 1e6 N/m
+OWN = (*(f"nut of strut {i + 1}" for i in range(6)), "growth of all struts", "sag under added load")
+UNITS = (*(GAP,) * 6, GROWTH, SOFT)
+AT_ORIGIN = Platform(
+    1.0, np.zeros(3), np.zeros(3)
+)  # where nobody states the platform's: the added load then sits at its origin
+
+
+def fitted_hexapod(calibration: Calibration) -> Hexapod:
+    """The fitted hexapod. Raises RigError for a calibration of another mechanism."""
+    fitted = calibration.correction.fitted
+    if not isinstance(fitted, Hexapod):
+        raise RigError(f"watching is for hexapods, not for a mechanism of kind {fitted.kind!r}")
+    return fitted
+
+
+def _expected_poses(calibration: Calibration, samples: Samples) -> RigidTransform:
+    """T_base_platform (n,) that the calibration gives for the commands of samples, physics that it knows included."""
+    return calibration.correction.predict(samples.effective)
+
+
+def machine_change_columns(
+    mechanism: Hexapod, design: Design, commands: Commands, t: np.ndarray, T: RigidTransform
+) -> np.ndarray:
+    """Columns (n, 6, 8) of machine changes: pose tangents (m, rad) per unit of each change, at exposures t (n,) s."""
+    stated = (
+        design.platform
+        if design.platform.payload_centre_of_mass is not None and design.platform.mass is not None
+        else AT_ORIGIN
+    )
+    there = Design("", design.gravity, mechanism, None, design.actuator, stated, (), ())
+    warm = {f"strut{i + 1}_temperature_C": np.full(2, REFERENCE_TEMPERATURE + 1) for i in range(6)}
+    ends = np.array([commands.t[0], commands.t[-1] + 1.0])
+
+    def lengthened(effect: Effect, **channels: np.ndarray) -> np.ndarray:
+        return motion_simulation.effective_commands(
+            there, commands, t, T, (effect,), Sensors(ends, channels)
+        ) - commands.at(t)
+
+    yields = Compliance("rig", stiffness=1 / SOFT)
+    out = [lengthened(Backlash(f"strut {i + 1}", gap=GAP)) for i in range(6)]
+    out.append(lengthened(ThermalExpansion("rig", coefficient=GROWTH), **warm))
+    out.append(lengthened(yields, payload_mass_kg=np.ones(2)) - lengthened(yields))
+    return inverse_strut_length_jacobian(T, mechanism) @ np.stack(out, axis=-1)
+
 
 GEOMETRY = 42
 REPEATS = 1e-6  # m, to which struts repeat at the best, where the calibration found no scatter
@@ -66,7 +113,7 @@ class _Seen:
 def visit_equations(
     recording: Recording, calibration: Calibration, reference: Reference | None
 ) -> tuple[Equations, Reference]:
-    """(Equations of a visit, the Reference about which they stand: the visit itself where none is given).
+    """(Equations of a visit, the Reference that they refer to: the visit itself where none is given).
 
     Raises RigError for another machine than the calibration's or other cameras and targets than the reference's, and
         what measuring raises
@@ -82,7 +129,7 @@ def visit_equations(
     reference = reference or Reference.of(recording.design, sampled.measurement)
     reference.refuse(recording, sampled.measurement is not None)
     samples = calibration.with_physics(recording, sampled.samples)
-    T = expected_poses(calibration, samples)
+    T = _expected_poses(calibration, samples)
     seen = (
         _by_instrument(samples, T)
         if sampled.measurement is None
@@ -107,9 +154,7 @@ def _by_instrument(samples: Samples, T: RigidTransform) -> _Seen:
 
 
 def base_motion_columns(T: RigidTransform) -> np.ndarray:
-    """(n, 6, 6) tangents on the right of poses T (n,) per motion of the base (m, rad, along its axes about its
-    origin).
-    """
+    """Columns (n, 6, 6) of base motion: tangents of poses T (n,) per motion of the base (m, rad)."""
     matrix = T.as_matrix()
     back = np.swapaxes(matrix[:, :3, :3], 1, 2)
     out = np.zeros((len(matrix), 6, 6))
@@ -177,13 +222,13 @@ def _of_machine(seen: _Seen, T: RigidTransform, recording: Recording, calibratio
     changed = (
         machine_change_columns(mechanism, recording.design, recording.commands, samples.t, T) / POSE_SCALE
     )  # its units are its own
-    of_machine = np.concatenate([pose_jacobian(T, mechanism), changed], axis=2).reshape(n, -1)
+    of_machine = np.concatenate([pose_parameter_jacobian(T, mechanism), changed], axis=2).reshape(n, -1)
     places = len(seen.right) - n
     M = np.zeros((len(seen.right), n + places + of_machine.shape[1]))
     M[:, : n + places] = np.eye(n + places)
     M[:n, n + places :] = of_machine
     N, b = M.T @ seen.information @ M, M.T @ seen.right
-    spread = inverse_strut_jacobian(T, mechanism) * np.sqrt(calibration.scatter**2 + REPEATS**2) / POSE_SCALE
+    spread = inverse_strut_length_jacobian(T, mechanism) * np.sqrt(calibration.scatter**2 + REPEATS**2) / POSE_SCALE
     tight = np.linalg.inv(spread @ np.swapaxes(spread, 1, 2))
     for f in range(len(samples)):
         N[6 * f : 6 * f + 6, 6 * f : 6 * f + 6] += tight[f]

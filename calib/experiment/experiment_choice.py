@@ -1,4 +1,4 @@
-"""Questions and what an owner allows -> the plan that answers them best per minute, and the chance that it does."""
+"""Choice of the next experiment: the plan that answers open questions best per minute."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -6,8 +6,12 @@ from itertools import combinations
 
 import numpy as np
 
-from calib.experiment.discriminating_configurations import NAME, discriminating_configurations
-from calib.experiment.experiment_information import Information, experiment_information
+from calib.experiment.experiment_information import (
+    NAME,
+    Information,
+    discriminating_configurations,
+    experiment_information,
+)
 from calib.experiment.experiment_question import Question
 from calib.experiment.investigation_folder import SETTING_UP
 from rig.errors import RigError
@@ -49,51 +53,61 @@ class Experiment:
         return self.bits / self.minutes
 
 
-def available_plans(may: Sequence[str], standing: bool, off: Sequence[str] = ()) -> list[str]:
-    """Plans' texts to choose from. may : what an owner allows ("payload", "wait", "turn cube NAME"); standing : whether
-    the struts must stand to be exposed; off : cubes that were turned already"""
-    out = [*PARTS, *(f"{NAME}:{count}" for count in CHOSEN), *(() if standing else MOVING)]
-    if "wait" in may:
-        out += WAITING[1:] if standing else WAITING
-    out += [f"{TURN}{name},{text}" for name in Permission(tuple(may)).cubes if name not in off for text in TURNED]
-    return out + [text for text in LOADED if "payload" in may and not standing]
+def available_plans(
+    allowed_actions: Sequence[str], must_stand_still: bool, turned_cubes: Sequence[str] = ()
+) -> list[str]:
+    """Texts of the available plans. allowed_actions : what an owner allows besides moving
+    allowed_actions : what an owner allows ("payload", "wait", "turn cube NAME"); must_stand_still : whether the struts
+        must stand to be
+    exposed; turned_cubes : cubes that were turned already
+    """
+    out = [*PARTS, *(f"{NAME}:{count}" for count in CHOSEN), *(() if must_stand_still else MOVING)]
+    if "wait" in allowed_actions:
+        out += WAITING[1:] if must_stand_still else WAITING
+    out += [
+        f"{TURN}{name},{text}"
+        for name in Permission(tuple(allowed_actions)).cubes
+        if name not in turned_cubes
+        for text in TURNED
+    ]
+    return out + [text for text in LOADED if "payload" in allowed_actions and not must_stand_still]
 
 
 def choose_experiment(
-    asked: Sequence[Question],
+    open_questions: Sequence[Question],
     design: Design,
-    texts: Sequence[str],
+    plan_texts: Sequence[str],
     seed: int,
-    most: float = np.inf,
+    most_minutes: float = np.inf,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[list[Experiment], dict[str, str]]:
-    """([Experiment], the best first; {plan's text: why it is out of the question}).
+    """([Experiment], the best first; {plan's text: why it is excluded}).
 
-    texts : plans to choose from, alone and two by two; seed : of them; most : minutes that one may take;
+    plan_texts : plans to choose from, alone and two by two; seed : of them; most_minutes : minutes that one may take;
         progress : called with (done, of)
     """
     out: list[Experiment] = []
     refused: dict[str, str] = {}
     own: dict[str, np.ndarray] = {}
     try:
-        own = plan_configurations(asked, design, texts, seed)
+        own = _plan_configurations(open_questions, design, plan_texts, seed)
     except RigError as error:
-        refused = {text: str(error) for text in texts if text.startswith(NAME)}
+        refused = {text: str(error) for text in plan_texts if text.startswith(NAME)}
 
     def tried(text: str) -> None:
         if progress:
-            progress(len(out) + len(refused), len(texts) + PAIRED)
+            progress(len(out) + len(refused), len(plan_texts) + PAIRED)
         try:
-            found = evaluate_experiment(asked, design, text, seed, own)
+            found = evaluate_experiment(open_questions, design, text, seed, own)
         except RigError as error:
             refused[text] = str(error)
             return
-        if found.minutes > most:
-            refused[text] = f"it takes {found.minutes:.0f} min, of {most:.0f} that are left"
+        if found.minutes > most_minutes:
+            refused[text] = f"it takes {found.minutes:.0f} min, of {most_minutes:.0f} that are left"
         else:
             out.append(found)
 
-    for text in texts:
+    for text in plan_texts:
         if text not in refused:
             tried(text)
     leading = sorted(out, key=lambda e: -e.rate)[:PAIRED]
@@ -105,42 +119,47 @@ def choose_experiment(
 
 
 def rank_experiments(experiments: Sequence[Experiment]) -> list[Experiment]:
-    """The best first: those that settle all in the least time, made as often as that is expected to take, then by what
-    they tell per minute.
-    """
+    """Experiments ranked, the best first: by time to settle all questions, then by information per minute."""
     return sorted(experiments, key=lambda e: (e.minutes / e.settles if e.settles >= HOPELESS else np.inf, -e.rate))
 
 
-def plan_configurations(
-    asked: Sequence[Question], design: Design, texts: Sequence[str], seed: int
+def _plan_configurations(
+    open_questions: Sequence[Question], design: Design, texts: Sequence[str], seed: int
 ) -> dict[str, np.ndarray]:
     """{apart:N: configurations (N, axes)} of those plans' texts that ask for them, the first of one choice. Raises
     RigError where the rig cannot visit what is to be chosen from, and where no question has two names to come apart"""
     counts = sorted(int(text.partition(":")[2]) for text in texts if text.startswith(f"{NAME}:"))
     if not counts:
         return {}
-    found = discriminating_configurations(asked, design, counts[-1], seed)
+    found = discriminating_configurations(open_questions, design, counts[-1], seed)
     return {f"{NAME}:{count}": found[:count] for count in counts}
 
 
 def evaluate_experiment(
-    asked: Sequence[Question], design: Design, text: str, seed: int, own: Mapping[str, np.ndarray] | None = None
+    open_questions: Sequence[Question],
+    design: Design,
+    plan_text: str,
+    seed: int,
+    chosen_configurations: Mapping[str, np.ndarray] | None = None,
 ) -> Experiment:
-    """Experiment of one plan. own : {apart:N: (N, axes)} of `plan_configurations`. Raises RigError for one that the rig
-    cannot follow.
+    """Experiment of one plan, evaluated. Raises RigError for a plan that the rig cannot follow.
+    chosen_configurations : {apart:N: (N, axes)} of `_plan_configurations`. Raises RigError for one that the rig cannot
+        follow.
     """
-    plan, stands = build_plan(design, text, seed, own=own), quarter_turns(design)
+    plan, stands = build_plan(design, plan_text, seed, own=chosen_configurations), quarter_turns(design)
     todo = turning_instructions(dict(plan.turned), stands)
     plan = replace(plan, turned=tuple({**stands, **dict(plan.turned)}.items()))
-    found = [_worth(question, plan) for question in asked]
+    found = [_worth(question, plan) for question in open_questions]
     minutes = float(plan.commands.t[-1]) / 60 + SETTING_UP + TURNING * len(todo)
     changes = [(t, mass) for (_, before), (t, mass) in zip(plan.payload[:-1], plan.payload[1:]) if mass != before]
     asks = (
         *(f"before it begins: {text}" for text in todo),
         *(f"at t = {t:.0f} s: {f'load {mass:.3g} kg' if mass else 'take the load off'}" for t, mass in changes),
     )
-    settles = float(np.prod([0.0 if question.not_asked else one.settles for question, one in zip(asked, found)]))
-    return Experiment(text, seed, plan, minutes, sum(one.bits for one in found), settles, asks)
+    settles = float(
+        np.prod([0.0 if question.not_asked else one.settles for question, one in zip(open_questions, found)])
+    )
+    return Experiment(plan_text, seed, plan, minutes, sum(one.bits for one in found), settles, asks)
 
 
 def _worth(question: Question, plan: Plan) -> Information:

@@ -1,6 +1,4 @@
-"""What is asked of an experiment: hypotheses that are still alike, what a plan's recording would say under each, of any
-kind of machine.
-"""
+"""Question for an experiment: rival hypotheses, their odds, and predicted outcomes of a plan."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -9,7 +7,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from calib.diagnose.engine.candidate_score import Alternative
-from calib.diagnose.engine.selection_policy import PLATFORM
+from calib.diagnose.engine.selection_inputs import PLATFORM
 from calib.diagnose.engine.term_selection import Finding
 from calib.diagnose.report.diagnosis_json import UNKNOWN
 from rig.planning.plan import Plan
@@ -110,21 +108,22 @@ class Question(ABC, Generic[F]):
         """
 
 
-def with_unlisted_hypothesis(question: Question[F], found: Prediction, shapes: np.ndarray) -> Prediction:
-    """Foretold with what is in no catalogue, last: as the first name foretells, but for anything as large as what was
-    found, where names differ.
+def predictions_with_unlisted_hypothesis(
+    question: Question[F], predictions: Prediction, shapes: np.ndarray
+) -> Prediction:
+    """Predictions with an unlisted hypothesis added last, for an effect in no catalogue.
 
     shapes : (r, h) what each name does
     """
     if question.hypotheses[-1].name != UNKNOWN:
-        return found
-    means, covariances = found.means, found.covariances
+        return predictions
+    means, covariances = predictions.means, predictions.covariances
     size = float(np.linalg.norm(shapes[:, 0]))
     axes = np.linalg.svd(np.concatenate([shapes, means.T], axis=1), full_matrices=False)[0]
     foreign = covariances[0] + size**2 / axes.shape[1] * axes @ axes.T
     h = len(means)
     wide = np.zeros((h + 1, h + 1))
-    wide[:h, :h] = found.cosines
+    wide[:h, :h] = predictions.cosines
     return Prediction(np.concatenate([means, means[:1]]), np.concatenate([covariances, foreign[None]]), wide)
 
 
@@ -141,8 +140,8 @@ class Rival(Generic[F]):
     data_log_odds: float = 0.0
 
 
-def hypotheses(rivals: list[Rival[F]]) -> tuple[Hypothesis[F], ...]:
-    """Hypotheses of rivals, the finding's own first, by their odds; something in no catalogue last."""
+def rival_hypotheses(rivals: list[Rival[F]]) -> tuple[Hypothesis[F], ...]:
+    """Hypotheses of rivals by their odds, the finding's first, an unlisted effect last."""
     weights = np.exp(-np.array([rival.behind for rival in rivals]) / 2)
     shares = (1 - FOREIGN) * weights / weights.sum()
     named = [
@@ -152,9 +151,7 @@ def hypotheses(rivals: list[Rival[F]]) -> tuple[Hypothesis[F], ...]:
 
 
 def is_ruled_out(finding: Finding, alternative: Alternative, size: int) -> bool:
-    """Whether an alternative is out of the question: too unlikely, and where it does nearly the same, by the data
-    alone, not by what it costs.
-    """
+    """Whether an alternative is ruled out by its odds, or by the data alone where its effect is nearly the same."""
     same = abs(alternative.cosine) > PLATFORM.cosine
     return alternative.behind >= PLATFORM.alike and (
         not same or data_log_odds(finding, alternative, size) >= PLATFORM.alike
@@ -162,7 +159,5 @@ def is_ruled_out(finding: Finding, alternative: Alternative, size: int) -> bool:
 
 
 def data_log_odds(finding: Finding, alternative: Alternative, size: int) -> float:
-    """How much less likely the data make an alternative than its finding, as minus twice a logarithm, whatever either
-    costs in simplicity.
-    """
+    """Log odds (minus twice a logarithm) of an alternative against its finding by the data, without complexity cost."""
     return float(alternative.behind - alternative.score.complexity(size) + finding.score.complexity(size))

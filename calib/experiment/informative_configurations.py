@@ -1,4 +1,4 @@
-"""Which configurations determine a machine's parameters best, of those in which it is seen (D-optimal, by exchange)."""
+"""Informative configurations that determine a machine's parameters best (D-optimal, by exchange)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,8 +7,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.correct.correction import filter_closed_commands
-from calib.models.geometric_parameters import geometric_freedoms
-from calib.models.platform.d_optimal_configurations import exchange_configurations, sum_information
+from calib.models.geometric_parameters import geometric_parameters
+from calib.models.platform.optimal_configurations import exchange_configurations, total_information
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.design import Arm, Chain, Planar2
@@ -42,13 +42,14 @@ def informative_configurations(
     mechanism: Arm | Chain | Planar2,
     count: int,
     sigmas: tuple[float, float],
-    shown: Callable[[RigidTransform], np.ndarray] | None = None,
+    visible_marker_count: Callable[[RigidTransform], np.ndarray] | None = None,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Informative:
     """Informative configurations, `count` of them. sigmas : (m, rad) standard deviations of a measured pose, per axis
 
-    shown : how many markers of what moves are seen at poses (n,), or None where an instrument sees it anywhere;
+    visible_marker_count : how many markers of what moves are seen at poses (n,), or None where an instrument sees it
+        anywhere;
         progress : called with (done, of)
     Raises RigError for too few configurations to hold the parameters, or where too few candidates close on a pose or
         are seen
@@ -57,8 +58,8 @@ def informative_configurations(
     values = low_discrepancy(kinematics.travel(mechanism), CANDIDATES, FILL, seed)
     index, T = filter_closed_commands(values, lambda some: kinematics.forward(some, mechanism))
     values = values[index]
-    seen = np.ones(len(values), bool) if shown is None else shown(T) >= FEWEST
-    asked = geometric_freedoms(mechanism)
+    seen = np.ones(len(values), bool) if visible_marker_count is None else visible_marker_count(T) >= FEWEST
+    asked = geometric_parameters(mechanism)
     size = asked.size
     if not seen.any():
         raise RigError(
@@ -81,7 +82,7 @@ def informative_configurations(
     start = np.eye(len(size)) if asked.alike else np.zeros((len(size), len(size)))
     picked = exchange_configurations(rows, start, count, "determinant", progress)
     even = np.linspace(0, len(rows) - 1, count).astype(int)
-    told_by, vectors = np.linalg.eigh(np.eye(len(size)) + sum_information(rows, picked))
+    told_by, vectors = np.linalg.eigh(np.eye(len(size)) + total_information(rows, picked))
     sharp = vectors[:, told_by > TOLD]
     sigma, plain = (
         size
@@ -89,7 +90,7 @@ def informative_configurations(
             np.einsum(
                 "pi,ij,pj->p",
                 sharp,
-                sharp.T @ np.linalg.inv(np.eye(len(size)) + sum_information(rows, chosen)) @ sharp,
+                sharp.T @ np.linalg.inv(np.eye(len(size)) + total_information(rows, chosen)) @ sharp,
                 sharp,
             )
         )

@@ -1,4 +1,4 @@
-"""An investigation's folder -> what was thought, tried and seen, look by look: read from what the commands wrote there.
+"""Folder of an investigation: paths of its plans, recordings and diagnoses, and the reading of its looks.
 
 The folder holds, for look n: planN.csv (what was to be done), recN (what was recorded), diagnosisN (what all recordings
 so far say, and in its next.json what would tell more). Nothing else is kept, so whatever was interrupted goes on from
@@ -70,28 +70,28 @@ class Look:
 
 
 def plan_path(folder: Path, number: int) -> Path:
-    """Where the plan of a look stands."""
+    """Path of a look's plan in the folder."""
     return folder / f"plan{number}.csv"
 
 
 def recording_path(folder: Path, number: int) -> Path:
-    """Where its recording stands."""
+    """Path of a look's recording in the folder."""
     return folder / f"rec{number}"
 
 
 def diagnosis_path(folder: Path, number: int) -> Path:
-    """Where the diagnosis of all recordings up to it stands."""
+    """Path of a look's diagnosis in the folder."""
     return folder / f"diagnosis{number}"
 
 
 def plan_minutes(plan: Path) -> float:
-    """min that a plan takes. Raises FileError for what is no table in time."""
+    """Minutes that a plan takes. Raises FileError for what is no table in time."""
     t = csv_table.read(plan, ("frame", "t")).numbers("t")
     return float(t.max() - t.min()) / 60 + SETTING_UP
 
 
 def read_looks(folder: Path) -> list[Look]:
-    """[Look] of all that was diagnosed so far, in order. Raises FileError for a diagnosis that is cut off."""
+    """Looks read from an investigation's folder, in order. Raises FileError for a diagnosis that is cut off."""
     out: list[Look] = []
     while (diagnosis_path(folder, len(out) + 1) / "next.json").exists():
         out.append(_look(folder, len(out) + 1))

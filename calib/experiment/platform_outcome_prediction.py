@@ -1,5 +1,4 @@
-"""A plan -> what its recording would say under each hypothesis: a mean and a covariance each, on a basis of all in
-which they differ.
+"""Predicted outcomes of a plan on a platform under each hypothesis: a mean and a covariance each.
 
 The rig is taken as the diagnosis has it: cameras where they were last, the geometry and every effect's numbers as sure
 as the recordings so far leave them. What is measured anew is corners with the noise that these had (poses, where an
@@ -14,20 +13,26 @@ import numpy as np
 
 from calib.diagnose.engine.linear_model import Column, join_columns
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
-from calib.diagnose.problems.platform.held_out_validation import change
+from calib.diagnose.problems.platform.held_out_validation import residual_change_column
 from calib.diagnose.problems.platform.linearised_corners import seat_freedoms
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel, linearise
 from calib.diagnose.problems.platform.operating_point import OperatingPoint, cube_seats
 from calib.diagnose.problems.platform.parameter_directions import parameter_directions
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined
 from calib.diagnose.problems.platform.temperature_alternatives import WARM
-from calib.experiment.experiment_question import Hypothesis, PerFrame, Prediction, Question, with_unlisted_hypothesis
+from calib.experiment.experiment_question import (
+    Hypothesis,
+    PerFrame,
+    Prediction,
+    Question,
+    predictions_with_unlisted_hypothesis,
+)
 from calib.experiment.predicted_recording import (
     fitted_design,
-    point_of_last_recording,
-    point_with_turned_cubes,
+    operating_point_of_last_recording,
+    operating_point_with_turned_cubes,
+    predicted_operating_point,
     predicted_poses,
-    predicted_recording,
     predicted_sensor_log,
 )
 from rig.effects.framework.effect import Effect
@@ -63,17 +68,17 @@ class PlatformQuestion(Question[Refined]):
         return any(type(h.fitted.point.effects[h.number]) in WARM for h in self.named)
 
     def predict_outcomes(self, plan: Plan, warmer: float = 0.0) -> Prediction:
-        return predict_outcomes(self, plan, warmer)
+        return _predict_outcomes(self, plan, warmer)
 
     def predict_outcomes_by_frame(self, plan: Plan) -> PerFrame:
         return predict_outcomes_by_frame(self, plan)
 
 
-def predict_outcomes(question: PlatformQuestion, plan: Plan, warmer: float = 0.0) -> Prediction:
-    """Prediction of a question's hypotheses under a plan. warmer : K, than it was in the first recording
+def _predict_outcomes(question: PlatformQuestion, plan: Plan, temperature_rise: float = 0.0) -> Prediction:
+    """Prediction of a question's hypotheses under a plan. temperature_rise : K, than it was in the first recording
     Raises RigError where the rig as found cannot follow it, or no camera sees some of it
     """
-    named, seen = question.named, _seen(question, plan, warmer)
+    named, seen = question.named, _seen(question, plan, temperature_rise)
     fits, model = seen.fits, seen.model
     counts = [c.count for c in seen.columns]
     everything = join_columns([Column(c.parts) for c in (*seen.columns, *seen.moved, *seen.shapes)])
@@ -91,12 +96,12 @@ def predict_outcomes(question: PlatformQuestion, plan: Plan, warmer: float = 0.0
         known = _known(fit, model)
         covariances.append(spread @ known @ spread.T + np.eye(len(spread)))
     cosines = _cosines(named, fits, model, parts[-1], nuisances)
-    return with_unlisted_hypothesis(question, Prediction(means, np.array(covariances), cosines), parts[-1])
+    return predictions_with_unlisted_hypothesis(question, Prediction(means, np.array(covariances), cosines), parts[-1])
 
 
 def predict_outcomes_by_frame(question: PlatformQuestion, plan: Plan) -> PerFrame:
-    """PerFrame of a question's two likeliest names. Raises what `predict_outcomes` raises, and ValueError for a
-    question of one name
+    """Predicted outcomes by frame (PerFrame) of a question's two likeliest hypotheses.
+    Raises what `_predict_outcomes` raises, and ValueError for a question of one name
     """
     seen = _seen(replace(question, hypotheses=question.likeliest), plan)
     model, F = seen.model, len(plan.t)
@@ -139,10 +144,10 @@ def _by_camera(model: LinearisedModel, other: OperatingPoint) -> dict[str, np.nd
 def _seen(question: PlatformQuestion, plan: Plan, warmer: float = 0.0) -> _Seen:
     named = question.named
     fits = [h.fitted for h in named]
-    point = point_with_turned_cubes(point_of_last_recording(fits[0].point), plan)
+    point = operating_point_with_turned_cubes(operating_point_of_last_recording(fits[0].point), plan)
     sensors = predicted_sensor_log(point.sensors, plan, warmer)
     runs = [predicted_poses(fit, point.design, plan, sensors) for fit in fits]
-    here = predicted_recording(point, fits[0], plan, sensors, runs[0])
+    here = predicted_operating_point(point, fits[0], plan, sensors, runs[0])
     model = linearise(here)
     sensitivities = Sensitivities(here)
     columns: list[Column] = []
@@ -156,7 +161,7 @@ def _seen(question: PlatformQuestion, plan: Plan, warmer: float = 0.0) -> _Seen:
             here, T=T, design=fitted_design(fit, here.design), seats=cube_seats(here.design, fit.point.seats)
         ).with_effects(fit.point.effects)
         moved.append(_between(model, here, other))
-        shapes.append(change(at, _without(fit.point.effects, h.number)))
+        shapes.append(residual_change_column(at, _without(fit.point.effects, h.number)))
     return _Seen(fits, model, other, columns, moved, shapes)
 
 
@@ -205,7 +210,7 @@ def _known(fit: Refined, new: LinearisedModel) -> np.ndarray:
     if fit.column is not None and count:
         found, wide = (
             fit.model.linear.project(fit.column),
-            prior_standard_deviations(fit.coordinates, fit.point.effects),
+            _prior_standard_deviations(fit.coordinates, fit.point.effects),
         )
         cross = np.linalg.pinv(fit.model.nuisances.solve).T @ found.onto
         information[: len(cross), n:] = cross
@@ -230,7 +235,7 @@ def _cosines(
     own = join_columns(
         [
             Column(
-                change(
+                residual_change_column(
                     replace(model, point=model.point.with_effects(fit.point.effects)),
                     _without(fit.point.effects, h.number),
                 ).parts
@@ -258,7 +263,7 @@ def _inverse(information: np.ndarray) -> np.ndarray:
     return np.linalg.pinv(information * scale[:, None] * scale, rcond=1e-13, hermitian=True) * scale[:, None] * scale
 
 
-def prior_standard_deviations(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> np.ndarray:
+def _prior_standard_deviations(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> np.ndarray:
     """(c,) standard deviations of coordinates by what rigs show, so that what no data hold stays within reason."""
     out = []
     for c in coordinates:

@@ -1,6 +1,4 @@
-"""A plan's recording as a fit foretells it: cameras and cubes where they stood last, poses, corners with the noise that
-these had.
-"""
+"""Predicted recording of a plan by a fitted model: poses, corners with noise, sensor log."""
 
 from dataclasses import replace
 
@@ -25,15 +23,15 @@ TEMPERATURE = "_temperature_C"  # how channels of temperatures end
 PUT_BACK = "@next"  # after the name of a cube as a plan puts it back
 
 
-def point_of_last_recording(point: OperatingPoint) -> OperatingPoint:
-    """The OperatingPoint with each camera, and each cube, where it stood in the last recording, by its own name."""
+def operating_point_of_last_recording(point: OperatingPoint) -> OperatingPoint:
+    """OperatingPoint of the last recording, with each camera and cube where it stood then."""
     last = {c.name.partition("@")[0]: c for c in point.design.cameras}
     cubes = {t.name.partition("@")[0]: t for t in point.design.targets}
     return replace(point, design=replace(point.design, cameras=tuple(last.values()), targets=tuple(cubes.values())))
 
 
-def point_with_turned_cubes(point: OperatingPoint, plan: Plan) -> OperatingPoint:
-    """The OperatingPoint with the cubes put back that a plan turns: each as one that nobody has seen."""
+def operating_point_with_turned_cubes(point: OperatingPoint, plan: Plan) -> OperatingPoint:
+    """OperatingPoint with the cubes that a plan turns, at unknown poses."""
     quarters, targets = dict(plan.turned), []
     for target in point.design.targets:
         name = target.name.partition("@")[0]
@@ -42,10 +40,8 @@ def point_with_turned_cubes(point: OperatingPoint, plan: Plan) -> OperatingPoint
     return replace(point, design=replace(point.design, targets=tuple(targets)))
 
 
-def predicted_sensor_log(log: Sensors | None, plan: Plan, warmer: float) -> Sensors | None:
-    """The log of a recording that is not there yet: temperatures run as in the first one's log, so many K warmer, the
-    payload as the plan has it.
-    """
+def predicted_sensor_log(log: Sensors | None, plan: Plan, temperature_rise: float) -> Sensors | None:
+    """Predicted sensor log of a plan's recording: temperatures of the first log raised, payload as planned."""
     if log is None:
         return (
             add_payload_channel(plan, Sensors(np.array([0.0, plan.commands.t[-1]]), {}))
@@ -54,7 +50,7 @@ def predicted_sensor_log(log: Sensors | None, plan: Plan, warmer: float) -> Sens
         )
     end = np.searchsorted(log.t, log.starts[0]) if len(log.starts) else len(log.t)
     first = {
-        name: values[:end] + warmer * name.endswith(TEMPERATURE)
+        name: values[:end] + temperature_rise * name.endswith(TEMPERATURE)
         for name, values in log.channels.items()
         if name != PAYLOAD
     }
@@ -62,23 +58,23 @@ def predicted_sensor_log(log: Sensors | None, plan: Plan, warmer: float) -> Sens
 
 
 def fitted_design(fit: Refined, design: Design) -> Design:
-    """A Design with the geometry, and the cameras of its names, as fitted."""
+    """Design with the geometry and the cameras as fitted."""
     cameras = {c.name: c for c in fit.point.design.cameras}
     return replace(design, mechanism=fit.point.design.mechanism, cameras=tuple(cameras[c.name] for c in design.cameras))
 
 
 def predicted_poses(fit: Refined, design: Design, plan: Plan, sensors: Sensors | None) -> RigidTransform:
-    """T_base_platform (F,) at a plan's exposures, as a fit has the machine."""
+    """Predicted poses T_base_platform (F,) at a plan's exposures, by a fit."""
     moving = [e for e in fit.point.effects if e.stage != "view"]
     return motion_simulation.run_machine(
         fitted_design(fit, design), plan.commands, plan.t, moving, sensors
     ).T_base_platform
 
 
-def predicted_recording(
+def predicted_operating_point(
     point: OperatingPoint, fit: Refined, plan: Plan, sensors: Sensors | None, T: RigidTransform
 ) -> OperatingPoint:
-    """The OperatingPoint of a plan's recording as one fit foretells it, with noise that is as large as before.
+    """OperatingPoint predicted for a plan's recording by one fit, with noise as large as before.
 
     Raises RigError where no camera sees a marker in some of its exposures
     """

@@ -1,4 +1,4 @@
-"""calibration.json <-> Calibration, with where it came from."""
+"""calibration.json: a calibration with its provenance, saved and loaded."""
 
 import hashlib
 import json
@@ -19,17 +19,24 @@ from calib.certify.workspace_claim import Claim
 from calib.correct.correction import Correction
 from calib.correct.interpolation import interpolation_methods as kinds
 from calib.correct.interpolation.gaussian_process import Radial
-from calib.correct.physics_json import physics_dict, physics_from_entries
-from calib.correct.pose_space_map_json import pose_map_dict, pose_map_from_entries
-from calib.files.calibration_file_checks import require_contents, require_same_ranges, require_text
-from calib.files.mechanism_json import mechanism_dict, mechanism_from_entries
+from calib.files.calibration_file_entries import (
+    mechanism_dict,
+    mechanism_from_entries,
+    physics_dict,
+    physics_from_entries,
+    pose_map_dict,
+    pose_map_from_entries,
+    require_same_ranges,
+    require_schema_contents,
+    require_text,
+)
 from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.error_model import names
+from calib.models.arm.error_model import parameter_names
 from calib.models.arm.joint_profiles import Profile
 from calib.models.chain import error_model as chains
-from calib.models.platform.identification import parameters
+from calib.models.platform.identification import geometric_parameters
 from calib.samples.confounded_conditions import confounds_from_entries
-from calib.workspace.workspace_file import workspace_dict, workspace_from_entries
+from calib.workspace.workspace_cells import workspace_dict, workspace_from_entries
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.texts.effect_text import Kinds
 from rig.formats import json_file, remote_folders
@@ -82,24 +89,24 @@ def calibration_provenance(
     arguments: Sequence[str],
     seed: int,
     used_images: bool,
-    beside: Iterable[Path] = (),
+    other_files: Iterable[Path] = (),
     data: Iterable[str] = (),
 ) -> dict[str, Any]:
     """dict of the inputs' SHA-256, the marks of their data (see rig.recording.data_provenance), versions, arguments and
     seed.
 
-    recording : Recording; used_images : whether they were read; beside : other files that were read, data : marks of
-        theirs
+    recording : Recording; used_images : whether they were read; other_files : other files that were read, data : marks
+        of theirs
     """
     files: dict[str, str] = {}
     for k, part in enumerate(recording.apart):
-        own = input_digests(part.recording, used_images)
+        own = _input_digests(part.recording, used_images)
         files |= (
             {f"{k + 1} {part.recording.name}/{name}": digest for name, digest in own.items()}
             if recording.parts
             else own
         )
-    files.update({Path(path).name: _hash([path]) for path in beside})
+    files.update({Path(path).name: _hash([path]) for path in other_files})
     return {
         "recording": recording.name,
         "inputs_sha256": files,
@@ -111,7 +118,7 @@ def calibration_provenance(
     }
 
 
-def input_digests(recording: Recording, used_images: bool) -> dict[str, str]:
+def _input_digests(recording: Recording, used_images: bool) -> dict[str, str]:
     """{file: SHA-256} of a recording's files, its images together. used_images : whether they were read"""
     folder = recording.folder
     files = {
@@ -124,24 +131,27 @@ def input_digests(recording: Recording, used_images: bool) -> dict[str, str]:
 
 
 def package_versions() -> dict[str, str]:
-    """{name: version} of what figures depend on."""
+    """{package name: version} of the packages that results depend on."""
     return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
 
 
-def pass_provenance(own: dict[str, Any], before: Calibration, asked: dict[str, Any]) -> dict[str, Any]:
-    """The provenance of a pass: its own and what it is, the passes before it in their order, and the marks of the data
-    of all.
-    """
+def additional_pass_provenance(
+    own: dict[str, Any], previous_provenance: Calibration, requested_pass: dict[str, Any]
+) -> dict[str, Any]:
+    """Provenance of an additional pass: its own, the passes before it, and the marks of all data."""
     kept = ("recording", "inputs_sha256", "arguments", "created", "pass")
-    first = {name: before.provenance[name] for name in kept if name in before.provenance}
-    passes = [*before.provenance.get("passes", []), first]
-    return {**own, "pass": asked, "data": [*before.provenance.get("data", []), *own["data"]], "passes": passes}
+    first = {name: previous_provenance.provenance[name] for name in kept if name in previous_provenance.provenance}
+    passes = [*previous_provenance.provenance.get("passes", []), first]
+    return {
+        **own,
+        "pass": requested_pass,
+        "data": [*previous_provenance.provenance.get("data", []), *own["data"]],
+        "passes": passes,
+    }
 
 
 def frames_used_in_calibration(calibration: Calibration, recording: Recording) -> list[int]:
-    """The frames of a recording that a calibration was made from, be it by way of what was measured from it, or it from
-    them.
-    """
+    """Frames of a recording that were used in a calibration, directly or through its measurement."""
     return frames_with_known_data(content_marks(recording), calibration.provenance.get("data", ()))
 
 
@@ -153,7 +163,7 @@ def _hash(paths: Iterable[Path]) -> str:
 
 
 def save(path: Path | str, calibration: Calibration) -> None:
-    """Write a calibration.json, whole or not at all."""
+    """Save a Calibration as calibration.json, whole or not at all."""
     correction = calibration.correction
     arm = isinstance(correction, ArmCorrection)
     tree = {
@@ -181,14 +191,13 @@ def save(path: Path | str, calibration: Calibration) -> None:
     write_text(path, json.dumps(tree, indent=1) + "\n")
 
 
-def load(path: Path | str, kinds: Kinds = BY_NAME) -> Calibration:
-    """Calibration of a calibration.json, in which no effects stand but those known (kinds). Raises FileError for a file
-    that is missing, cut off, of another schema, or that holds an array of another shape or a number that cannot be."""
+def load(path: Path | str, effect_kinds: Kinds = BY_NAME) -> Calibration:
+    """Load a Calibration from calibration.json. effect_kinds : effects that it may hold. Raises FileError"""
     tree = json_file.load(Path(path), "calibration", SCHEMA, WITH_PHYSICS, WITH_POSE_MAPS)
     nominal, fitted = mechanism_from_entries(tree.table("nominal"), True), mechanism_from_entries(tree.table("fitted"))
     require_same_ranges(tree, nominal, fitted)
     schema = tree.text("schema")
-    require_contents(tree, *CONTENTS[schema])
+    require_schema_contents(tree, *CONTENTS[schema])
     correction = _correction_in(tree, nominal, fitted)
     nominal = correction.nominal
     for key, known in (
@@ -198,19 +207,25 @@ def load(path: Path | str, kinds: Kinds = BY_NAME) -> Calibration:
     ):
         require_text(tree, key, known)
     count = len(
-        (chains.names if isinstance(nominal, Chain) else names if isinstance(nominal, Arm) else parameters)(nominal)
+        (
+            chains.parameter_names
+            if isinstance(nominal, Chain)
+            else parameter_names
+            if isinstance(nominal, Arm)
+            else geometric_parameters
+        )(nominal)
     )
     fit = tree.table("fit")
     return Calibration(
         correction,
-        covariance_in(tree, count),
+        covariance_from_entries(tree, count),
         _spread_in(tree, _scatter_key(nominal), len(nominal.axes)),
         fit.wholes("frames"),
         fit.wholes("left_out"),
         _held_out_in(tree.table("held_out")),
         _provenance_in(tree),
         _claim_in(tree.table("claim")) if tree.get("claim", None) is not None else None,
-        physics_from_entries(tree.table("physics"), nominal, count, kinds) if "physics" in tree.tree else None,
+        physics_from_entries(tree.table("physics"), nominal, count, effect_kinds) if "physics" in tree.tree else None,
         workspace_from_entries(tree.table("workspace")) if tree.get("workspace", None) is not None else None,
         confounds_from_entries(tree.table("confounds")) if tree.get("confounds", None) is not None else None,
         _strut_covariance_in(tree) if "strut_covariance" in tree.tree else None,
@@ -232,8 +247,8 @@ def _order(correction: Correction[Any, Any]) -> str:
     """The names of the parameters, in their order."""
     nominal = correction.nominal
     if isinstance(nominal, Chain):
-        return "changes from nominal: " + ", ".join(chains.names(nominal))
-    return ", ".join(names(nominal)) if isinstance(nominal, Arm) else PARAMETERS[nominal.kind]
+        return "changes from nominal: " + ", ".join(chains.parameter_names(nominal))
+    return ", ".join(parameter_names(nominal)) if isinstance(nominal, Arm) else PARAMETERS[nominal.kind]
 
 
 def _scatter_key(nominal: Struts | Arm | Chain) -> str:
@@ -276,10 +291,8 @@ def _profile_in(table: Entries, axes: int) -> Profile:
     )
 
 
-def covariance_in(tree: Entries, count: int, key: str = "parameter_covariance") -> np.ndarray:
-    """(count, count) covariance under a key, symmetric to rounding, in the file's units (m, rad). Raises FileError for
-    what is none.
-    """
+def covariance_from_entries(tree: Entries, count: int, key: str = "parameter_covariance") -> np.ndarray:
+    """Covariance (count, count) from a file's entries, symmetric to rounding. Raises FileError for what is none."""
     covariance = tree.array(key, (count, count))
     scale = np.sqrt(np.abs(np.diag(covariance)))
     if (
@@ -304,7 +317,7 @@ def _spread_in(tree: Entries, key: str, axes: int) -> np.ndarray:
 def _strut_covariance_in(tree: Entries) -> np.ndarray:
     """(axes, axes) m^2, whose diagonal are the squares of strut_scatter; not in files of before it was worked out."""
     scatter = tree.array("strut_scatter", (None,))
-    covariance = covariance_in(tree, len(scatter), "strut_covariance")
+    covariance = covariance_from_entries(tree, len(scatter), "strut_covariance")
     if not np.allclose(np.diag(covariance), scatter**2, rtol=1e-6, atol=1e-30):
         tree.fail("strut_covariance must have the squares of strut_scatter on its diagonal", "strut_covariance")
     return covariance

@@ -1,10 +1,4 @@
-"""Weighted least squares over blocks of observations, in square-root information form: the engine behind every fit of
-parameters.
-
-A problem hands over whitened residuals and their derivatives, block by block (a block: a pose, a configuration of an
-arm). What all blocks share (the cameras' errors, say) is solved for beside the parameters and then marginalised.
-Source: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, ch. IV and V.
-"""
+"""Least squares over blocks of observations in square-root information form, and steps within bounds."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,9 +6,50 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy
-from scipy.linalg import qr, solve_triangular
+from scipy.linalg import null_space, qr, solve_triangular
 
 from rig.errors import NotEnoughData, RigError
+
+NULL = 1e-11  # of the greatest eigenvalue; directions below are not stepped along
+
+
+def bounded_least_squares_step(
+    b: np.ndarray, G: np.ndarray, values: np.ndarray, bounds: np.ndarray, preserved_sums: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Least-squares step within bounds: (step (c,), covariance (c, c), which ignores the bounds).
+
+    b : (c,) gradient; G : (c, c) information, priors included in both; bounds : (c, 2) bounds; preserved_sums : (k, c)
+        sums that the step must not change
+    """
+    low, high = bounds.T
+    step, covariance = _solved(b, G, preserved_sums)
+    held = np.zeros(len(step), bool)
+    for _ in range(len(step)):
+        over = ~held & ((values + step < low) | (values + step > high))
+        if not over.any():
+            break
+        held |= over
+        step[held] = np.clip(values + step, low, high)[held] - values[held]
+        step[~held] = _solved(
+            b[~held] - G[np.ix_(~held, held)] @ step[held], G[np.ix_(~held, ~held)], preserved_sums[:, ~held]
+        )[0]
+    return step, covariance
+
+
+def _solved(b: np.ndarray, G: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(G^-1 b, G^-1) in the directions that anything sees and that keep sums (k, c)."""
+    if not len(b):
+        return np.zeros(0), np.zeros((0, 0))
+    scale = np.sqrt(np.maximum(np.diag(G), 1e-300))
+    scaled = G / scale[:, None] / scale
+    kept = kept[kept.any(axis=1)]
+    along = null_space(kept / scale) if len(kept) else None
+    values, vectors = np.linalg.eigh(scaled if along is None else along.T @ scaled @ along)
+    there = values > NULL * max(values[-1], 1e-300)
+    half = vectors[:, there] / np.sqrt(values[there])
+    half = (half if along is None else along @ half) / scale[:, None]
+    return half @ (half.T @ b), half @ half.T
+
 
 MAX_ITERATIONS = 30
 CHUNK = 2048  # rows reduced at a time, so that the work stays in the cache
@@ -59,7 +94,7 @@ class Fit:
     iterations: int
 
 
-def fit(
+def fit_least_squares(
     linearise: Callable[[np.ndarray], Linear],
     start: np.ndarray,
     mean: np.ndarray,
@@ -68,7 +103,7 @@ def fit(
     inliers: np.ndarray | None = None,
     robust: bool = False,
 ) -> Fit:
-    """Gauss-Newton to the optimum, docs/mathematics.md (7).
+    """Least-squares fit by Gauss-Newton, docs/mathematics.md (7).
 
     linearise : function of parameters (k,) -> Linear; start : (k,); mean, sigma : (k,) the prior, sigma infinite where
         there is none
@@ -180,10 +215,8 @@ class Visibility:
     order: np.ndarray
 
 
-def visibility(root: np.ndarray, size: np.ndarray) -> Visibility:
-    """Visibility of parameters from a square root of their information. root : (j, k); size : (k,) what each plausibly
-    is.
-    """
+def parameter_visibility(root: np.ndarray, size: np.ndarray) -> Visibility:
+    """Visibility of parameters from the square root of their information. root : (j, k); size : (k,) plausible sizes"""
     _, s, directions = np.linalg.svd(root * size, full_matrices=False)
     order = qr(root * size, mode="r", pivoting=True)[1]
     return Visibility(s, directions, float(s[0] / s[-1]) if s[-1] > 0 else np.inf, order)

@@ -1,11 +1,4 @@
-"""Robust fits, and wild rows: what is far off all that smooth functions allow, and off its neighbours in time and
-configuration as well.
-
-All that may be smooth is first fitted by weights that fall to nothing with the residual (Tukey's biweight, from the
-start that Huber's weights reach), so that no wild row hides itself or another. A short event is not wild: the row
-before or after it, or one at nearly the same configuration, shows the same. Source: Maronna, Martin and Yohai, Robust
-statistics, 2006, ch. 5.
-"""
+"""Robust fits, outlier rows, and the excess of scatter over an instrument's covariance."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 from scipy.spatial import cKDTree
+from scipy.special import chdtri
 
 CONSISTENT = 1.4826  # times the median of absolute residuals: the standard deviation of normal ones
 HUBER, TUKEY = 1.5, 6.0  # standard deviations: of the weights at first, and from which a row counts for nothing
@@ -39,9 +33,7 @@ class Robust:
 
 
 def robust_fit(parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> Robust:
-    """Robust of parts [(residual (n, k), columns (n, k, p))], each whitened and with columns of its own; a row has one
-    weight in all of them.
-    """
+    """Robust fit of parts [(residual (n, k), columns (n, k, p))], whitened; a row has one weight in all parts."""
     n = len(parts[0][0])
     free = [1 - min(columns.shape[2] / max(n * columns.shape[1], 1), 0.8) for _, columns in parts]
     weight = np.ones(n)
@@ -72,15 +64,15 @@ def _left(residual: np.ndarray, columns: np.ndarray, weight: np.ndarray) -> np.n
     return residual - (flat @ np.linalg.solve(gram, weighted.T @ y)).reshape(residual.shape)
 
 
-def outlier_rows(relative: np.ndarray, t: np.ndarray, q: np.ndarray, gate: float) -> np.ndarray:
-    """(n,) bool, rows with a residual beyond the gate that no neighbour shares.
+def outlier_rows(scaled_residuals: np.ndarray, t: np.ndarray, q: np.ndarray, gate: float) -> np.ndarray:
+    """Whether rows (n,) are outliers: a residual beyond the gate that no neighbour shares.
 
-    relative : (n, k) residuals over their scatter; t : (n,) s; q : (n, axes) where rows stand
+    scaled_residuals : (n, k) residuals over their scatter; t : (n,) s; q : (n, axes) where rows stand
     gate : where what is left is normal; where its tail is longer, as what is left out of a model has it, by as much
         more
     """
-    far = np.abs(relative).max(axis=1)
-    far = far > gate * tail(relative, gate)
+    far = np.abs(scaled_residuals).max(axis=1)
+    far = far > gate * tail_length_ratio(scaled_residuals, gate)
     if not far.any():
         return far
     order = np.argsort(t, kind="stable")
@@ -91,27 +83,65 @@ def outlier_rows(relative: np.ndarray, t: np.ndarray, q: np.ndarray, gate: float
     for i, places in zip(np.flatnonzero(far).tolist(), near):
         times = order[max(place[i] - IN_TIME, 0) : place[i] + IN_TIME + 1]
         others = np.setdiff1d(np.concatenate([times, places]), [i])
-        apart = np.linalg.norm(relative[others] - relative[i], axis=1)
-        out[i] = not (apart < ALIKE * np.linalg.norm(relative[i])).any()
+        apart = np.linalg.norm(scaled_residuals[others] - scaled_residuals[i], axis=1)
+        out[i] = not (apart < ALIKE * np.linalg.norm(scaled_residuals[i])).any()
     return out
 
 
-def tail(relative: np.ndarray, gate: float) -> float:
-    """How much longer than a normal one's the tail is of rows (n, k) within a gate, residuals over their scatter; 1 at
-    the least.
-    """
-    size = np.abs(relative).max(axis=1)
+def tail_length_ratio(scaled_residuals: np.ndarray, gate: float) -> float:
+    """Ratio of the tail length of rows (n, k) within a gate to a normal one's; 1 at the least."""
+    size = np.abs(scaled_residuals).max(axis=1)
     near = size[size <= gate]
-    usual = scipy.special.ndtri((1 + TAIL ** (1 / relative.shape[1])) / 2)
+    usual = scipy.special.ndtri((1 + TAIL ** (1 / scaled_residuals.shape[1])) / 2)
     return max(1.0, float(np.quantile(near, TAIL) / usual)) if len(near) else 1.0
 
 
-def many_deviations(relative: np.ndarray, gate: float) -> np.ndarray:
-    """(n,) bool, rows of which more than one number is far off: a wrong pose moves all struts, what one strut does by
-    itself shows in that one; and rows of which one is GROSS times farther off than it takes, as where a neighbour on a
-    ladder of one strut took its place.
+def has_many_deviations(scaled_residuals: np.ndarray, gate: float) -> np.ndarray:
+    """Whether rows (n,) have many deviations: more than one number far off, as a wrong pose has.
+    lace.
 
-    relative : (n, k) residuals over their scatter; gate : of the greatest; half of it counts as far off in the second
+    scaled_residuals : (n, k) residuals over their scatter; gate : of the greatest; half of it counts as far off in the
+        second
     """
-    size = np.sort(np.abs(relative), axis=1)
+    size = np.sort(np.abs(scaled_residuals), axis=1)
     return np.asarray((size[:, -1] > gate) & (size[:, -2] > gate / 2) | (size[:, -1] > GROSS * gate))
+
+
+MIDDLE = float(chdtri(3, 0.5))  # of the squared length of three normal numbers
+FAR = 1e-3  # chance of a length beyond which a pose counts less
+EXCESS = 3.0  # standard errors by which scatter must exceed the instrument's own before it counts
+
+
+def excess_scatter(
+    residuals: np.ndarray, instrument_covariance: np.ndarray, share: float | np.ndarray = 0.0
+) -> np.ndarray:
+    """Excess scatter (k,) m and rad beyond the instrument's own: one figure for positions, one for rotations.
+
+    residuals : (m, k) residuals, m and rad; instrument_covariance : (m, k, k) the instrument's covariance; share : of
+        the squares, what the
+    fit took away, one figure or one for positions and one for rotations
+    """
+    out = np.zeros(residuals.shape[1])
+    for part, fitted in zip((slice(0, 3), slice(3, 6)), np.broadcast_to(share, 2)):
+        if residuals[:, part].size:
+            length, stated = (
+                (residuals[:, part] ** 2).sum(axis=1),
+                float(np.einsum("mkk->mk", instrument_covariance)[:, part].mean()),
+            )
+            count = min(3, residuals.shape[1])
+            middle = max(float(np.median(length)) / (MIDDLE if count == 3 else float(chdtri(count, 0.5))), stated)
+            tail = robust_weights(length / middle, count)
+            seen = float(tail @ length) / float(tail.sum()) / count / (1 - float(fitted))
+            chance = (
+                np.sqrt(2 * (instrument_covariance[:, part, part] ** 2).sum()) / residuals[:, part].size
+            )  # of a mean of squares of poses that are not alike
+            if seen > stated + EXCESS * chance:
+                out[part] = np.sqrt(seen - stated)
+    return out
+
+
+def robust_weights(squared_lengths: np.ndarray, count: int) -> np.ndarray:
+    """Robust weights (m,) of poses by the squared length (m,) of their `count` whitened numbers.
+    lained.
+    """
+    return np.minimum(1.0, float(chdtri(count, FAR)) / np.maximum(squared_lengths, 1e-300))

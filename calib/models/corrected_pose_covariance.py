@@ -13,19 +13,19 @@ from calib.workspace.workspace_cells import map_workspace
 from rig.model.design import Arm, Chain
 
 
-def pose_covariance(calibration: Calibration, T_base_platform: RigidTransform, commands: np.ndarray) -> np.ndarray:
-    """(n, 6, 6) covariance (m, rad) of the poses (n,) that commands (n, axes) m or rad give, docs/mathematics.md
-    (21).
-    """
+def corrected_pose_covariance(
+    calibration: Calibration, T_base_platform: RigidTransform, commands: np.ndarray
+) -> np.ndarray:
+    """Covariance (n, 6, 6) (m, rad) of the corrected poses (n,) at commands (n, axes), docs/mathematics.md (21)."""
     if isinstance(calibration.correction.nominal, Arm):
-        return arms.model_covariance(calibration, commands)
+        return arms.arm_pose_covariance(calibration, commands)
     if isinstance(calibration.correction.nominal, Chain):
-        return chains.model_covariance(calibration, commands)
-    return platform_certification.model_covariance(calibration, T_base_platform)
+        return chains.chain_pose_covariance(calibration, commands)
+    return platform_certification.platform_pose_covariance(calibration, T_base_platform)
 
 
-def add_workspace(calibration: Calibration) -> Calibration:
-    """The Calibration with its workspace worked out; a chain reaches most poses in many ways, and has none.
+def calibration_with_workspace(calibration: Calibration) -> Calibration:
+    """Calibration with its workspace computed; a chain has none.
 
     Raises NotConverged where no configuration closes on a pose
     """
@@ -33,5 +33,7 @@ def add_workspace(calibration: Calibration) -> Calibration:
         return calibration
     return replace(
         calibration,
-        workspace=map_workspace(calibration.correction, lambda T, commands: pose_covariance(calibration, T, commands)),
+        workspace=map_workspace(
+            calibration.correction, lambda T, commands: corrected_pose_covariance(calibration, T, commands)
+        ),
     )

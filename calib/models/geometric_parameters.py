@@ -9,9 +9,9 @@ from functools import partial
 import numpy as np
 
 from calib.models.arm import error_model, identification
-from calib.models.arm.parameter_rank import PLAUSIBLE
+from calib.models.arm.independent_parameters import PLAUSIBLE
 from calib.models.chain import error_model as chains
-from calib.models.platform.identification import NAMES, PRIOR, pose_jacobian
+from calib.models.platform.identification import NAMES, PRIOR, pose_parameter_jacobian
 from rig.model import mechanisms
 from rig.model.design import Arm, Chain, Hexapod, Planar2
 from rig.model.mechanism_kinds import Mechanism, struts_of
@@ -30,24 +30,24 @@ class Freedoms:
     alike: bool
 
 
-def geometric_freedoms(mechanism: Mechanism) -> Freedoms:
-    """Freedoms of a mechanism. Raises RigError for what nobody commands."""
+def geometric_parameters(mechanism: Mechanism) -> Freedoms:
+    """Geometric parameters (Freedoms) of a mechanism. Raises RigError for what nobody commands."""
     if isinstance(mechanism, Arm):
-        free = identification.parameters(mechanism, "pose")
-        size = np.array([PLAUSIBLE[unit] for unit in error_model.units(mechanism)])
+        free = identification.independent_arm_parameters(mechanism, "pose")
+        size = np.array([PLAUSIBLE[unit] for unit in error_model.parameter_units(mechanism)])
         return _asked(
             free,
-            error_model.names(mechanism),
-            error_model.units(mechanism),
+            error_model.parameter_names(mechanism),
+            error_model.parameter_units(mechanism),
             size,
             partial(error_model.parameter_jacobian, arm=mechanism),
         )
     if isinstance(mechanism, Chain):
-        size = chains.prior(mechanism)
+        size = chains.parameter_tolerances(mechanism)
         found = _asked(
             size > 0,
-            chains.names(mechanism),
-            chains.units(mechanism),
+            chains.parameter_names(mechanism),
+            chains.parameter_units(mechanism),
             size,
             partial(chains.parameter_jacobian, chain=mechanism),
         )
@@ -58,7 +58,7 @@ def geometric_freedoms(mechanism: Mechanism) -> Freedoms:
 
 
 def _of_struts(struts: Hexapod | Planar2, values: np.ndarray) -> np.ndarray:
-    return pose_jacobian(mechanisms.kinematics_of(struts).forward(values, struts), struts)
+    return pose_parameter_jacobian(mechanisms.kinematics_of(struts).forward(values, struts), struts)
 
 
 def _asked(

@@ -1,6 +1,4 @@
-"""Wanted poses -> commands through a calibration, with an approach where it makes a pose surer, and how sure each pose
-then is.
-"""
+"""Commands for wanted poses through a calibration, with approaches and the covariance of each pose."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,15 +9,15 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certify.calibration import Calibration
 from calib.correct.correction import Responses, require_reachable
-from calib.correct.physics import Physics
 from calib.correct.physics_compensation import (
     Machine,
+    Physics,
     commands_at_poses,
     path_memory_length,
     unknown_history_uncertainty,
 )
 from calib.correct.pose_route import Pace, Route, timed_route, untimed_route
-from calib.models.corrected_pose_covariance import pose_covariance
+from calib.models.corrected_pose_covariance import corrected_pose_covariance
 from rig.effects.framework.effect import Effect
 from rig.errors import NotConverged, Unreachable
 from rig.model import mechanisms
@@ -57,7 +55,7 @@ class _Spread:
 
 def commanded(
     calibration: Calibration,
-    wanted: RigidTransform,
+    wanted_poses: RigidTransform,
     t: np.ndarray | None = None,
     sensors: Sensors | None = None,
     start: np.ndarray | None = None,
@@ -73,7 +71,7 @@ def commanded(
         are found
     """
     nominal = calibration.correction.nominal
-    T = RigidTransform.from_matrix(wanted.as_matrix().reshape(-1, 4, 4))
+    T = RigidTransform.from_matrix(wanted_poses.as_matrix().reshape(-1, 4, 4))
     begin = mechanisms.kinematics_of(nominal).home(nominal) if start is None else np.asarray(start, float)
     done = commands_along_route(
         calibration,
@@ -88,8 +86,7 @@ def commanded(
 
 
 def route_pace(calibration: Calibration, t: np.ndarray, sensors: Sensors | None) -> Pace:
-    """Pace of poses held at times t (n,) s: half the axes' top speed, where that is known, as plans go; the axes stand
-    at the start from where the sensors' log begins, so that a warm-up counts from there."""
+    """Pace of a route whose poses are held at times t (n,) s."""
     top = calibration.physics.actuator.max_speed if calibration.physics is not None else None
     unstated = min(UNSTATED_SPEED[unit] for unit in mechanisms.axis_units(calibration.correction.nominal))
     begin = float(sensors.t[0]) if sensors is not None and len(sensors.t) > 1 else None
@@ -105,7 +102,7 @@ def commands_along_route(
     approach: str = "auto",
     given: np.ndarray | None = None,
 ) -> Commanded:
-    """Commanded for wanted poses T (n,), in their order.
+    """Commands (Commanded) along a route of wanted poses T (n,), in their order.
 
     start : (axes,) m or rad, where the axes stand; pace : Pace, when the poses are held, or None: each until all has
         come to rest
@@ -123,7 +120,7 @@ def commands_along_route(
         return Commanded(given, route, T, None, ())
     values = commands_at_poses(of, T, route, plain) if of.effects else plain
     if calibration.physics is None:
-        return Commanded(values, route, T, pose_covariance(calibration, T, values), ())
+        return Commanded(values, route, T, corrected_pose_covariance(calibration, T, values), ())
     base = _covariance(calibration, calibration.physics, of, T, (route, values))
     if pace is not None and approach != "never" and path_memory_length(of).any():
         sure = _axes(base.covariance, base.responses.back) if approach == "auto" else None
@@ -218,7 +215,7 @@ def _covariance(
         moved = (stands(any_time, (*of.effects, effect)) - stands(any_time))[..., None]
         parts.append(np.sqrt(np.mean(moved**2, axis=0, keepdims=True)) * np.eye(6))
     covariance = (
-        pose_covariance(calibration, T, lengths)
+        corrected_pose_covariance(calibration, T, lengths)
         + J @ physics.own @ np.swapaxes(J, 1, 2)
         + both
         + np.swapaxes(both, 1, 2)

@@ -1,5 +1,4 @@
-"""What changed, by likelihood ratio, docs/mathematics.md (23): a strut's length, a strut's joint, several struts, or
-the measuring frame.
+"""Detection of changes by likelihood ratio: of a strut's length, a joint, several struts or the frame.
 
 Every hypothesis is held to the same innovations of the last poses: it must explain what is there beyond chance, and
 what it leaves must be no more than noise. The simplest that does wins; where two equally simple ones do, the next pose
@@ -23,15 +22,12 @@ COUNTS = 4.0  # standard errors from which one strut of several counts as having
 
 
 def jump_threshold(false_alarm: float, onsets: int = WINDOW) -> float:
-    """Standard errors beyond which the greatest jump of a strut since one of `onsets` poses lies with the chance
-    `false_alarm` at the most.
-    """
+    """Threshold, in standard errors, of a strut's jump at one of `onsets` poses, for a `false_alarm` chance."""
     return float(-ndtri(false_alarm / (2 * STRUTS * onsets)))
 
 
 def likelihood_ratio_thresholds(false_alarm: float, onsets: int = WINDOW) -> dict[int, float]:
-    """{k: likelihood ratio} that the greatest of hypotheses with k numbers exceeds with the chance `false_alarm` at the
-    most, over all of them: a joint of each strut, all struts, and the frame, since all onsets but the last."""
+    """{k: threshold of the likelihood ratio} of hypotheses with k numbers, for a `false_alarm` chance."""
     looks = (STRUTS + 2) * (onsets - 1)
     return {k: float(chdtri(k, false_alarm / looks)) for k in range(1, STRUTS + 1)}
 
@@ -78,9 +74,7 @@ class Evidence:
 
 
 def detect_changes(evidence: list[Evidence]) -> tuple[Change, ...]:
-    """Changes that the last poses bear out, none where nothing changed. evidence : Evidence of the last 1, 2, ..
-    poses.
-    """
+    """Changes detected in the last poses. evidence : Evidence of the last 1, 2, .. poses"""
     for hypothesis in (_strut, _joint, _several):
         found = hypothesis(evidence)
         if found is not None:

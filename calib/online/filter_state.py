@@ -1,20 +1,34 @@
-"""What the on-line filter knows at one moment, and the steps from one state to the next. A step makes a new state: to
-go back is to keep one.
+"""State of the on-line filter, the steps from one state to the next, and its JSON file."""
 
-Source of the steps: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, docs/mathematics.md (22).
-"""
-
+import json
 from dataclasses import dataclass
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from calib.models.platform.identification import parameters, with_parameters
-from calib.models.platform.parameter_observability import frame_motion_columns
+from calib.models.platform.identification import geometric_parameters, mechanism_with_parameters
+from calib.models.platform.parameter_accuracy import frame_motion_columns
 from calib.online.change_detection import Change, Evidence
-from calib.online.square_root_kernels import ALARM, KINDS, REFUSED, SUMS, WINDOW, Estimate, Machine, Pose, follow, learn
-from rig.errors import RigError
+from calib.online.square_root_kernels import (
+    ALARM,
+    KINDS,
+    REFUSED,
+    SUMS,
+    WINDOW,
+    Estimate,
+    Machine,
+    Pose,
+    add_pose_to_estimate,
+    update_estimate,
+)
+from rig.errors import FileError, RigError
+from rig.formats import json_file
+from rig.formats.checked_entries import LARGEST_RIG, Entries
+from rig.formats.output_files import write_text
 from rig.model.design import Hexapod
+from rig.model.pose import pose as pose_of
+from rig.model.pose import pose_to_vector
 
 AGAIN = (8, 16, 32, 64, 128)  # poses after which all up to then are linearised again
 LARGER = 3.0  # times a change's size: standard deviation that what changed is opened by
@@ -59,7 +73,7 @@ class State(NamedTuple):
         return float(self.innovation @ self.innovation)
 
 
-def initial_estimate(p: np.ndarray, root: np.ndarray, shared: int) -> Estimate:
+def _initial_estimate(p: np.ndarray, root: np.ndarray, shared: int) -> Estimate:
     """Estimate of parameters p (42,) m with the square root (42, 42) 1/m of their information, before any pose;
     `shared` draws, unknown.
     """
@@ -70,17 +84,17 @@ def initial_estimate(p: np.ndarray, root: np.ndarray, shared: int) -> Estimate:
 
 
 def initial_state(start: Start, shared: int) -> State:
-    """State before any pose."""
-    return State(initial_estimate(parameters(start.nominal), start.root, shared), 0, (), (), np.zeros(6), False)
+    """Initial state, before any pose."""
+    return State(
+        _initial_estimate(geometric_parameters(start.nominal), start.root, shared), 0, (), (), np.zeros(6), False
+    )
 
 
 def state_of_new_session(state: State, shared: int) -> State:
-    """State from which on the poses share other errors: `shared` new draws; what was known of the old ones is
-    marginalised.
-    """
+    """State at the start of a new session, with `shared` new draws of common errors."""
     c, estimate = len(state.estimate.s), state.estimate
     return State(
-        initial_estimate(estimate.p, estimate.S[c:, c : c + 42], shared),
+        _initial_estimate(estimate.p, estimate.S[c:, c : c + 42], shared),
         state.learnt,
         (),
         None,
@@ -90,14 +104,14 @@ def state_of_new_session(state: State, shared: int) -> State:
 
 
 def state_with_pose(state: State, pose: Pose, start: Start, move: bool = True) -> State:
-    """State with a pose. move : whether the estimate follows at once.
+    """State with one more pose. move : whether the estimate follows at once.
 
     Raises RigError for a command that closes on no pose or a covariance that is none
     """
     before, slot, innovation = state.estimate, state.learnt % WINDOW, np.empty(6)
     after = Estimate(before.p.copy(), before.s.copy(), before.S.copy(), before.sums.copy())
     try:
-        said = learn(pose, start.machine, after, slot, innovation, move)
+        said = add_pose_to_estimate(pose, start.machine, after, slot, innovation, move)
     except ZeroDivisionError:  # a strut without length
         said = REFUSED
     if said == REFUSED:
@@ -113,25 +127,26 @@ def state_with_pose(state: State, pose: Pose, start: Start, move: bool = True) -
 
 
 def relinearised_state(state: State, start: Start) -> State:
-    """State with all poses so far, which `first` holds, once more from the start, linearised about the present
-    estimate.
+    """State relinearised: all poses so far filtered again about the present estimate.
 
     So the filter ends where the batch does, docs/mathematics.md (7)
     """
     assert state.first is not None
     p, s = state.estimate.p, state.estimate.s
-    begins, k = initial_estimate(p, start.root, len(s)), len(s) + 42
+    begins, k = _initial_estimate(p, start.root, len(s)), len(s) + 42
     begins.s[:] = s
-    begins.S[:, k] = np.r_[-s, start.root @ (parameters(start.nominal) - p)]
+    begins.S[:, k] = np.r_[-s, start.root @ (geometric_parameters(start.nominal) - p)]
     again = State(begins, state.learnt, (), (), state.innovation, False)
     for pose in state.first:
         again = state_with_pose(again, pose, start, move=False)
-    follow(again.estimate.p, again.estimate.s, again.estimate.S)  # in place: nothing else holds this estimate yet
+    update_estimate(
+        again.estimate.p, again.estimate.s, again.estimate.S
+    )  # in place: nothing else holds this estimate yet
     return again
 
 
 def change_evidence(state: State) -> list[Evidence]:
-    """Evidence of the last 1, 2, .. poses; none where no hypothesis can hold."""
+    """Evidence of changes from the last 1, 2, .. poses; none where no hypothesis can hold."""
     found: list[Evidence] = []
     if not state.alarm:
         return found
@@ -150,7 +165,7 @@ def change_evidence(state: State) -> list[Evidence]:
 
 
 def state_with_freed_changes(state: State, changes: tuple[Change, ...], start: Start) -> State:
-    """State that goes back to before changes, lets what changed move, and has learnt the poses since anew."""
+    """State with changed quantities freed: back to before the changes, the poses since learnt again."""
     at = next(k for k in range(1, WINDOW + 1) if state.recent[-k].pose.number == changes[0].onset)
     before = state.recent[-at].before
     estimate = Estimate(before.p, before.s, before.S.copy(), np.zeros_like(before.sums))
@@ -174,8 +189,116 @@ def _loosen(estimate: Estimate, change: Change, nominal: Hexapod) -> None:
         for k0, joint in enumerate((c + 3 * i, c + 18 + 3 * i)):
             g[joint + np.arange(3), 1 + 3 * k0 + np.arange(3)] = (LARGER if change.kind == "joint" else ASIDE) * size
     else:
-        moves = frame_motion_columns(with_parameters(nominal, estimate.p))[:, :6]
+        moves = frame_motion_columns(mechanism_with_parameters(nominal, estimate.p))[:, :6]
         g = np.concatenate([np.zeros((c, 6)), moves * LARGER * np.abs(change.size)])
     R, r = estimate.S[:, :k], g.shape[1]
     both = np.asarray(np.linalg.qr(np.block([[np.eye(r), np.zeros((r, k))], [-R @ g, R]]), mode="r"))
     estimate.S[:, :k] = both[r:, r:]
+
+
+SCHEMA = "online/1"
+MOST_SHARED = 1000  # draws that all poses' errors have in common: six for a camera
+SINGULAR = 1e-12  # 1/m; what a triangle's diagonal must exceed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Saved:
+    """start : Start; scatter : (6,) m; state : State; held : poses that wait; number : poses so far; data : marks of
+    what was learnt.
+    """
+
+    start: Start
+    scatter: np.ndarray
+    state: State
+    held: tuple[Pose, ...]
+    number: int
+    data: frozenset[str]
+
+
+def save_filter_state(path: Path | str, saved: Saved) -> None:
+    """Save a filter's state, whole or not at all."""
+    nominal, recent = saved.start.nominal, saved.state.recent
+    estimate, first = (recent[0].before, recent[0].first) if recent else (saved.state.estimate, saved.state.first)
+    tree = {
+        "schema": SCHEMA,
+        "nominal": {
+            "base_joints": nominal.base_joints.tolist(),
+            "strut_zeros": nominal.strut_zeros.tolist(),
+            "platform_joints": nominal.platform_joints.tolist(),
+            "home": pose_to_vector(nominal.home).tolist(),
+            "strut_range": nominal.strut_range.tolist(),
+        },
+        "root": saved.start.root.tolist(),
+        "scatter": saved.scatter.tolist(),
+        "p": estimate.p.tolist(),
+        "s": estimate.s.tolist(),
+        "S": estimate.S[:, : len(estimate.S) + 1].tolist(),
+        "number": saved.number,
+        "data": sorted(saved.data),
+        "recent": [_out(each.pose) for each in recent],
+        "held": [_out(pose) for pose in saved.held],
+        "first": None if first is None else [_out(pose) for pose in first],
+    }
+    write_text(path, json.dumps(tree) + "\n")
+
+
+def load_filter_state(path: Path | str) -> Saved:
+    """Load a filter's Saved state. Raises FileError for a file that is missing, cut off or of another kind."""
+    tree = json_file.load(Path(path), "state of on-line learning", SCHEMA)
+    nominal, s = _nominal(tree.table("nominal")), tree.array("s", (None,))
+    if len(s) > MOST_SHARED:
+        tree.fail(f"s has {len(s)} draws, more than {MOST_SHARED}", "s")
+    scatter = tree.array("scatter", (6,))
+    root, p = tree.array("root", (42, 42)), tree.array("p", (42,), length_limit=LARGEST_RIG)
+    start = Start(nominal, root, Machine(np.ascontiguousarray(nominal.home.as_matrix()), scatter**2))
+    estimate = _initial_estimate(p, root, len(s))
+    k = len(estimate.S)
+    estimate.s[:], estimate.S[:, : k + 1] = s, tree.array("S", (k, k + 1))
+    for key, R in (("root", root), ("S", estimate.S[:, :k])):
+        if not (np.abs(np.diag(R)) > SINGULAR).all() or np.tril(R, -1).any() and key == "S":
+            tree.fail(f"{key} is no triangle with an inverse", key)
+    first = None if tree.get("first") is None else _in(tree, "first", len(s), AGAIN[-1])
+    recent, held = _in(tree, "recent", len(s), WINDOW), _in(tree, "held", len(s), WINDOW)
+    number = tree.whole("number", 0)
+    state = State(estimate, 0, (), first, np.zeros(6), False)
+    try:
+        for pose in recent:
+            state = state_with_pose(state, pose, start)
+    except RigError as error:
+        raise FileError(
+            path, f"is no state of on-line learning: its last poses cannot be learnt again: {error}"
+        ) from None
+    return Saved(start, scatter, state, held, number, frozenset(tree.texts("data") if "data" in tree.tree else ()))
+
+
+def _nominal(table: Entries) -> Hexapod:
+    home = table.array("home", (6,))
+    return Hexapod(
+        table.array("base_joints", (6, 3), length_limit=LARGEST_RIG),
+        table.array("platform_joints", (6, 3), length_limit=LARGEST_RIG),
+        table.array("strut_range", (6, 2), length_limit=LARGEST_RIG),
+        pose_of(home[:3], home[3:]),
+        table.array("strut_zeros", (6,)),
+    )
+
+
+def _out(pose: Pose) -> list[Any]:
+    return [pose.number, *[part.tolist() for part in pose[1:]]]
+
+
+def _in(tree: Entries, key: str, shared: int, most: int) -> tuple[Pose, ...]:
+    """Poses of what `_out` wrote, at most so many."""
+    rows = tree.lists(key, 6)
+    if len(rows) > most:
+        tree.fail(f"{key} has {len(rows)} poses, more than {most}", key)
+    return tuple(
+        Pose(
+            row.whole(0, 0),
+            row.array(1, (6,)),
+            row.array(2, (3, 3)),
+            row.array(3, (3,)),
+            row.array(4, (6, 6)),
+            row.array(5, (6, shared)),
+        )
+        for row in rows
+    )

@@ -1,4 +1,4 @@
-"""The hexapod's 42 parameters one pose at a time: a square-root information filter that watches for changes.
+"""Square-root information filter of the hexapod's 42 parameters, pose by pose, with change detection.
 
 Linearised at every pose about the estimate of the moment, the first poses once more about a later one, it ends where a
 batch of the same poses does. What changed (change_detection.py) is told within three poses; the filter then goes back
@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.models.platform.identification import PRIOR, with_parameters
-from calib.online import filter_state_file
+from calib.models.platform.identification import PRIOR, mechanism_with_parameters
+from calib.online import filter_state
 from calib.online.change_detection import SUSPECT, Change, detect_changes
 from calib.online.filter_state import (
     AGAIN,
@@ -89,7 +89,7 @@ class Online:
     @property
     def hexapod(self) -> Hexapod:
         """The Hexapod as estimated now."""
-        return with_parameters(self.nominal, self.p)
+        return mechanism_with_parameters(self.nominal, self.p)
 
     @property
     def covariance(self) -> np.ndarray:
@@ -147,15 +147,14 @@ class Online:
 
     def save(self, path: Path | str) -> None:
         """Write the state, whole or not at all: the filter before its last poses, and those."""
-        filter_state_file.save(
-            path,
-            filter_state_file.Saved(self.start, self.scatter, self.state, self.held, self.number, frozenset(self.data)),
+        filter_state.save_filter_state(
+            path, filter_state.Saved(self.start, self.scatter, self.state, self.held, self.number, frozenset(self.data))
         )
 
     @classmethod
     def load(cls, path: Path | str) -> "Online":
         """The filter as saved. Raises FileError for a file that is missing, cut off, or none of these."""
-        saved = filter_state_file.load(path)
+        saved = filter_state.load_filter_state(path)
         made = cls(saved.start.nominal, 0, saved.scatter)
         made.start, made.state, made.held, made.number, made.data = (
             saved.start,

@@ -1,19 +1,21 @@
-"""Other ways of learning the 42 parameters pose by pose, behind the same update(x, pose, covariance) as
-calib/online/information_filter.py.
+"""Learners of the 42 parameters pose by pose (forgetting, Kalman, gradient), and their JSON file."""
 
-They watch for nothing: each says how far a pose was from what it expected, and follows it.
-"""
-
+import json
 from abc import ABC, abstractmethod
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.models.platform import closed_loop_kernels
-from calib.models.platform.identification import PRIOR, parameters, with_parameters
-from calib.models.platform.parameter_observability import PLAUSIBLE
+from calib.files.calibration_file_entries import mechanism_dict, mechanism_from_entries
+from calib.models.platform import closed_loop_equations
+from calib.models.platform.identification import PRIOR, geometric_parameters, mechanism_with_parameters
+from calib.models.platform.parameter_accuracy import PLAUSIBLE
 from rig.errors import RigError
+from rig.formats import json_file
+from rig.formats.checked_entries import LARGEST_RIG
+from rig.formats.output_files import write_text
 from rig.model.design import Hexapod
 
 NO_SCATTER = np.zeros(6)
@@ -32,7 +34,7 @@ class Learner(ABC):
     memory: np.ndarray
 
     def __init__(self, nominal: Hexapod) -> None:
-        self.nominal, self.p = nominal, parameters(nominal)
+        self.nominal, self.p = nominal, geometric_parameters(nominal)
         self.home = np.ascontiguousarray(nominal.home.as_matrix())
         self.number, self.data = 0, set[str]()
 
@@ -60,7 +62,7 @@ class Learner(ABC):
     @property
     def hexapod(self) -> Hexapod:
         """The Hexapod as estimated now."""
-        return with_parameters(self.nominal, self.p)
+        return mechanism_with_parameters(self.nominal, self.p)
 
     def rows(
         self, x: np.ndarray, matrix: np.ndarray, covariance: np.ndarray, p: np.ndarray
@@ -69,12 +71,12 @@ class Learner(ABC):
         R, t = self.home[:3, :3].copy(), self.home[:3, 3].copy()
         right, J = np.empty((6, 1)), np.zeros((6, 42))
         x, covariance = np.asarray(x, float), np.ascontiguousarray(covariance, float)
-        measured = closed_loop_kernels.Measured(
+        measured = closed_loop_equations.Measured(
             np.ascontiguousarray(matrix[:3, :3]), np.ascontiguousarray(matrix[:3, 3]), covariance
         )
         if (
-            not closed_loop_kernels.pose_of(x, p, R, t)
-            or not closed_loop_kernels.row(R, t, p, measured, NO_SCATTER, right, J)[0]
+            not closed_loop_equations.forward_kinematics_kernel(x, p, R, t)
+            or not closed_loop_equations.whitened_pose_row(R, t, p, measured, NO_SCATTER, right, J)[0]
         ):
             raise RigError(f"the commanded lengths {x.round(6).tolist()} m close on no pose, or its covariance is none")
         return right[:, 0], J
@@ -194,3 +196,40 @@ LEARNERS: dict[str, type[Forgetting | Drifting | FirstOrder]] = {
     "drifting": Drifting,
     "first-order": FirstOrder,
 }
+
+SCHEMA = "learner/1"
+
+
+def save_learner(path: Path | str, learner: Learner) -> None:
+    """Save a Learner to a file, whole or not at all."""
+    name = next(name for name, kind in LEARNERS.items() if type(learner) is kind)
+    tree = {
+        "schema": SCHEMA,
+        "learner": name,
+        learner.SETTING: learner.setting,
+        "nominal": mechanism_dict(learner.nominal),
+        "p": learner.p.tolist(),
+        "memory": learner.memory.tolist(),
+        "number": learner.number,
+        "data": sorted(learner.data),
+    }
+    write_text(path, json.dumps(tree) + "\n")
+
+
+def load_learner(path: Path | str) -> Learner:
+    """Load a Learner from its file. Raises FileError for a file that is missing, cut off or of another kind."""
+    tree = json_file.load(Path(path), "state of a learner", SCHEMA)
+    kind = LEARNERS[tree.text("learner", tuple(LEARNERS))]
+    nominal = mechanism_from_entries(tree.table("nominal"))
+    if not isinstance(nominal, Hexapod):
+        tree.fail("nominal is no hexapod", "nominal")
+    try:
+        learner = kind(nominal, tree.number(kind.SETTING))
+    except ValueError as error:
+        tree.fail(str(error), kind.SETTING)
+    learner.p, learner.memory = (
+        tree.array("p", (42,), length_limit=LARGEST_RIG),
+        tree.array("memory", learner.memory.shape),
+    )
+    learner.number, learner.data = tree.whole("number", 0), set(tree.texts("data"))
+    return learner

@@ -1,8 +1,4 @@
-"""Accepted measuring limbs as a source of a recording's poses, with vision looking at some of them.
-
-Every few poses vision checks; where the struts tell otherwise than the limbs, in whatever pose, it looks at the next
-ones too, so that a limb that slips between two checks is not believed until the next.
-"""
+"""Poses from accepted measuring limbs, recorded or live, checked now and then by vision."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify import measuring_limbs, redundant_limb_checks
+from calib.certify import measuring_limb_checks, measuring_limbs
+from calib.certify.measuring_limb_checks import Limbs
+from calib.online.change_detection import Change
 from calib.online.information_filter import Online
-from calib.online.limb_vision_agreement import Disagreement, LimbCheck
 from calib.online.measuring_limbs_file import Accepted
 from calib.samples.pose_samples import Samples, pair_samples
 from calib.samples.recording_samples import Sampled
@@ -21,6 +18,75 @@ from rig.model.mechanism_kinds import hexapod_of
 from rig.recording.frame_mask import select_frames
 from rig.recording.recording_folder import Recording
 from vision.recording_measurement import measure_recording
+
+IN_A_ROW = 3  # poses of vision that agree with nothing, from which it is not vision that is wrong
+
+
+@dataclass(frozen=True, slots=True)
+class Disagreement:
+    """reason : in words; limb : its number, from 1, or None where it is none of them alone; who : says so, in words"""
+
+    reason: str
+    limb: int | None
+    who: str = "Vision no longer agrees with the measuring limbs"
+
+
+class LimbCheck:
+    """Checks of one session. limbs : Limbs as accepted; shared : draws that all of vision's errors have in common in
+    it.
+    """
+
+    def __init__(self, limbs: Limbs, shared: int = 0) -> None:
+        self._online, self._limbs = Online(limbs.hexapod, shared, limbs.sigma, limbs.covariance), limbs.chosen
+        self._strange = 0
+
+    @property
+    def count(self) -> int:
+        """Checks so far."""
+        return self._online.number
+
+    @property
+    def undecided(self) -> bool:
+        """Whether the last pose disagreed and the next ones will say whether it alone was wrong."""
+        return bool(self._online.held)
+
+    def take(
+        self,
+        lengths: np.ndarray,
+        T_base_platform: RigidTransform,
+        covariance: np.ndarray,
+        common: np.ndarray | None = None,
+    ) -> Disagreement | None:
+        """What vision's pose says of limbs that read lengths (limbs,) m: None while they agree.
+
+        covariance : (6, 6) of vision's pose, m and rad, tangent on the right; common : (6, shared) factor of the errors
+            that vision's poses share
+        """
+        update = self._online.update(lengths[self._limbs], T_base_platform, covariance, common)
+        self._strange = self._strange + len(update.dropped) if update.held or update.dropped else 0
+        if update.changes:
+            return _named(update.changes[0], self._limbs)
+        if self._strange >= IN_A_ROW:
+            return Disagreement(f"{self._strange} poses in a row agree with no change of one limb or of the base", None)
+        return None
+
+
+def _named(change: Change, limbs: np.ndarray) -> Disagreement:
+    """What a Change says of limbs, of which the six whose numbers (from 0) are given tell the pose."""
+    if not isinstance(change.size, float):
+        position, rotation = (float(np.linalg.norm(part)) for part in (change.size[:3], change.size[3:]))
+        return Disagreement(
+            f"vision's poses are moved against the limbs' by {position * 1e6:.1f} um and "
+            f"{rotation * 1e6:.1f} urad: a camera, the "
+            "base or the limbs' frame was knocked",
+            None,
+        )
+    how = "it slipped" if change.kind == "strut" else "its joint was knocked, the amount differs from pose to pose"
+    limb = None if change.strut is None else int(limbs[change.strut - 1]) + 1
+    return Disagreement(
+        f"limb {limb} is longer by {change.size * 1e6:+.1f} +- {change.sigma * 1e6:.1f} um than it reads: {how}", limb
+    )
+
 
 LOOKS = 5  # poses that vision looks at where struts and limbs no longer tell the same
 SOURCE = "measuring limbs"
@@ -56,8 +122,7 @@ class Checked:
 
 
 def limb_poses(recording: Recording, accepted: Accepted) -> LimbPoses:
-    """LimbPoses of the frames whose exposures have readings, by the limbs that tell poses, the others left to
-    `check_limb_poses`.
+    """Limb poses of the frames whose exposures have readings, by the six limbs that give poses.
 
     Raises as insitu.readings does, NotConverged for readings that close on no pose
     """
@@ -67,13 +132,13 @@ def limb_poses(recording: Recording, accepted: Accepted) -> LimbPoses:
 
 
 def samples_of_limb_poses(recording: Recording, poses: LimbPoses) -> Sampled:
-    """Sampled of what was commanded and what the limbs told. Raises RigError without commands."""
+    """Samples of commands and limb poses (Sampled). Raises RigError without commands."""
     return Sampled(
         pair_samples(recording, poses.frames, poses.T_base_platform, poses.own, poses.common), SOURCE, None, None
     )
 
 
-def is_checked_by_vision(found: Samples, nominal: Hexapod, every: int) -> np.ndarray:
+def _is_checked_by_vision(found: Samples, nominal: Hexapod, every: int) -> np.ndarray:
     """(n,) bool: the poses of Samples by limbs at which vision looks, every so many and those after struts told
     otherwise.
     """
@@ -92,25 +157,24 @@ def check_limb_poses(
     recording: Recording,
     accepted: Accepted,
     poses: LimbPoses,
-    every: int,
+    check_interval: int,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Checked:
-    """Checked by limbs beyond six at every pose, and by vision, every so many poses at least, up to the first
-    disagreement; only the images of those frames are read.
+    """Check of limb poses by redundant limbs at each, and by vision at intervals, to the first disagreement.
 
     Raises what measuring raises
     """
-    open_ = redundant_limb_checks.first_unclosed_limb(accepted.limbs, poses.lengths)
+    open_ = measuring_limb_checks.first_unclosed_limb(accepted.limbs, poses.lengths)
     if open_ is not None:
-        return Checked(0, int(poses.frames[open_.at]), Disagreement(str(open_), open_.limb, redundant_limb_checks.WHO))
+        return Checked(0, int(poses.frames[open_.at]), Disagreement(str(open_), open_.limb, measuring_limb_checks.WHO))
     if recording.corners is None and not recording.has_images:
         return Checked(0, None, None)
-    look = np.arange(len(poses.frames)) % every == 0
+    look = np.arange(len(poses.frames)) % check_interval == 0
     if recording.commands is not None:
-        look = is_checked_by_vision(
+        look = _is_checked_by_vision(
             pair_samples(recording, poses.frames, poses.T_base_platform, poses.own, poses.common),
             hexapod_of(recording.design.mechanism),
-            every,
+            check_interval,
         )
     measured, _ = measure_recording(select_frames(recording, poses.frames[look]), progress=progress)
     own = measured.covariance - measured.common @ np.swapaxes(measured.common, 1, 2)
@@ -120,3 +184,55 @@ def check_limb_poses(
         if found is not None:
             return Checked(checks.count, frame, found)
     return Checked(checks.count, None, None)
+
+
+class LiveLimbPoses:
+    """in_force : whether the limbs still stand for vision, until a check says otherwise. accepted : Accepted;
+    every : poses between two looks
+    """
+
+    def __init__(self, accepted: Accepted, every: int) -> None:
+        self.accepted, self.in_force = accepted, True
+        self._checks, self._every, self._number, self._looks = LimbCheck(accepted.limbs), every, 0, 0
+        self._last: list[np.ndarray] = []
+
+    def pose(self, lengths: np.ndarray) -> tuple[RigidTransform, np.ndarray, np.ndarray]:
+        """(T_base_platform, own (6, 6), common (6, 42)) of readings (limbs,) m; own : covariance, common : factor of
+        what all poses share, m and rad.
+
+        Raises NotConverged for readings that close on no pose
+        """
+        T = self.accepted.limbs.pose(lengths)
+        return T, *self.accepted.limbs.uncertainty(T)
+
+    def is_closed(self, lengths: np.ndarray) -> Disagreement | None:
+        """What limbs beyond six say of readings (limbs,) m and those before; where they disagree, limbs are out of
+        force. Raises as `pose`
+        """
+        self._last = [*self._last[1 - measuring_limb_checks.IN_A_ROW :], lengths]
+        open_ = measuring_limb_checks.first_unclosed_limb(self.accepted.limbs, np.array(self._last))
+        self.in_force = open_ is None
+        return None if open_ is None else Disagreement(str(open_), open_.limb, measuring_limb_checks.WHO)
+
+    def is_check_due(self, unsure: bool) -> bool:
+        """Whether vision looks at the pose in hand, once for each pose. unsure : whether the struts tell otherwise than
+        the limbs
+        """
+        self._looks = LOOKS if unsure else max(self._looks - 1, 0)
+        now = self._number % self._every == 0 or self._looks > 0 or self._checks.undecided or not self._checks.count
+        self._number += 1
+        return now
+
+    def check(
+        self, lengths: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray
+    ) -> Disagreement | None:
+        """What vision's pose with its covariance (6, 6), m and rad, says of limbs that read lengths (limbs,) m; where
+        it disagrees they are out of force."""
+        found = self._checks.take(lengths, T_base_platform, covariance)
+        self.in_force = found is None
+        return found
+
+    @property
+    def undecided(self) -> bool:
+        """Whether the last check disagreed and the next ones say who was wrong."""
+        return self._checks.undecided

@@ -1,6 +1,4 @@
-"""limbs.json <-> measuring limbs that were held against vision: geometry, covariance, agreement, tolerance, verdict,
-and whether it still stands.
-"""
+"""limbs.json: accepted measuring limbs with their geometry, agreement and verdict, saved and loaded."""
 
 import json
 from dataclasses import dataclass, replace
@@ -10,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from calib.certify.fitted_limbs import Checks, Limbs
+from calib.certify.measuring_limb_checks import Checks, Limbs
 from calib.certify.measuring_limbs import Agreement, limb_hexapod, stated_limbs
-from calib.files.calibration_file import covariance_in
-from calib.files.mechanism_json import mechanism_dict, mechanism_from_entries
+from calib.files.calibration_file import covariance_from_entries
+from calib.files.calibration_file_entries import mechanism_dict, mechanism_from_entries
 from rig.errors import FileError, RigError
 from rig.formats import json_file
 from rig.formats.checked_entries import Entries
@@ -59,20 +57,20 @@ class Accepted:
         return "refused" if not self.agreement.passed.all() else "accepted" if self.withdrawn is None else "withdrawn"
 
 
-def save(path: Path | str, found: Accepted) -> None:
-    """Write a limbs.json, whole or not at all."""
-    a, w = found.agreement, found.withdrawn
+def save_limbs(path: Path | str, accepted: Accepted) -> None:
+    """Save accepted limbs as limbs.json, whole or not at all."""
+    a, w = accepted.agreement, accepted.withdrawn
     tree = {
         "schema": SCHEMA,
         "units": UNITS,
-        "verdict": found.verdict,
+        "verdict": accepted.verdict,
         "tolerance": a.tolerance.tolist(),
-        "stated": mechanism_dict(found.nominal),
-        "limbs": mechanism_dict(found.limbs.hexapod),
-        "covariance": found.limbs.covariance.tolist(),
-        "reading_sigma": found.limbs.sigma.tolist(),
-        "chosen": (found.limbs.chosen + 1).tolist(),
-        "checks": _checks_out(found.limbs.checks),
+        "stated": mechanism_dict(accepted.nominal),
+        "limbs": mechanism_dict(accepted.limbs.hexapod),
+        "covariance": accepted.limbs.covariance.tolist(),
+        "reading_sigma": accepted.limbs.sigma.tolist(),
+        "chosen": (accepted.limbs.chosen + 1).tolist(),
+        "checks": _checks_out(accepted.limbs.checks),
         "agreement": {
             "n": a.n,
             "bias": a.bias.tolist(),
@@ -85,14 +83,13 @@ def save(path: Path | str, found: Accepted) -> None:
         "withdrawn": None
         if w is None
         else {"recording": w.recording, "frame": w.frame, "reason": w.reason, "created": w.created},
-        "provenance": found.provenance,
+        "provenance": accepted.provenance,
     }
     write_text(path, json.dumps(tree, indent=1) + "\n")
 
 
-def load(path: Path | str) -> Accepted:
-    """Accepted of a limbs.json, whatever its verdict. Raises FileError for a file that is missing, cut off, of another
-    schema, or that holds an array of another shape or a figure that cannot be."""
+def load_limbs(path: Path | str) -> Accepted:
+    """Load Accepted limbs from a limbs.json, whatever its verdict. Raises FileError"""
     tree = json_file.load(Path(path), "limbs.json", SCHEMA)
     nominal, hexapod = _hexapod(tree, "stated"), _hexapod(tree, "limbs")
     sigma, table = tree.array("reading_sigma", (6,)), tree.table("agreement")
@@ -116,7 +113,7 @@ def load(path: Path | str) -> Accepted:
     proven = parts.pop("surely")
     agreement = Agreement(table.whole("n", 1), tolerance=tree.array("tolerance", (6,)), proven_limits=proven, **parts)
     found = Accepted(
-        Limbs(hexapod, covariance_in(tree, 42, "covariance"), sigma, chosen, checks),
+        Limbs(hexapod, covariance_from_entries(tree, 42, "covariance"), sigma, chosen, checks),
         nominal,
         agreement,
         _withdrawal(tree),
@@ -129,9 +126,8 @@ def load(path: Path | str) -> Accepted:
 
 
 def accepted_limbs(path: Path | str, design: Design) -> Accepted:
-    """Accepted of a limbs.json whose limbs may stand for vision on a rig. Raises RigError where they were refused,
-    where their acceptance was withdrawn, and where rig.toml states other limbs."""
-    found = load(path)
+    """Accepted limbs of a limbs.json that may replace vision on a rig. Raises RigError where they may not."""
+    found = load_limbs(path)
     limbs, six = stated_limbs(design), found.limbs.chosen
     spare = 0 if found.limbs.checks is None else len(found.limbs.checks.limbs)
     if len(limbs.channels) != len(six) + spare:
@@ -162,19 +158,19 @@ def accepted_limbs(path: Path | str, design: Design) -> Accepted:
     return found
 
 
-def withdraw_acceptance(found: Accepted, recording: str, frame: int, reason: str) -> Accepted:
-    """The same with its acceptance withdrawn from now on. recording, frame : where it was found; reason : in words"""
+def withdraw_acceptance(accepted: Accepted, recording: str, frame: int, reason: str) -> Accepted:
+    """Accepted limbs with their acceptance withdrawn. recording, frame : where it was found; reason : in words"""
     return replace(
-        found, withdrawn=Withdrawal(recording, frame, reason, datetime.now(UTC).isoformat(timespec="seconds"))
+        accepted, withdrawn=Withdrawal(recording, frame, reason, datetime.now(UTC).isoformat(timespec="seconds"))
     )
 
 
 def is_limbs_file(path: Path) -> bool:
-    """Whether a file is there that `save` wrote. Raises FileError for any other file that is there."""
+    """Whether a file is a limbs.json. Raises FileError for any other file that is there."""
     if not path.exists():
         return False
     try:
-        load(path)
+        load_limbs(path)
     except FileError as error:
         raise FileError(path, f"is there and is no limbs.json ({error}); name another file") from None
     return True
@@ -215,7 +211,7 @@ def _checks_in(tree: Entries) -> Checks | None:
         np.array([row.array("base_joint", (3,)) for row in rows]),
         np.array([row.array("platform_joint", (3,)) for row in rows]),
         np.array([row.number("zero") for row in rows]),
-        np.array([covariance_in(row, 7, "covariance") for row in rows]),
+        np.array([covariance_from_entries(row, 7, "covariance") for row in rows]),
         np.array([row.number("reading_sigma", above=0) for row in rows]),
     )
 

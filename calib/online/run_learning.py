@@ -1,6 +1,4 @@
-"""Poses learnt as a run takes them: what the machine is by now, what jumped, and whether it drifts from its
-calibration.
-"""
+"""Learning of the geometry during a run: jumps of struts, and drift from the calibration."""
 
 from copy import copy
 from dataclasses import dataclass, replace
@@ -8,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify import measuring_limbs, redundant_limb_checks
+from calib.certify import measuring_limb_checks, measuring_limbs
 from calib.certify.calibration import Calibration
 from calib.correct.correction import Correction
 from calib.online.change_detection import Change
@@ -141,7 +139,7 @@ class LimbWatch:
                 n = np.arange(measuring_limbs.FEWEST)
                 read, poses, covariances = zip(*self._read)
                 T = RigidTransform.concatenate(poses)
-                chosen = redundant_limb_checks.best_six_limbs(self._stated, self._home, T)
+                chosen = measuring_limb_checks.best_six_limbs(self._stated, self._home, T)
                 samples = Samples(
                     n,
                     n.astype(float),

@@ -1,5 +1,4 @@
-"""One pose into a square-root information filter, compiled: the triangle, the estimate, and what a jump would have
-looked like.
+"""Compiled kernels of the square-root information filter: one pose taken in, sums for jumps updated.
 
 The state is a triangle [R | z | signatures]: R dp = z about the present estimate, moved so that z is zero. A pose adds
 six whitened rows; Householder reflections bring the triangle back, and what they leave in the rows is the whitened
@@ -14,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.models.platform.closed_loop_kernels import Measured, pose_of, row
+from calib.models.platform.closed_loop_equations import Measured, forward_kinematics_kernel, whitened_pose_row
 from calib.online.change_detection import JUMP, MOVED, WINDOW
 from rig.compute.numba_kernels import njit
 
@@ -60,7 +59,7 @@ class Estimate(NamedTuple):
 
 
 @njit(cache=True)
-def absorb(S: np.ndarray, rows: np.ndarray) -> None:
+def _absorb(S: np.ndarray, rows: np.ndarray) -> None:
     """Householder reflections: the upper triangle S (k, w) takes in rows (m, w), whose first k columns become zero."""
     k, width, m = S.shape[0], S.shape[1], rows.shape[0]
     dot = np.empty(width)
@@ -93,7 +92,7 @@ def absorb(S: np.ndarray, rows: np.ndarray) -> None:
 
 
 @njit(cache=True)
-def frame_motion(R: np.ndarray, t: np.ndarray, out: np.ndarray) -> None:
+def _frame_motion(R: np.ndarray, t: np.ndarray, out: np.ndarray) -> None:
     """Into out (6, 6): the pose's tangent on the right by the base's tangent on the left, at pose R (3, 3), t (3,)."""
     out[:] = 0.0
     for i in range(3):
@@ -106,8 +105,8 @@ def frame_motion(R: np.ndarray, t: np.ndarray, out: np.ndarray) -> None:
 
 
 @njit(cache=True)
-def follow(p: np.ndarray, s: np.ndarray, S: np.ndarray) -> None:
-    """The estimate p (42,), s (c,) moves to where the triangle S has it, and z becomes zero."""
+def update_estimate(p: np.ndarray, s: np.ndarray, S: np.ndarray) -> None:
+    """Update the estimate p (42,), s (c,) to that of the triangle S; its right side becomes zero."""
     c = len(s)
     k = c + 42
     step = np.empty(k)
@@ -124,9 +123,10 @@ def follow(p: np.ndarray, s: np.ndarray, S: np.ndarray) -> None:
 
 
 @njit(cache=True)
-def learn(pose: Pose, machine: Machine, estimate: Estimate, slot: int, innovation: np.ndarray, move: bool) -> int:
-    """One pose into the estimate, in place. Returns REFUSED where the command closes on no pose near home or something
-    is not regular; then nothing changed. Else ALARM where something may have changed, or QUIET.
+def add_pose_to_estimate(
+    pose: Pose, machine: Machine, estimate: Estimate, slot: int, innovation: np.ndarray, move: bool
+) -> int:
+    """Add one pose to the estimate, in place. Returns REFUSED where the pose does not close or is not regular;
 
     pose : Pose; machine : Machine; estimate : Estimate; slot : the onset that begins with this pose
     innovation : (6,) gets the whitened innovation; move : whether the estimate follows at once; otherwise z gathers,
@@ -136,16 +136,16 @@ def learn(pose: Pose, machine: Machine, estimate: Estimate, slot: int, innovatio
     c = len(s)
     k = c + 42
     R, t = machine.home[:3, :3].copy(), machine.home[:3, 3].copy()
-    if not pose_of(pose.command, p, R, t):
+    if not forward_kinematics_kernel(pose.command, p, R, t):
         return REFUSED
     right, J, motion = np.empty((6, 7 + c)), np.zeros((6, 42)), np.empty((6, 6))
-    frame_motion(R, t, motion)
+    _frame_motion(R, t, motion)
     right[:, 1 : 1 + c] = pose.common
     right[:, 1 + c :] = motion
-    well, struts = row(R, t, p, Measured(pose.R, pose.t, pose.covariance), machine.variance, right, J)
+    well, struts = whitened_pose_row(R, t, p, Measured(pose.R, pose.t, pose.covariance), machine.variance, right, J)
     if not well:
         return REFUSED
-    begin(S, sums, slot)
+    _begin(S, sums, slot)
     rows = np.zeros((6, S.shape[1]))
     rows[:, :c] = right[:, 1 : 1 + c]
     rows[:, c:k] = J
@@ -158,16 +158,16 @@ def learn(pose: Pose, machine: Machine, estimate: Estimate, slot: int, innovatio
             at = k + 1 + KINDS * w
             rows[:, at : at + 6] = struts
             rows[:, at + 6 : at + 12] = right[:, 1 + c :]
-    absorb(S, rows)
+    _absorb(S, rows)
     innovation[:] = rows[:, k]
-    gather(rows, k, sums)
+    _gather(rows, k, sums)
     if move:
-        follow(p, s, S)
-    return ALARM if suspicious(sums) else QUIET
+        update_estimate(p, s, S)
+    return ALARM if _suspicious(sums) else QUIET
 
 
 @njit(cache=True)
-def begin(S: np.ndarray, sums: np.ndarray, slot: int) -> None:
+def _begin(S: np.ndarray, sums: np.ndarray, slot: int) -> None:
     """An onset begins in a slot: its KINDS columns of the triangle S (n, n) and its row of the sums (slots, ..) are
     nothing yet.
     """
@@ -178,7 +178,7 @@ def begin(S: np.ndarray, sums: np.ndarray, slot: int) -> None:
 
 
 @njit(cache=True)
-def gather(rows: np.ndarray, k: int, sums: np.ndarray) -> None:
+def _gather(rows: np.ndarray, k: int, sums: np.ndarray) -> None:
     """Add to every onset's sums (WINDOW, SUMS) what a pose's rows (6, w) tell of it: the innovation is their column
     k.
     """
@@ -196,7 +196,7 @@ def gather(rows: np.ndarray, k: int, sums: np.ndarray) -> None:
 
 
 @njit(cache=True)
-def suspicious(sums: np.ndarray) -> bool:
+def _suspicious(sums: np.ndarray) -> bool:
     """Whether any onset's sums (WINDOW, SUMS) leave room for a change."""
     for w in range(WINDOW):
         if sums[w, -1] > 0:

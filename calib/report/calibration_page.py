@@ -1,4 +1,4 @@
-"""What a calibration is worth, as words, tables and its page, in mm and mrad."""
+"""HTML page of a platform's calibration: verdict, errors, corrections and parameters in mm and mrad."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,31 +6,29 @@ from typing import Any
 
 import numpy as np
 
-from calib.certify.calibration import Calibration
+from calib.certify.calibration import Calibration, claim_lines
 from calib.certify.calibration_evidence import calibration_verdict
-from calib.certify.calibration_verdict import claim_lines
-from calib.certify.held_out_errors import Figures, HeldOut, errors_before_and_after
+from calib.certify.held_out_errors import Figures, HeldOut, errors_before_and_after_correction
 from calib.correct.correction import Correction
 from calib.correct.interpolation.gaussian_process import Radial
 from calib.models.platform.identification import Identified
-from calib.models.platform.parameter_observability import parameter_combinations
-from calib.report.pose_figures import correction_error_figures, pose_coverage_figures
-from calib.report.scene_3d import rig_stage
+from calib.models.platform.parameter_accuracy import parameter_combinations
+from calib.report.pose_figures import correction_error_figures, pose_coverage_figures, rig_scene
 from calib.samples.pose_samples import Samples
-from calib.workspace.workspace_figures import workspace_section_html
+from calib.workspace.workspace_page import workspace_section_html
 from rig.formats.machine_json import GEOMETRY
 from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_elements import folding_section, heading, list_html, note, paragraph, table
-from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.page_and_svg_templates import Link, Page, write_page
 from rig.report.pages.plots import Series, panel_row, plot_panel
 from rig.report.pages.view_3d import view_3d_html as view
 from rig.report.pages.view_3d import view_scripts
 
 
-def calibration_page(
+def write_calibration_page(
     path: Path | str,
     recording: Recording,
     calibration: Calibration,
@@ -38,16 +36,14 @@ def calibration_page(
     found: Identified,
     links: Sequence[Link] = (),
 ) -> None:
-    """Write the page of a calibration: what it is worth, before and after on held-out poses, strut corrections,
-    coverage, parameters.
-    """
+    """Write the HTML page of a platform's calibration: held-out errors, corrections, coverage, parameters."""
     correction = calibration.correction
     parts = [
         *evidence_html(calibration),
         *_held(calibration.held_out),
         heading("Before and after, pose by pose"),
         note("All poses; the fit has seen these."),
-        correction_error_figures(*errors_before_and_after(correction, samples), samples.frame),
+        correction_error_figures(*errors_before_and_after_correction(correction, samples), samples.frame),
         *view_3d_html(recording, calibration, samples),
         heading("What each strut is corrected by"),
         note("Dots: x - IK(GDK(x)) at the visited configurations. Squares: the correction at the same configurations."),
@@ -71,11 +67,11 @@ def calibration_page(
 
 
 def view_3d_html(recording: Recording, calibration: Calibration, samples: Samples) -> list[str]:
-    """HTML of the rig in three dimensions, errors before and after; nothing where positions were not measured."""
+    """HTML of the 3-D view of the rig with errors before and after; empty where positions were not measured."""
     if not samples.measured.startswith("pos"):
         return []
-    before, after = errors_before_and_after(calibration.correction, samples)
-    shown = rig_stage(
+    before, after = errors_before_and_after_correction(calibration.correction, samples)
+    shown = rig_scene(
         recording.design,
         samples.frame,
         samples.T_base_platform,
@@ -86,9 +82,7 @@ def view_3d_html(recording: Recording, calibration: Calibration, samples: Sample
 
 
 def evidence_html(calibration: Calibration) -> list[str]:
-    """HTML of what the judgement of a Calibration and its claim rest on; nothing of a calibration that claims
-    nothing.
-    """
+    """HTML of the evidence for a calibration and its claim; empty without a claim."""
     claim = calibration.claim
     return [] if claim is None else [list_html([*calibration_verdict(calibration).rests_on, *claim_lines(claim)[1:]])]
 
@@ -182,7 +176,7 @@ def _parameters(calibration: Calibration) -> str:
 
 
 def provenance_html(calibration: Calibration) -> str:
-    """HTML of where a calibration came from; the marks of its data are for programs."""
+    """HTML of a calibration's provenance."""
     rows = {name: part for name, part in calibration.provenance.items() if name not in ("data", "passes")}
     before = {
         f"pass {k + 1}": {name: one[name] for name in ("recording", "created", "pass") if name in one}
@@ -192,7 +186,7 @@ def provenance_html(calibration: Calibration) -> str:
 
 
 def flattened_rows(tree: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
-    """Rows (name, value) of a nested dict, for a table."""
+    """Rows (name, value) of a nested dict, flattened for a table."""
     rows: list[tuple[str, Any]] = []
     for key, value in tree.items():
         name = f"{prefix}{key}"

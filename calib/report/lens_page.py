@@ -1,4 +1,4 @@
-"""The page of a lens calibration: models held out, residual map, uncertainty of projection over the frame."""
+"""HTML page of a lens calibration: held-out models, residual map and projection uncertainty."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from rig.report.pages.html_elements import heading, note, paragraph, table
-from rig.report.pages.image_plane_figures import Arrows, Cells, image_plane
-from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.image_plane_figures import Arrows, Cells, image_plane_figure
+from rig.report.pages.page_and_svg_templates import Link, Page, write_page
 from rig.report.pages.plots import Series, panel_row, plot_panel
 from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
 from vision.lenses.board_photographs import Calibrated
@@ -17,9 +17,9 @@ FEW = 10  # photographs, below which a lens is to be looked at
 UNSURE = 0.5  # px at worst, from which it is so too
 
 
-def lens_page(path: Path | str, found: Calibrated, links: Sequence[Link] = ()) -> None:
-    """Write the page of a Calibrated."""
-    fit, held = found.fit, found.models[found.fit.terms].held
+def write_lens_page(path: Path | str, lens_calibration: Calibrated, links: Sequence[Link] = ()) -> None:
+    """Write the HTML page of a lens calibration."""
+    fit, held = lens_calibration.fit, lens_calibration.models[lens_calibration.fit.terms].held
     names = [*("fx", "fy", "cx", "cy"), *[name for _, name in fit.adjustment.shared_names[4:]]]
     values = [fit.camera.matrix[0, 0], fit.camera.matrix[1, 1], *fit.camera.matrix[:2, 2], *fit.camera.distortion]
     sigma = np.sqrt(np.diag(fit.adjustment.shared_covariance) * fit.adjustment.cost / fit.adjustment.dof)
@@ -28,7 +28,7 @@ def lens_page(path: Path | str, found: Calibrated, links: Sequence[Link] = ()) -
     ]
     parts = [
         paragraph(
-            f"{len(found.used)} photographs, {fit.inliers.sum()} corners; the fit leaves {fit.rms:.4f} px "
+            f"{len(lens_calibration.used)} photographs, {fit.inliers.sum()} corners; the fit leaves {fit.rms:.4f} px "
             "RMS per axis, on photographs "
             f"held out {f'{held.rms:.4f} px' if held else 'nothing is known'}."
         ),
@@ -38,40 +38,57 @@ def lens_page(path: Path | str, found: Calibrated, links: Sequence[Link] = ()) -
             "standard error of the best the "
             "simplest is taken."
         ),
-        table(("model", "fitted, px RMS", "held out, px RMS", ""), _models(found)),
+        table(("model", "fitted, px RMS", "held out, px RMS", ""), _models(lens_calibration)),
         heading("What the lens leaves over, and how well it is known"),
         note(
             "Uncertainty: the standard one of where a direction is seen, px, less what a small turn of the "
             "camera would undo. Dots are "
             "corners; few of them, or none, near an edge make it grow there."
         ),
-        panel_row(_residuals(found), _uncertainty(found), _held(found)),
+        panel_row(_residuals(lens_calibration), _uncertainty(lens_calibration), _held(lens_calibration)),
         heading("Parameters"),
         table(("term", "value", "± (k = 2)"), terms),
     ]
-    if found.left_out:
+    if lens_calibration.left_out:
         parts += [
             heading("Photographs left out"),
-            table(("photograph", "reason"), [(p.name, reason) for p, reason in found.left_out]),
+            table(("photograph", "reason"), [(p.name, reason) for p, reason in lens_calibration.left_out]),
         ]
     write_page(
-        path, Page("lens", f"Lens of {fit.camera.name}", lens_verdict(found), parts, recommended_actions(found), links)
+        path,
+        Page(
+            "lens",
+            f"Lens of {fit.camera.name}",
+            lens_verdict(lens_calibration),
+            parts,
+            _recommended_actions(lens_calibration),
+            links,
+        ),
     )
 
 
-def lens_verdict(found: Calibrated) -> Verdict:
-    """The verdict on a lens."""
+def lens_verdict(lens_calibration: Calibrated) -> Verdict:
+    """Verdict on a lens calibration."""
     why = (
-        f"a direction is projected to {found.middle:.3f} px in the middle of the frame and {found.worst:.3f} px "
+        f"a direction is projected to {lens_calibration.middle:.3f} px in the middle of the frame and "
+        f"{lens_calibration.worst:.3f} px "
         "at worst (standard uncertainty)"
     )
-    missing = [Missing("no photograph could be held out")] if found.models[found.fit.terms].held is None else []
-    missing += [Missing(f"it rests on {len(found.used)} photographs alone")] if len(found.used) < FEW else []
-    missing += [Missing(f"that is more than {UNSURE:g} px")] if found.worst > UNSURE else []
+    missing = (
+        [Missing("no photograph could be held out")]
+        if lens_calibration.models[lens_calibration.fit.terms].held is None
+        else []
+    )
+    missing += (
+        [Missing(f"it rests on {len(lens_calibration.used)} photographs alone")]
+        if len(lens_calibration.used) < FEW
+        else []
+    )
+    missing += [Missing(f"that is more than {UNSURE:g} px")] if lens_calibration.worst > UNSURE else []
     return judge_evidence(Evidence(why, missing=tuple(missing)))
 
 
-def recommended_actions(found: Calibrated) -> list[str]:
+def _recommended_actions(found: Calibrated) -> list[str]:
     """What an owner does next with a lens."""
     more = (
         "Take more photographs with the board near the edges that are bluest in the map of uncertainty, tilted "
@@ -114,7 +131,7 @@ def _residuals(found: Calibrated) -> str:
     camera, uv, r, good = found.fit.camera, found.observations.uv, found.fit.residuals, found.fit.inliers
     drawn = DRAWN * camera.width
     common = max(float(np.quantile(np.abs(r[good]), 0.98)), 1e-9)
-    return image_plane(
+    return image_plane_figure(
         f"residuals of {good.sum()} corners",
         f"an arrow of {drawn:.0f} px is {common:.3f} px",
         (camera.width, camera.height),
@@ -125,7 +142,7 @@ def _residuals(found: Calibrated) -> str:
 def _uncertainty(found: Calibrated) -> str:
     camera, centre = found.fit.camera, found.uv.reshape(-1, 2)
     cells = Cells(centre, found.sigma.ravel(), float(abs(found.uv[0, 1, 0] - found.uv[0, 0, 0])), "px")
-    return image_plane(
+    return image_plane_figure(
         f"uncertainty, {found.middle:.3f} px in the middle",
         f"where it is bluest: {found.worst:.3f} px",
         (camera.width, camera.height),

@@ -1,28 +1,102 @@
-"""The page of a measurement: what the cameras leave over, where the platform went, how well each pose is known, in mm
-and mrad.
-"""
+"""HTML page of a measurement: camera residuals, pictures of frames, platform poses and uncertainty."""
 
+import base64
+import html
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from calib.report.frame_pictures import frame_of_greatest_residual, frame_of_median_residual, frame_pictures_html
 from calib.report.pose_figures import pose_coverage_figures
 from calib.samples.pose_samples import rms_uncertainty
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_elements import folding_section, heading, list_html, note, paragraph, table
-from rig.report.pages.image_plane_figures import Arrows, Cells, image_plane, patch_means
-from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.image_plane_figures import Arrows, Cells, image_plane_figure, patch_means
+from rig.report.pages.page_and_svg_templates import Link, Page, write_page
 from rig.report.pages.plots import Series, panel_row, plot_panel
 from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge_evidence
+from vision import jpeg_pictures
 from vision.bundle.held_out_frames import HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places
 from vision.reading.marker_identity import Suspect
 from vision.reading.recording_corners import Collected
 from vision.recording_adjustment import Measurement
+
+ENLARGED = 200.0
+
+
+def _frame_pictures_html(recording: Recording, measurement: Measurement, frame: int) -> list[str]:
+    """HTML of the images of a frame; nothing where the recording has corners alone."""
+    images = jpeg_pictures.frame_jpegs(recording, frame)
+    if not images:
+        return []
+    figures = [
+        _figure(measurement, i, frame, images[camera.name])
+        for i, camera in enumerate(measurement.design.cameras)
+        if camera.name in images
+    ]
+    return [
+        note(
+            "Outlined in green: markers that were used; in red: set aside, at a corner at least. Yellow: "
+            f"residuals, {ENLARGED:g} times as "
+            "long as they are. A marker says its number when it is pointed at."
+        ),
+        '<div class="panels">' + "".join(figures) + "</div>",
+    ]
+
+
+def _frame_of_median_residual(measurement: Measurement) -> int:
+    """The solved frame whose residual is the middle one of all."""
+    rms = _by_frame(measurement)
+    return int(measurement.frames[np.argsort(rms)[len(rms) // 2]])
+
+
+def _frame_of_greatest_residual(measurement: Measurement) -> int:
+    """The solved frame with the greatest residual."""
+    return int(measurement.frames[int(np.argmax(_by_frame(measurement)))])
+
+
+def _by_frame(m: Measurement) -> np.ndarray:
+    """(f,) px RMS of the corners of each solved frame, those set aside as well."""
+    o, square = m.observations, (m.residuals**2).sum(axis=1)
+    out = np.zeros(len(m.frames))
+    for k, frame in enumerate(m.frames):
+        own = (o.frames[o.frame] == frame) & np.isfinite(square)
+        out[k] = np.sqrt(square[own].mean()) if own.any() else 0.0
+    return out
+
+
+def _figure(m: Measurement, i: int, frame: int, image: bytes) -> str:
+    camera, o, ids = m.design.cameras[i], m.observations, m.ids()
+    rows = np.flatnonzero((o.camera == i) & (o.frames[o.frame] == frame))
+    shapes = []
+    for marker in np.unique(o.marker[rows]):
+        own = rows[o.marker[rows] == marker]
+        own = own[np.argsort(o.corner[own])]
+        good = bool(m.inliers[own].all())
+        points = " ".join(f"{u:.1f},{v:.1f}" for u, v in o.uv[own].tolist())
+        said = f"marker {ids[marker]}" + ("" if good else ", set aside")
+        shapes.append(
+            f'<polygon class="quad{"" if good else " aside"}" points="{points}"><title>{said}</title></polygon>'
+        )
+    solved = rows[np.isfinite(m.residuals[rows, 0]) & m.inliers[rows]]
+    d = "".join(
+        f"M{u:.1f} {v:.1f}l{du:.1f} {dv:.1f}"
+        for (u, v), (du, dv) in zip(o.uv[solved].tolist(), (ENLARGED * m.residuals[solved]).tolist())
+    )
+    rms = f", {np.sqrt((m.residuals[solved] ** 2).mean()):.3f} px RMS" if len(solved) else ""
+    said = f"frame {frame}, {camera.name}: {len(np.unique(o.marker[rows]))} markers{rms}"
+    return (
+        f'<figure class="picture"><div class="stack"><img alt="{html.escape(said)}" width="{camera.width}" '
+        f'height="{camera.height}" '
+        f'src="data:image/jpeg;base64,{base64.b64encode(image).decode()}">'
+        f'<svg role="img" aria-label="its markers, outlined" viewBox="-0.5 -0.5 {camera.width} '
+        f'{camera.height}">{"".join(shapes)}'
+        f'<path class="residual" d="{d}"/></svg></div><figcaption>{html.escape(said)}</figcaption></figure>'
+    )
+
 
 SOLVED = 0.5  # of the frames, below which a measurement is bad
 TWICE = 2.0  # of the squares that the covariance predicts, from which it is not to be believed
@@ -44,21 +118,19 @@ class MeasurementResult:
     suspects: Sequence[Suspect] = ()
 
 
-def measurement_page(path: Path | str, told: MeasurementResult, links: Sequence[Link] = ()) -> None:
-    """Write the page of a measurement: residual map of each camera, pose coverage, uncertainty, cameras, unsolved
-    frames.
-    """
-    m, collected = told.measurement, told.collected
+def write_measurement_page(path: Path | str, result: MeasurementResult, links: Sequence[Link] = ()) -> None:
+    """Write the HTML page of a measurement: residual maps, coverage, uncertainty, cameras, unsolved frames."""
+    m, collected = result.measurement, result.collected
     rotation = np.sqrt(np.trace(m.covariance[:, 3:, 3:], axis1=1, axis2=2))
     position = np.sqrt(np.trace(m.covariance[:, :3, :3], axis1=1, axis2=2))
     parts = [
         paragraph(
             f"{m.inliers.sum()} corners used, {(~m.inliers & np.isfinite(m.residuals[:, 0])).sum()} set "
             "aside as outliers. A corner "
-            f"scatters by {m.noise:.4f} px per axis. {_held(told.held)}"
+            f"scatters by {m.noise:.4f} px per axis. {_held(result.held)}"
         ),
-        *_suspects(told.suspects),
-        *_pictures(told),
+        *_suspects(result.suspects),
+        *_pictures(result),
         heading("What the cameras leave over"),
         note(
             "Mean residual over patches of the image, drawn enlarged, on the RMS there; a pattern here "
@@ -71,11 +143,11 @@ def measurement_page(path: Path | str, told: MeasurementResult, links: Sequence[
         note("Standard uncertainty of its length, cameras' own included."),
         _uncertainty(m, position, rotation),
         heading("Cameras"),
-        _cameras(told.recording, m),
+        _cameras(result.recording, m),
     ]
-    if told.statement:
-        parts += [heading("What this recording determines"), list_html(told.statement)]
-    if told.places is not None:
+    if result.statement:
+        parts += [heading("What this recording determines"), list_html(result.statement)]
+    if result.places is not None:
         parts += [
             heading("Where the markers really are"),
             note(
@@ -83,8 +155,8 @@ def measurement_page(path: Path | str, told: MeasurementResult, links: Sequence[
                 "The stated places, taken "
                 "together, hold the frames."
             ),
-            _moves(told.places),
-            _residuals(told.places),
+            _moves(result.places),
+            _residuals(result.places),
         ]
     disagreeing = _worst_markers(m)
     if disagreeing:
@@ -101,46 +173,50 @@ def measurement_page(path: Path | str, told: MeasurementResult, links: Sequence[
             heading("Markers read but not placed"),
             folding_section(f"{len(rows)} of them", table(("frame", "camera", "marker", "reason"), rows)),
         ]
-    title, verdict = f"Measurement of {told.recording.name}", measurement_verdict(told)
+    title, verdict = f"Measurement of {result.recording.name}", measurement_verdict(result)
     write_page(
         path,
-        Page("measure", title, verdict, parts, list(dict.fromkeys([*recommended_actions(told), *verdict.next])), links),
+        Page(
+            "measure", title, verdict, parts, list(dict.fromkeys([*_recommended_actions(result), *verdict.next])), links
+        ),
     )
 
 
-def measurement_verdict(told: MeasurementResult) -> Verdict:
-    """The verdict on a measurement."""
-    m, total = told.measurement, len(told.recording.exposures.times()[0])
+def measurement_verdict(result: MeasurementResult) -> Verdict:
+    """Verdict on a measurement."""
+    m, total = result.measurement, len(result.recording.exposures.times()[0])
     position, rotation = rms_uncertainty(m.covariance)
     size = f"poses to {position * 1e6:.1f} µm and {rotation * 1e6:.1f} µrad (standard uncertainty, RMS)"
     why = f"{len(m.frames)} of {total} frames solved, {size}"
     missing, unexplained = [], []
     if len(m.frames) < total:
         missing.append(Missing(f"{total - len(m.frames)} frames have no pose"))
-    if told.suspects:
+    if result.suspects:
         missing.append(
-            Missing(f"{len(told.suspects)} marker{'s are' if len(told.suspects) > 1 else ' is'} not what rig.toml says")
+            Missing(
+                f"{len(result.suspects)} marker{'s are' if len(result.suspects) > 1 else ' is'} not what rig.toml says"
+            )
         )
-    if isinstance(told.held, NotHeldOut):
+    if isinstance(result.held, NotHeldOut):
         missing.append(Missing("no frame could be held out to check the uncertainties"))
-    elif abs(told.held.ratio - 1) > 2 * told.held.scatter:
-        if told.held.ratio > AGREES**2:
+    elif abs(result.held.ratio - 1) > 2 * result.held.scatter:
+        if result.held.ratio > AGREES**2:
             unexplained.append(
-                f"frames held out miss by {told.held.ratio:.1f} times the squares predicted: the "
+                f"frames held out miss by {result.held.ratio:.1f} times the squares predicted: the "
                 "uncertainties are not to be believed"
             )
-        elif told.held.ratio < 1 / AGREES**2:
+        elif result.held.ratio < 1 / AGREES**2:
             missing.append(
                 Missing(
-                    f"frames held out miss by {told.held.ratio:.2f} of the squares predicted: the noise of "
+                    f"frames held out miss by {result.held.ratio:.2f} of the squares predicted: the noise of "
                     "corners, and with it every "
                     "uncertainty, is less than stated"
                 )
             )
     beyond = (
-        not isinstance(told.held, NotHeldOut)
-        and told.held.ratio > TWICE
-        and abs(told.held.ratio - 1) > 2 * told.held.scatter
+        not isinstance(result.held, NotHeldOut)
+        and result.held.ratio > TWICE
+        and abs(result.held.ratio - 1) > 2 * result.held.scatter
     )
     refuted = [*unexplained] if beyond else []
     if len(m.frames) < SOLVED * total:
@@ -150,7 +226,7 @@ def measurement_verdict(told: MeasurementResult) -> Verdict:
     )
 
 
-def recommended_actions(told: MeasurementResult) -> list[str]:
+def _recommended_actions(told: MeasurementResult) -> list[str]:
     """What an owner does next with a measurement."""
     steps = (
         ["Correct what rig.toml says of the markers named below, or their print, and measure again"]
@@ -186,12 +262,16 @@ def _suspects(suspects: Sequence[Suspect]) -> list[str]:
 
 def _pictures(told: MeasurementResult) -> list[str]:
     m = told.measurement
-    usual, bad = frame_of_median_residual(m), frame_of_greatest_residual(m)
-    shown = frame_pictures_html(told.recording, m, usual)
+    usual, bad = _frame_of_median_residual(m), _frame_of_greatest_residual(m)
+    shown = _frame_pictures_html(told.recording, m, usual)
     if not shown:
         return []
     rest = (
-        [folding_section(f"The frame with the greatest residuals, {bad}", *frame_pictures_html(told.recording, m, bad))]
+        [
+            folding_section(
+                f"The frame with the greatest residuals, {bad}", *_frame_pictures_html(told.recording, m, bad)
+            )
+        ]
         if bad != usual
         else []
     )
@@ -206,13 +286,13 @@ def _residual_map(m: Measurement, i: int) -> str:
     camera, rows = m.design.cameras[i], (m.observations.camera == i) & m.inliers
     size = (float(camera.width), float(camera.height))
     if not rows.any():
-        return image_plane(camera.name, "no corners", size, ())
+        return image_plane_figure(camera.name, "no corners", size, ())
     uv, r = m.observations.uv[rows], m.residuals[rows]
     cell = camera.width / CELLS
     centre, means = patch_means(uv, np.column_stack([r, (r**2).sum(axis=1) / 2]), cell)
     mean, rms = means[:, :2], np.sqrt(means[:, 2])
     longest = max(float(np.linalg.norm(mean, axis=1).max(initial=0)), 1e-6)
-    return image_plane(
+    return image_plane_figure(
         f"{camera.name}: {rows.sum()} corners",
         f"longest arrow {longest:.3f} px",
         size,

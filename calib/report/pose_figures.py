@@ -1,12 +1,20 @@
-"""Figures of poses for pages: where they lie, and their errors before and after correction."""
+"""Figures of poses for pages: plots, a 3-D scene of the rig, and displacements by effects."""
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
+from rig.model import mechanisms
+from rig.model.design import Design
+from rig.model.mechanism_geometry import Arm, Chain, Hexapod, Planar2
+from rig.model.mechanisms import arm as arms
+from rig.model.pose import pose_to_vector
 from rig.report.pages.plots import Series, panel_row, plot_panel
+from rig.report.pages.view_3d import Effect, Scene
+from vision.targets import MarkerMap, marker_map
 
 
 def pose_coverage_figures(vectors: np.ndarray) -> str:
-    """Where poses lie: vectors (n, 6) position (m) and rotation vector (rad)."""
+    """Figures of pose coverage: vectors (n, 6) position (m) and rotation vector (rad)."""
     mm = vectors[:, :3] * 1e3
     places = [
         plot_panel(f"seen {seen}", (f"{'xyz'[i]}, mm", f"{'xyz'[j]}, mm"), [Series(mm[:, i], mm[:, j])])
@@ -20,9 +28,7 @@ def pose_coverage_figures(vectors: np.ndarray) -> str:
 
 
 def correction_error_figures(before: np.ndarray, after: np.ndarray, frames: np.ndarray) -> str:
-    """Errors (n, 6) m and rad before and after correction, frame (n,) by frame; rotations that were not measured are
-    nan and left out.
-    """
+    """Figures of errors (n, 6) m and rad before and after correction, frame (n,) by frame; nan is left out."""
     seen = [
         (part, label)
         for part, label in ((slice(0, 3), "position, mm"), (slice(3, 6), "rotation, mrad"))
@@ -42,3 +48,113 @@ def correction_error_figures(before: np.ndarray, after: np.ndarray, frames: np.n
             for part, label in seen
         )
     )
+
+
+SIGHT = 0.12  # of a camera's distance: how long its lines are drawn
+SHARE = 0.65  # of the cameras' distance, that the view shows across
+REACH = 0.15  # m, of the cross at an arm's hand
+
+
+def rig_scene(
+    design: Design,
+    frames: np.ndarray,
+    T: RigidTransform,
+    values: np.ndarray | None = None,
+    errors: dict[str, np.ndarray] | None = None,
+    effects: tuple[Effect, ...] = (),
+) -> Scene:
+    """Scene of a rig. frames : (n,) numbers; T : T_base_platform (n,); values : (n, axes) commanded, or None
+    errors : {name: (n, 6) tangent on the right}, NaN where not known
+    """
+    m, markers = design.mechanism, marker_map(design.without_stages()) if design.targets else None
+    base = platform = np.zeros((0, 3))
+    moved = [] if markers is None else [_face(markers, int(k)) for k in np.flatnonzero(markers.on_platform)]
+    fixed, links = fixed_rig_lines(design, markers), None
+    if isinstance(m, Hexapod):
+        base, platform = m.base_joints, m.platform_joints
+        fixed.append({"kind": "plate", "points": closed_outline(base)})
+        moved.append({"kind": "plate", "points": closed_outline(platform)})
+    elif isinstance(m, Planar2):
+        base = np.column_stack([m.base_joints, np.zeros(len(m.base_joints))])
+        platform = np.zeros_like(base)
+    elif isinstance(m, Arm) and values is not None:
+        links = arms.frames(values, m)[..., :3, 3]
+    if not len(platform):
+        moved += _cross()
+    return Scene(
+        frames,
+        pose_to_vector(T),
+        fixed,
+        moved,
+        _middle(T, base, links),
+        _size(design, T, links),
+        base,
+        platform,
+        links,
+        platform if isinstance(m, Hexapod) else np.zeros((1, 3)),
+        errors or {},
+        effects,
+    )
+
+
+def mechanism_scene(
+    mechanism: Arm | Chain, frames: np.ndarray, values: np.ndarray, effects: tuple[Effect, ...] = ()
+) -> Scene:
+    """Scene of a mechanism without cameras and targets. frames : (n,) numbers; values : (n, axes) rad or m"""
+    links = arms.frames(values, mechanism)[..., :3, 3] if isinstance(mechanism, Arm) else None
+    T = mechanisms.kinematics_of(mechanism).forward(values, mechanism)
+    base = np.zeros((1, 3))
+    size = float(
+        np.ptp(np.concatenate([base, T.translation] if links is None else [links.reshape(-1, 3)]), axis=0).max()
+    )
+    return Scene(frames, pose_to_vector(T), (), _cross(), _middle(T, base, links), size, links=links, effects=effects)
+
+
+def _cross() -> list[dict]:
+    """The axes at a hand that carries nothing."""
+    return [{"kind": "plate", "points": np.outer([-REACH / 2, REACH / 2], axis)} for axis in np.eye(3)]
+
+
+def fixed_rig_lines(design: Design, markers: MarkerMap | None) -> list[dict]:
+    """Lines of the fixed parts of a rig: base targets and camera sights."""
+    parts = []
+    for camera in design.cameras:
+        if camera.mount != "fixed":
+            continue
+        reach = SIGHT * float(np.linalg.norm(camera.pose.translation))
+        half = np.array([camera.width / camera.matrix[0, 0], camera.height / camera.matrix[1, 1]]) / 2 * reach
+        corners = camera.pose.apply(
+            np.array([[x * half[0], y * half[1], reach] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+        )
+        eye = camera.pose.translation
+        parts.append(
+            {"kind": "camera", "name": camera.name, "points": [eye.tolist(), *corners.tolist(), corners[0].tolist()]}
+        )
+        parts += [{"kind": "camera", "points": [eye.tolist(), corner.tolist()]} for corner in corners[1:]]
+    if markers is not None:
+        parts += [_face(markers, int(k)) for k in np.flatnonzero(~markers.on_platform)]
+    return parts
+
+
+def closed_outline(joints: np.ndarray) -> list:
+    """Closed outline [(x, y, z) ..] m around joints (n, 3) m."""
+    around = np.argsort(np.arctan2(*(joints - joints.mean(axis=0))[:, 1::-1].T))
+    return joints[np.r_[around, around[0]]].tolist()
+
+
+def _face(markers: MarkerMap, k: int) -> dict:
+    return {"kind": "face", "points": markers.corners[k].tolist()}
+
+
+def _middle(T: RigidTransform, base: np.ndarray, links: np.ndarray | None) -> list[float]:
+    ends = [T.translation, base] + ([] if links is None else [links.reshape(-1, 3)])
+    every = np.concatenate([np.atleast_2d(part) for part in ends])
+    return ((every.min(axis=0) + every.max(axis=0)) / 2).tolist()
+
+
+def _size(design: Design, T: RigidTransform, links: np.ndarray | None) -> float:
+    """m, what there is to see."""
+    if links is not None:
+        return float(np.ptp(links.reshape(-1, 3), axis=0).max())
+    cameras = [float(np.linalg.norm(camera.pose.translation)) for camera in design.cameras if camera.mount == "fixed"]
+    return SHARE * max(cameras) if cameras else max(2 * float(np.abs(T.translation).max()), 0.1)

@@ -1,5 +1,4 @@
-"""What a recording's design cannot separate: how much of direction, time, temperature and load is itself a function of
-place.
+"""Confounded conditions of a recording: direction, time, temperature or load correlated with place.
 
 A cause that is a function of place over the poses recorded is absorbed by a correction that is one: its effect then
 looks like geometry, and held-out poses of the same plan agree. Of each axis, a cause is regressed on smooth functions
@@ -16,8 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.special import betainc
 
-from calib.samples.measuring_conditions import conditions_of_exposures
-from calib.samples.pose_samples import Samples
+from calib.samples.pose_samples import Samples, conditions_of_exposures
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
 from rig.model.design import Arm, Chain, Free
@@ -119,9 +117,7 @@ def confounds_of_samples(samples: Samples, mechanism: Struts | Arm | Chain | Fre
 def confounds_of_configurations(
     values: np.ndarray, start: np.ndarray, mechanism: Struts | Arm | Chain | Free
 ) -> Confounds:
-    """Confounds of configurations (n, axes) m or rad visited straight from one to the next, at even times, from start
-    (axes,) on.
-    """
+    """Confounds of configurations (n, axes) m or rad visited in order at even times, from start (axes,)."""
     way = np.sign(np.diff(np.concatenate([start[None], values]), axis=0))
     latest = np.maximum.accumulate(np.where(way != 0, np.arange(len(way))[:, None], -1), axis=0)
     direction = np.where(latest < 0, 0.0, np.take_along_axis(way, np.maximum(latest, 0), axis=0))
@@ -129,8 +125,7 @@ def confounds_of_configurations(
 
 
 def confounds_of_recordings(recordings: Sequence[Recording]) -> Confounds | None:
-    """Confounds of the exposures of recordings of one machine, one after the other in time; None where one has no
-    commands.
+    """Confounds of several recordings of one machine, in time; None where one has no commands.
 
     A channel counts where every recording has it.
     """
@@ -150,7 +145,7 @@ def confounds_of_recordings(recordings: Sequence[Recording]) -> Confounds | None
 
 
 def confounds_from_entries(table: Entries) -> Confounds:
-    """The Confounds of the tree that `Confounds.tree` gave. Raises FileError for anything else."""
+    """Confounds from their entries in a file. Raises FileError for anything else."""
     return Confounds(
         table.whole("n", 0),
         tuple(_row_in(row) for row in table.tables("rows")),
@@ -167,7 +162,7 @@ def _row_in(row: Entries) -> Confound:
 def confounds_of_design(
     values: np.ndarray, direction: np.ndarray, t: np.ndarray, channels: dict[str, np.ndarray], axes: Sequence[str]
 ) -> Confounds:
-    """Confounds of a plan or recording.
+    """Confounds of an experimental design, of a plan or a recording.
 
     values : (n, axes) m or rad, configurations; direction : (n, axes) -1, 0, 1; t : (n,) s; channels : {name: (n,)};
         axes : their places in words

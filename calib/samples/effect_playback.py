@@ -25,16 +25,14 @@ def effect_displacements(
     commands: Commands,
     t: np.ndarray,
     effects: Sequence[Effect],
-    which: int,
+    effect_index: int,
     sensors: Sensors | None = None,
 ) -> view_3d.Effect | None:
-    """What number `which` of some effects does at exposures at t (n,) s, the others acting with it; None for one that
-    moves no platform, and at sizes at which the machine cannot follow no more than at the others is shown. Raises as
-    `machine.run`"""
-    effect = effects[which]
+    """Displacements by one of several effects at exposures t (n,) s, at several sizes; None without any"""
+    effect = effects[effect_index]
     if effect.stage not in MOTION_STAGES:
         return None
-    others = [e for k, e in enumerate(effects) if k != which and e.stage in MOTION_STAGES]
+    others = [e for k, e in enumerate(effects) if k != effect_index and e.stage in MOTION_STAGES]
     at_rest = motion_simulation.run_machine(design, commands, t, others, sensors).T_base_platform
     sizes, shifts = ["none"], [np.zeros((len(t), 6))]
     for factor in FACTORS[1:]:
@@ -45,7 +43,7 @@ def effect_displacements(
             if factor <= 1:
                 raise
             break
-        sizes.append(effect_size_text(one))
+        sizes.append(_effect_size_text(one))
         shifts.append(pose_difference(at_rest, done.T_base_platform))
     shown = np.stack(shifts)
     if np.abs(shown).max() < NONE:
@@ -54,9 +52,7 @@ def effect_displacements(
 
 
 def scaled_effect(effect: Effect, factor: float) -> Effect:
-    """The same effect so many times as large: what it is linear in times that, what it is inverse in by that, all else
-    as it is.
-    """
+    """Effect scaled by a factor: its size parameters multiplied, inverse ones divided."""
     values = {
         p.name: _times(getattr(effect, p.name), factor if p.role != "inverse" else 1 / factor)
         for p in effect.parameters
@@ -65,7 +61,7 @@ def scaled_effect(effect: Effect, factor: float) -> Effect:
     return replace(effect, **values)
 
 
-def effect_size_text(effect: Effect) -> str:
+def _effect_size_text(effect: Effect) -> str:
     """Its first parameter that tells its size, in words."""
     sized = [p for p in effect.parameters if p.role in ("linear", "size", "inverse")]
     return "" if not sized else sized[0].at(effect.place).said(getattr(effect, sized[0].name))

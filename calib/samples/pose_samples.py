@@ -1,13 +1,85 @@
-"""What was commanded and what was measured, side by side: the samples that everything in calib is fitted to."""
+"""Samples of commanded and measured poses, with the conditions under which they were measured."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.samples.measuring_conditions import Conditions, conditions_of_exposures
 from rig.errors import NotEnoughData
-from rig.recording.recording_folder import Recording
+from rig.recording.recording_folder import PAYLOAD, Commands, Recording
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weight:
+    """What axes carry, as far as rig.toml states it. gravity : (3,) m/s^2 in the base frame; mass : kg, of the
+    platform, centre : (3,) m, of it, and
+    payload : (3,) m, of what it carries, in the platform's frame. A mass that is not stated counts as 1 kg alone, a
+        centre as the origin."""
+
+    gravity: np.ndarray
+    mass: float | None
+    centre: np.ndarray | None
+    payload: np.ndarray | None
+
+    def wrench(self, T_base_platform: RigidTransform, carried: np.ndarray) -> np.ndarray:
+        """(n, 6) N, N m in the platform's frame at poses (n,) with payloads carried (n,) kg."""
+        down = np.swapaxes(T_base_platform.rotation.as_matrix(), 1, 2) @ self.gravity
+        own, more = (1.0, np.zeros_like(carried)) if self.mass is None else (self.mass, carried)
+        out = np.zeros((len(down), 6))
+        for force, centre in ((own * down, self.centre), (more[:, None] * down, self.payload)):
+            out += np.concatenate([force, np.zeros_like(force) if centre is None else np.cross(centre, force)], axis=1)
+        return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Conditions:
+    """Of n samples. direction : (n, axes) sign of each axis' last move before the exposure, 0 where it never moved
+
+    t : (n,) s; channels : {name: (n,)} temperatures (degrees Celsius) and payload (kg) logged at the exposures
+    weight : Weight, None where there is no gravity
+    """
+
+    direction: np.ndarray
+    t: np.ndarray
+    channels: dict[str, np.ndarray]
+    weight: Weight | None = None
+
+    def take(self, index: np.ndarray | slice) -> "Conditions":
+        """The conditions of an index or mask (n,)."""
+        return Conditions(
+            self.direction[index],
+            self.t[index],
+            {name: values[index] for name, values in self.channels.items()},
+            self.weight,
+        )
+
+
+def conditions_of_exposures(recording: Recording, t: np.ndarray) -> Conditions:
+    """Conditions of a recording's exposures at times t (n,) s. Raises RigError without commands."""
+    recording.commanded()
+    assert recording.commands is not None
+    sensors = recording.sensors
+    names = (
+        []
+        if sensors is None
+        else [name for name in sensors.channels if name.endswith("temperature_C") or name == PAYLOAD]
+    )
+    channels = {} if sensors is None else {name: sensors.at(t, name) for name in names}
+    design = recording.design
+    weight = Weight(
+        design.gravity, design.platform.mass, design.platform.centre_of_mass, design.platform.payload_centre_of_mass
+    )
+    return Conditions(approach_direction(recording.commands, t), t, channels, weight if design.gravity.any() else None)
+
+
+def approach_direction(commands: Commands, t: np.ndarray) -> np.ndarray:
+    """Direction of approach (n, axes): sign of each axis' last move before times t (n,) s, 0 for none."""
+    moved = np.sign(np.diff(commands.values, axis=0))
+    begin = np.isin(commands.t[1:], commands.starts)  # the step from one recording to the next is no move
+    latest = np.zeros((len(moved) + 1, commands.values.shape[1]))
+    for k, step in enumerate(moved):
+        latest[k + 1] = 0.0 if begin[k] else np.where(step != 0, step, latest[k])
+    return latest[np.clip(np.searchsorted(commands.t, t, side="left"), 0, len(moved))]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +174,7 @@ def pair_samples(
     covariance: np.ndarray,
     common: np.ndarray | None = None,
 ) -> Samples:
-    """Samples of a recording's commands and poses measured at some of its frames.
+    """Samples that pair a recording's commands with poses measured at some of its frames.
 
     frames : (f,) numbers of the measured frames; covariance : (f, 6, 6) without what `common` (f, 6, k) adds
     Raises RigError without commands, NotEnoughData where no frame has both.
@@ -129,8 +201,7 @@ def add_stage_measurements(
     covariance: np.ndarray,
     common: np.ndarray | None = None,
 ) -> Samples:
-    """Samples with what was measured of a chain's stage (from 1) at some frames (f,); what has no pose of the platform
-    beside it is left aside.
+    """Samples with measurements of a chain's stage (from 1) added at frames (f,).
 
     covariance : (f, 6, 6) without what `common` (f, 6, k) adds, by the same draws as the platform's
     """
@@ -144,8 +215,7 @@ def add_stage_measurements(
 
 
 def planar_samples(samples: Samples) -> Samples:
-    """The samples of a hinge that moves in the plane z = 0: where it was measured in that plane, and nothing across it
-    or of how it is turned.
+    """Planar samples of a hinge in the plane z = 0: only its position in the plane counts as measured.
 
     There poses and their covariance are 0: no strut moves the hinge so, and what is seen of it says how the plate sits
     on the hinge.
@@ -161,22 +231,18 @@ def planar_samples(samples: Samples) -> Samples:
 
 
 def inverse_covariance(covariance: np.ndarray) -> np.ndarray:
-    """(n, 6, 6) inverses of covariances (n, 6, 6), 0 in the directions in which a machine has no freedom (see
-    `planar_samples`).
-    """
+    """Inverse covariance (n, 6, 6), 0 in the directions in which a machine has no freedom."""
     none = np.diag(1.0 * ~covariance.any(axis=(0, 1)))
     return np.linalg.inv(covariance + none) - none
 
 
 def time_block_folds(count: int, folds: int) -> np.ndarray:
-    """(count,) fold number of each sample: whole stretches in time, as equal as can be, never single rows."""
+    """Fold number (count,) of each sample: time blocks of equal size, never single rows."""
     return np.minimum(np.arange(count) * folds // max(count, 1), folds - 1)
 
 
 def rms_uncertainty(covariance: np.ndarray) -> tuple[float, float]:
-    """(m, rad) RMS standard uncertainty of the length of position and rotation, of covariances (n, 6, 6), of what was
-    measured; else infinite.
-    """
+    """RMS standard uncertainty (m, rad) of position and rotation, of covariances (n, 6, 6), else infinite."""
     variances = np.einsum("nii->ni", covariance)
     known = np.where(np.isinf(variances), 0.0, variances)
     position, rotation = (

@@ -1,4 +1,4 @@
-"""A recording -> its samples, from whichever instrument it has."""
+"""Samples of a recording, from its instrument's poses, its images or its poses.csv."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -43,12 +43,12 @@ def sample_recording(
     recording: Recording,
     free: tuple[str, ...] = ("poses", "lenses"),
     progress: Callable[[str, int, int], None] | None = None,
-    look: Callable[[Corners], None] | None = None,
+    on_corners: Callable[[Corners], None] | None = None,
 ) -> Sampled:
-    """Sampled of a recording: its outside instrument's poses where rig.toml names one, else its corners or images, else
-    poses.csv.
+    """Samples of a recording (Sampled): from its instrument's poses, its corners or images, or poses.csv.
 
-    progress : called with (label, done, of), or None; look : called with the Corners before they are measured, or None
+    progress : called with (label, done, of), or None; on_corners : called with the Corners before they are measured, or
+        None
     Raises RigError without commands, NotEnoughData without poses, and what look raises
     """
     recording.commanded()  # a recording that nobody commanded fails before its images are read
@@ -58,7 +58,7 @@ def sample_recording(
     ):
         stated = poses.covariance is not None or recording.design.instrument is not None
         return Sampled(
-            freedom_conditions(recording, _from_poses(recording, poses)),
+            samples_within_freedoms(recording, _from_poses(recording, poses)),
             "poses.csv",
             None,
             None,
@@ -69,7 +69,7 @@ def sample_recording(
         raise NotEnoughData(
             f"{recording.folder}: there are no images, no corners.csv and no poses.csv, so nothing was measured"
         )
-    measured, collected = measure_recording(recording, free, progress=progress, look=look)
+    measured, collected = measure_recording(recording, free, progress=progress, look=on_corners)
     own = measured.covariance - measured.common @ np.swapaxes(measured.common, 1, 2)
     source = "images" if collected is not None else "corners.csv"
     found = pair_samples(recording, measured.frames, measured.T_base_platform, own, measured.common)
@@ -77,7 +77,7 @@ def sample_recording(
         alone = below.covariance - below.common @ np.swapaxes(below.common, 1, 2)
         found = add_stage_measurements(found, stage, below.frames, below.T_base_platform, alone, below.common)
     return Sampled(
-        freedom_conditions(recording, found),
+        samples_within_freedoms(recording, found),
         source,
         measured,
         collected,
@@ -85,9 +85,9 @@ def sample_recording(
     )
 
 
-def freedom_conditions(recording: Recording, found: Samples) -> Samples:
-    """What measured poses say of the freedoms that a recording's machine has."""
-    return planar_samples(found) if recording.design.mechanism.kind == "planar2" else found
+def samples_within_freedoms(recording: Recording, samples: Samples) -> Samples:
+    """Samples restricted to the freedoms of a recording's machine: planar ones of two struts."""
+    return planar_samples(samples) if recording.design.mechanism.kind == "planar2" else samples
 
 
 def _from_poses(recording: Recording, poses: Poses) -> Samples:

@@ -1,5 +1,4 @@
-"""Poses lost and gained: those that the owner's model reaches and the corrected machine does not, and the other way
-round.
+"""Reachable poses of the stated and of the corrected machine: poses lost and gained.
 
 Source: configuration-space patent, [0029] and claim 5 (the poses that the control function can give, and those that the
     machine really takes)
@@ -32,15 +31,15 @@ class Side:
 
 
 def uncorrected_machine(correction: Correction[Any, Any]) -> Correction[Any, Any]:
-    """The machine as its owner believes it, as a Correction that corrects nothing."""
+    """The uncorrected machine: nominal, as a Correction that corrects nothing."""
     return replace(
         correction, fitted=correction.nominal, remainder=(None,) * len(correction.remainder), extension=None, posed=()
     )
 
 
 def reachable_side(machine: Correction[Any, Any], other: Correction[Any, Any], commands: np.ndarray) -> Side:
-    """Side of a machine at commands (m, axes) m or rad, held against another. Raises NotConverged where none of them
-    closes on a pose.
+    """Reachable poses (Side) of one machine at commands (m, axes), compared with another's.
+    Raises NotConverged where none of them closes on a pose.
     """
     commands, T = commands_with_pose(commands, machine)
     needed = other.near(T, commands)
@@ -48,8 +47,7 @@ def reachable_side(machine: Correction[Any, Any], other: Correction[Any, Any], c
 
 
 def is_pose_lost(correction: Correction[Any, Any], configurations: np.ndarray) -> np.ndarray:
-    """(n,) bool: whether the pose that the owner's model gives for configurations (n, axes) m or rad is out of the
-    corrected machine's reach.
+    """Whether the nominal pose at configurations (n, axes) is lost: out of the corrected machine's reach.
 
     True as well for those that close on no pose
     """

@@ -1,9 +1,7 @@
-"""The workspace in cells: in each, the poses lost and gained, the room to the limits, how near singularities are, the
-error bound.
-"""
+"""Cells of a workspace with margins and error bounds, as data, as files and with certified promises."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -12,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.correct.correction import Correction
 from calib.correct.summand_extension import home_pose
 from calib.workspace.reachable_poses import Side, reachable_side, uncorrected_machine
+from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
 from rig.model.design import Arm
 from rig.model.pose import pose_to_vector
@@ -80,7 +79,7 @@ class Workspace:
 
 
 def map_workspace(correction: Correction[Any, Any], covariance: Covariance, count: int | None = None) -> Workspace:
-    """Workspace of a Correction. covariance : of its poses, by poses (n,) and commands (n, axes)
+    """Map of a Correction's workspace in cells. covariance : of its poses, by poses (n,) and commands (n, axes)
     count : configurations drawn of either machine, DRAWN or FEWER by default
 
     Raises NotConverged where no configuration closes on a pose
@@ -167,9 +166,99 @@ def _singular(correction: Correction[Any, Any], real: Side) -> np.ndarray:
     return np.asarray(values[:, -1] / values[:, 0])
 
 
-def margin_description(correction: Correction[Any, Any]) -> str:
-    """What the map's room is of, in words."""
+def axis_margin_description(correction: Correction[Any, Any]) -> str:
+    """Description of the map's margin to the axis limits, in words."""
     if isinstance(correction.nominal, Arm):
         return "the most that a pose drawn there leaves"
     degrees = np.degrees(pose_to_vector(home_pose(correction.nominal))[3:])
     return "the pose in its middle, turned like home (" + " ".join(f"{angle:.3g}" for angle in degrees) + " degrees)"
+
+
+SCHEMA = "workspace/1"
+COLUMNS = ("x", "y", "z", "size", "believed", "lost", "reached", "gained", "room", "singular", "bound_m", "bound_rad")
+COUNTED = ("believed", "lost_in", "reached", "gained_in")
+
+
+def workspace_dict(workspace: Workspace) -> dict[str, Any]:
+    """dict of a Workspace, as JSON holds it; what is not known is null."""
+    tree = {part.name: getattr(workspace, part.name) for part in fields(workspace)}
+    return {"schema": SCHEMA} | {
+        name: _plain(value) if isinstance(value, np.ndarray) else value for name, value in tree.items()
+    }
+
+
+def _plain(values: np.ndarray) -> list[Any]:
+    known = values.astype(object)
+    known[values != values] = None
+    return list(known.tolist())
+
+
+def workspace_from_entries(table: Entries) -> Workspace:
+    """Workspace of what `workspace_dict` gave, as Entries. Raises FileError for anything else."""
+    table.text("schema", (SCHEMA,))
+    index = _whole(table, "index", (None, 3))
+    cells = len(index)
+    if not cells:
+        table.fail(f"{table.name('index')} must list one cell at the least", "index")
+    lost, gained = (
+        None if table.get(name) is None else table.number(name, least=0.0, most=1.0) for name in ("lost", "gained")
+    )
+    believed, lost_in, reached, gained_in = (_whole(table, name, (cells,)) for name in COUNTED)
+    return Workspace(
+        table.whole("drawn", 1),
+        lost,
+        gained,
+        table.array("origin", (3,)),
+        table.number("size", above=0.0),
+        index,
+        believed,
+        lost_in,
+        reached,
+        gained_in,
+        table.array("room", (cells,), nulls=True),
+        table.array("singular", (cells,), nulls=True),
+        table.array("bound", (cells, 2), nulls=True),
+    )
+
+
+def _whole(table: Entries, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
+    """Numbers of a shape that count, from 0."""
+    values = table.array(name, shape)
+    if (values < 0).any() or (values != np.floor(values)).any():
+        table.fail(f"{table.name(name)} must hold whole numbers from 0", name)
+    return values.astype(int)
+
+
+def workspace_rows(workspace: Workspace) -> Iterator[str]:
+    """Rows of a workspace's table, one for each cell: middle and edge in m, counts, the rest as in Workspace."""
+    for place, counts, room, singular, bound in zip(
+        workspace.centre,
+        zip(*(getattr(workspace, name) for name in COUNTED)),
+        workspace.room,
+        workspace.singular,
+        workspace.bound,
+    ):
+        numbers = (
+            *(f"{value:.6f}" for value in (*place, workspace.size)),
+            *map(str, counts),
+            *(_number(value) for value in (room, singular, *bound)),
+        )
+        yield ",".join(numbers)
+
+
+def _number(value: float) -> str:
+    return f"{value:.6g}" if value == value else ""
+
+
+def certified_cell_promises(workspace: Workspace, certificate: Entries) -> np.ndarray:
+    """Certified promise of each cell (c, 2) m and rad, from the smallest box around its middle; NaN without one"""
+    out = np.full((len(workspace.index), 2), np.nan)
+    volume = certificate.table("volume")
+    for box, promise in [
+        (volume, certificate.table("promise")),
+        *((cell, cell.table("promise")) for cell in certificate.tables("cells")),
+    ]:
+        low, high = (box.array(name, (3,)) for name in ("position_low_m", "position_high_m"))
+        inside = ((workspace.centre >= low) & (workspace.centre <= high)).all(axis=1)
+        out[inside] = promise.number("position_m"), promise.number("rotation_rad", nulls=True)
+    return out

@@ -6,7 +6,7 @@ import importlib
 from docs.make.told import in_cell
 from rig.cli.command_line import COMMANDS
 from rig.cli.shared.argument_parser import SHARED
-from rig.cli.shared.worker_options import add_workers
+from rig.cli.shared.worker_options import add_worker_options
 
 HEAD = """# The commands
 
@@ -27,7 +27,7 @@ def page() -> str:
         parser = argparse.ArgumentParser(prog=f"rig {name}", add_help=False, formatter_class=_Plain)
         importlib.import_module(f"rig.cli.{name.replace('-', '_')}").arguments(parser)
         if name in SHARED:
-            add_workers(parser)
+            add_worker_options(parser)
         usage = "\n".join(f"    {line}" for line in parser.format_usage().removeprefix("usage: ").rstrip().splitlines())
         parts.append(f"\n## rig {name}\n\n{in_cell(words)}\n\n{usage}\n")
         rows = [_row(action) for action in parser._actions if action.help != argparse.SUPPRESS]

@@ -1,4 +1,4 @@
-"""rig blind --season N --out DIR."""
+"""rig blind: draw blind cases on simulated machines, diagnose each without the truth, and score the campaign."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from signal import SIGKILL
 from subprocess import CompletedProcess
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.output_options import add_overwrite_option, add_result
+from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option
 from rig.cli.shared.worker_options import results_with_progress, worker_pool
 from rig.compute.worker_processes import run_child_process
 from rig.errors import FileError, RigError
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 ALONE = "import sys; from rig.compute.worker_processes import end_with_parent; end_with_parent(int(sys.argv[1])); "
 DIAGNOSE = (
     ALONE
-    + "from rig.cli.shared.folder_access_ban import forbid_folder; from rig.cli.command_line import main; "
+    + "from rig.cli.shared.child_processes import forbid_folder; from rig.cli.command_line import main; "
     + "forbid_folder(sys.argv[2]); sys.exit(main(sys.argv[3:]))"
 )
 DRAW = ALONE + "import json; from rig.cli.blind import draw_blind_case; draw_blind_case(*json.loads(sys.argv[2]))"
@@ -96,7 +96,7 @@ def arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--again", action="store_true", help="diagnose anew what has been diagnosed")
     add_overwrite_option(parser)
-    add_result(parser)
+    add_json_result_option(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -196,7 +196,7 @@ def _same_campaign(path: Path, settings: dict) -> None:
 
 
 def draw_blind_case(out: Path, index: int, settings: dict) -> None:
-    """Draw a case and write its recording, its truth, and last the truth's hash: from then on the case is blinded."""
+    """Draw a blind case: write its recording, its truth, and last the hash of the truth."""
     from rig.formats.output_files import Outputs, write_text
 
     out = Path(out)
@@ -210,7 +210,7 @@ def draw_blind_case(out: Path, index: int, settings: dict) -> None:
 
 def _drawn_case(index: int, settings: dict, folder: Path) -> tuple[Callable[..., None], np.ndarray]:
     """(what writes the truth of a hexapod's case, its effects' strengths), its recording written."""
-    from calib.diagnose.problems.platform.effect_strength import effect_strengths
+    from calib.diagnose.problems.platform.effect_strength import platform_effect_strengths
     from rig.recording import recording_folder
     from synthetic import blind_cases as blind
 
@@ -226,7 +226,7 @@ def _drawn_case(index: int, settings: dict, folder: Path) -> tuple[Callable[...,
     blind.write_recording(case, folder)
     world, written = case.simulation.world, recording_folder.load(folder)
     written = written if case.image_settings is None else replace(written, corners=blind.simulated_corners(case))
-    values = effect_strengths(written, world.true, case.noise, world.effects, case.simulation.sensors)[
+    values = platform_effect_strengths(written, world.true, case.noise, world.effects, case.simulation.sensors)[
         : len(case.hidden)
     ]
     return partial(blind.write_truth, case), values
@@ -234,14 +234,14 @@ def _drawn_case(index: int, settings: dict, folder: Path) -> tuple[Callable[...,
 
 def _drawn_arm_case(index: int, settings: dict, folder: Path) -> tuple[Callable[..., None], np.ndarray]:
     """The same of an arm's case."""
-    from calib.diagnose.problems.arm.effect_strength import effect_strengths
+    from calib.diagnose.problems.arm.effect_strength import arm_effect_strengths
     from synthetic import blind_arm_cases as blind_arm
 
     case = blind_arm.draw_arm_case(settings["seed"], index, settings["frames"], settings["hide"], settings["effects"])
     blind_arm.write_recording(case, folder)
     done = case.simulation
     seen = case.sigma[: 1 if "positions" in case.hard else 2]
-    return partial(blind_arm.write_truth, case), effect_strengths(
+    return partial(blind_arm.write_truth, case), arm_effect_strengths(
         done.world.true, done.plan.commands, done.plan.t, seen, done.world.effects, done.sensors
     )
 
@@ -347,13 +347,13 @@ def _unblinded(out: Path, index: int, score: ModuleType) -> Case:
 
 def _report(out: Path, settings: dict, cases: list[Case], score: ModuleType) -> dict:
     """What is in score.json, which is written and said, and its page."""
-    from rig.cli.shared.blind_campaign_page import campaign_page, judged, tree
+    from rig.cli.shared.blind_campaign_page import campaign_dict, campaign_verdict, write_campaign_page
     from rig.formats.output_files import write_text
 
-    told = {"settings": settings, **tree(cases)}
-    print(judged(score.campaign_figures(cases)).line)
+    told = {"settings": settings, **campaign_dict(cases)}
+    print(campaign_verdict(score.campaign_figures(cases)).line)
     write_text(out / "score.json", json.dumps(told, indent=1) + "\n")
-    campaign_page(out / "score.html", settings, cases)
+    write_campaign_page(out / "score.html", settings, cases)
     for f in score.campaign_figures(cases):
         goal = f", to reach {f.goal:.0%}" if f.goal is not None else ""
         found = (

@@ -1,4 +1,4 @@
-"""rig calibrate REC.. --out calibration.json."""
+"""rig calibrate: calibrate a machine from recordings; writes calibration.json with held-out errors, and a page."""
 
 from __future__ import annotations
 
@@ -7,19 +7,25 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.cli.shared import extension_calibration, limb_poses, recording_checks, user_effects_option
-from rig.cli.shared.calibration_summary import print_pose_counts, say_joints, say_physics, show_calibration, tell
-from rig.cli.shared.output_options import (
+from rig.cli.shared import calibration_and_effect_files, correction_extension, poses_from_readings, recording_checks
+from rig.cli.shared.calibration_summary import (
+    draw_page_and_print_verdict,
+    print_arm_correction,
+    print_calibration_summary,
+    print_compensated_physics,
+    print_pose_counts,
+)
+from rig.cli.shared.command_options import (
     SEED,
     Progress,
+    add_json_result_option,
     add_overwrite_option,
-    add_recordings,
-    add_result,
+    add_recordings_argument,
     file_or_stdout,
     page_links,
     parse_length,
-    print_comparison,
-    print_unsolved,
+    print_frames_without_pose,
+    print_held_out_errors,
 )
 from rig.errors import RigError
 
@@ -33,14 +39,14 @@ if TYPE_CHECKING:
     from calib.samples.recording_samples import Sampled
     from rig.effects.texts.effect_text import Kinds
     from rig.recording.recording_folder import Recording
-    from rig.report.pages.page_template import Link
+    from rig.report.pages.page_and_svg_templates import Link
 
     Places = tuple[Any, Path | None, list[Link]]  # of the file, of its page, and the page's links
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    add_recordings(parser)
+    add_recordings_argument(parser)
     parser.add_argument(
         "--out",
         metavar="FILE",
@@ -57,7 +63,7 @@ def arguments(parser: ArgumentParser) -> None:
         "geometry; rig correct undoes it",
     )
     kind.add_argument("--find", action="store_true", help="diagnose this recording first and take in what is found")
-    user_effects_option.add_effects_option(parser)
+    calibration_and_effect_files.add_effects_option(parser)
     parser.add_argument(
         "--quick",
         action="store_true",
@@ -67,17 +73,17 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--joint", action="store_true", help="solve cameras, lenses and geometry once more from all corners together"
     )
-    extension_calibration.arguments(parser)
+    correction_extension.add_extension_options(parser)
     parser.add_argument(
         "--promise",
         type=parse_length,
         metavar="20um",
         help="say whether so much is kept, position error RMS over the workspace",
     )
-    limb_poses.arguments(parser)
+    poses_from_readings.add_limb_options(parser)
     add_overwrite_option(parser)
     recording_checks.add_anyway_option(parser)
-    add_result(parser)
+    add_json_result_option(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -97,12 +103,12 @@ def run(arguments: Namespace) -> None:
 
     import numpy as np
 
-    own = user_effects_option.known_effects(user_effects_option.load_effect_files(arguments))
+    own = calibration_and_effect_files.known_effects(calibration_and_effect_files.load_effect_files(arguments))
     findings = _findings(arguments, recording, own)
-    sampled = limb_poses.samples_by_limbs_or_vision(arguments, recording, progress, look)
+    sampled = poses_from_readings.samples_by_limbs_or_vision(arguments, recording, progress, look)
     sampled = replace(sampled, files=(*sampled.files, *arguments.effects))
     rng = np.random.default_rng(SEED)
-    extension_calibration.refuse_mixed(arguments, nominal.kind)
+    correction_extension.refuse_incompatible_extension_options(arguments, nominal.kind)
     if arguments.extend:
         calibration = _extended(recording, sampled, (out, page, links), arguments, rng, progress)
     elif arguments.joint and nominal.kind in ("arm", "chain"):
@@ -122,8 +128,8 @@ def run(arguments: Namespace) -> None:
         calibration = _struts(recording, sampled, (out, page, links), arguments, rng, progress, taken)
     if values is not None:
         _write_summands(values, sampled.samples, calibration)
-    tell(arguments, calibration, len(sampled.samples))
-    print_unsolved(sampled.measurement)
+    print_calibration_summary(arguments, calibration, len(sampled.samples))
+    print_frames_without_pose(sampled.measurement)
     print(f"written: {arguments.out}" + (f"; look at {arguments.out.with_suffix('.html')}" if page else ""))
 
 
@@ -144,20 +150,20 @@ def _findings(arguments: Namespace, recording: Recording, own: Kinds) -> Finding
         raise RigError("--effects adds to what a diagnosis is asked for: give --find or --diagnosis as well")
     if arguments.diagnosis is None:
         return None
-    from calib.diagnose.platform_findings_refit import findings_of_folder
+    from calib.diagnose.platform_findings_refit import load_findings
 
-    return findings_of_folder(arguments.diagnosis, recording, own)
+    return load_findings(arguments.diagnosis, recording, own)
 
 
 def _taken(
     recording: Recording, sampled: Sampled, findings: Findings | None, own: Kinds, progress: Progress
 ) -> PlatformRefit:
     """PlatformRefit of findings; of what a diagnosis of the recording itself finds where these are None."""
-    from calib.diagnose.platform_findings_refit import findings_of_diagnosis, refit_platform_with_findings
+    from calib.diagnose.platform_findings_refit import findings_of_platform_diagnosis, refit_platform_with_findings
     from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform as diagnose
 
     if findings is None:
-        findings = findings_of_diagnosis(
+        findings = findings_of_platform_diagnosis(
             diagnose(recording, progress=progress, sampled=sampled, kinds=tuple(own.values()))
         )
     return refit_platform_with_findings(recording, sampled, findings, progress)
@@ -211,36 +217,40 @@ def _struts(
     progress: Progress,
     taken: PlatformRefit | None,
 ) -> Calibration:
-    from calib.certify.platform_certification import certify, with_refitted_correction, workspace_claim_of
+    from calib.certify.platform_certification import (
+        certify_platform,
+        platform_workspace_claim,
+        with_refitted_correction,
+    )
     from calib.files.calibration_from_recording import calibration_with_provenance
-    from calib.report.calibration_page import calibration_page
+    from calib.report.calibration_page import write_calibration_page
     from rig.model.mechanism_kinds import hexapod_of, struts_of
 
     if arguments.joint:
         hexapod_of(recording.design.mechanism)
     samples = sampled.samples if taken is None else taken.samples
-    done = certify(samples, struts_of(recording.design.mechanism), rng, progress)
+    done = certify_platform(samples, struts_of(recording.design.mechanism), rng, progress)
     if arguments.joint:
-        from calib.correct.camera_refinement import refine_with_cameras
+        from calib.correct.joint_camera_fit import refine_correction_with_cameras
 
         progress("solving cameras and geometry together", 0, 1)
-        correction, found = refine_with_cameras(sampled, recording.design, done.correction, done.found)
+        correction, found = refine_correction_with_cameras(sampled, recording.design, done.correction, done.found)
         done = with_refitted_correction(done, correction, found)
     if taken is not None:
         done = taken.drawn(done, rng)
-    claim = workspace_claim_of(samples, done, rng)
+    claim = platform_workspace_claim(samples, done, rng)
     made = calibration_with_provenance(
         recording, sampled, done, claim, arguments.argv, None if taken is None else taken.with_geometry(done)
     )
     calibration = _stored(out[0], made, arguments, (recording, sampled, progress) if taken is None else None)
-    show_calibration(
+    draw_page_and_print_verdict(
         out[1],
-        lambda page: calibration_page(page, recording, calibration, samples, done.found, out[2]),
+        lambda page: write_calibration_page(page, recording, calibration, samples, done.found, out[2]),
         calibration,
         progress,
     )
     if done.held_out:
-        print_comparison(done.held_out, "held-out poses (whole stretches of configurations in turn)")
+        print_held_out_errors(done.held_out, "held-out poses (whole stretches of configurations in turn)")
     struts = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
     print(
         "beyond the geometry: "
@@ -252,7 +262,7 @@ def _struts(
             else "not asked, for want of held-out poses"
         )
     )
-    say_physics(calibration.physics)
+    print_compensated_physics(calibration.physics)
     print_pose_counts(sampled, done)
     return calibration
 
@@ -269,18 +279,25 @@ def _extended(
 
     mechanism = recording.design.mechanism
     before = _before(arguments.onto, mechanism) if arguments.onto else None
-    found = extension_calibration.certify_extension(arguments, mechanism, sampled, before, rng, progress)
+    found = correction_extension.certify_correction_extension(arguments, mechanism, sampled, before, rng, progress)
     done = found.done
     made = calibration_with_provenance(
-        recording, sampled, done, found.claim, arguments.argv, before=None if before is None else (before, found.kept)
+        recording,
+        sampled,
+        done,
+        found.claim,
+        arguments.argv,
+        previous_calibration=None if before is None else (before, found.kept),
     )
     calibration = _stored(out[0], made, arguments, None)
-    show_calibration(out[1], lambda page: found.draw(page, recording, calibration, out[2]), calibration, progress)
+    draw_page_and_print_verdict(
+        out[1], lambda page: found.draw(page, recording, calibration, out[2]), calibration, progress
+    )
     if done.held_out:
-        print_comparison(
+        print_held_out_errors(
             done.held_out, "held-out poses (whole levels of a grid, poses beside it, or whole stretches in turn)"
         )
-    extension_calibration.print_extension(
+    correction_extension.print_correction_extension(
         found,
         f"{arguments.onto}, pass {len(calibration.provenance['passes']) + 1}"
         if before is not None
@@ -314,27 +331,29 @@ def _arm(
     taken: ArmRefit | None,
 ) -> Calibration:
     from calib.files.calibration_from_recording import calibration_with_provenance
-    from calib.models.arm.calibration_page import calibration_page
-    from calib.models.arm.certification import certify, workspace_claim_of
+    from calib.models.arm.calibration_page import write_arm_calibration_page
+    from calib.models.arm.certification import arm_workspace_claim, certify_arm
     from rig.model.mechanism_kinds import arm_of
 
     together = None if taken is None else taken.together
     samples = sampled.samples if together is None else together.samples
-    done = certify(sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress, together)
-    claim = workspace_claim_of(samples, done, rng)
+    done = certify_arm(sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress, together)
+    claim = arm_workspace_claim(samples, done, rng)
     made = calibration_with_provenance(
         recording, sampled, done, claim, arguments.argv, None if taken is None else taken.with_geometry(done)
     )
     calibration = _stored(out[0], made, arguments, (recording, sampled, progress) if taken is None else None)
-    show_calibration(
+    draw_page_and_print_verdict(
         out[1],
-        lambda page: calibration_page(page, recording, calibration, samples, done, out[2]),
+        lambda page: write_arm_calibration_page(page, recording, calibration, samples, done, out[2]),
         calibration,
         progress,
     )
     if done.held_out:
-        print_comparison(done.held_out, "held-out poses (a third at a time or less, whole stretches of configurations)")
-    say_joints(done, calibration.physics)
+        print_held_out_errors(
+            done.held_out, "held-out poses (a third at a time or less, whole stretches of configurations)"
+        )
+    print_arm_correction(done, calibration.physics)
     print("\n".join(done.found.rank.report()))
     print_pose_counts(sampled, done)
     return calibration
@@ -349,26 +368,26 @@ def _chain(
     progress: Progress,
 ) -> Calibration:
     from calib.files.calibration_from_recording import calibration_with_provenance
-    from calib.models.chain.calibration_page import calibration_page
-    from calib.models.chain.certification import certify, workspace_claim_of
+    from calib.models.chain.calibration_page import write_chain_calibration_page
+    from calib.models.chain.certification import certify_chain, chain_workspace_claim
     from rig.model.mechanism_kinds import chain_of
 
-    done = certify(sampled.samples, chain_of(recording.design.mechanism), rng, progress)
-    claim = workspace_claim_of(sampled.samples, done, rng)
+    done = certify_chain(sampled.samples, chain_of(recording.design.mechanism), rng, progress)
+    claim = chain_workspace_claim(sampled.samples, done, rng)
     calibration = _stored(
         out[0],
         calibration_with_provenance(recording, sampled, done, claim, arguments.argv),
         arguments,
         (recording, sampled, progress),
     )
-    show_calibration(
+    draw_page_and_print_verdict(
         out[1],
-        lambda page: calibration_page(page, recording, calibration, sampled.samples, done, out[2]),
+        lambda page: write_chain_calibration_page(page, recording, calibration, sampled.samples, done, out[2]),
         calibration,
         progress,
     )
     if done.held_out:
-        print_comparison(done.held_out, "held-out poses (whole stretches of configurations in turn)")
+        print_held_out_errors(done.held_out, "held-out poses (whole stretches of configurations in turn)")
     print("\n".join(done.found.report()))
     print_pose_counts(sampled, done)
     return calibration
@@ -379,10 +398,12 @@ def _stored(
 ) -> Calibration:
     """The Calibration, written. look : what is searched for what it leaves out, and what is called meanwhile; None
     where no model corrects that, or where it is known"""
-    from calib.diagnose.calibration_left_out_physics import search_left_out_physics, without_search
+    from calib.diagnose.calibration_left_out_physics import mark_as_not_searched, search_left_out_physics
     from calib.files import calibration_file
 
     if look is not None and arguments.limbs is None:
-        calibration = without_search(calibration) if arguments.quick else search_left_out_physics(calibration, *look)
+        calibration = (
+            mark_as_not_searched(calibration) if arguments.quick else search_left_out_physics(calibration, *look)
+        )
     calibration_file.save(out, calibration)
     return calibration

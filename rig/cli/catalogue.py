@@ -1,9 +1,9 @@
-"""rig catalogue [--out FILE.md]."""
+"""rig catalogue: write the catalogue of effects as a document: model, parameters, experiment, remedy, sketch."""
 
 from argparse import ArgumentParser, Namespace
 
-from rig.cli.shared import user_effects_option
-from rig.cli.shared.output_options import add_overwrite_option, file_or_stdout
+from rig.cli.shared import calibration_and_effect_files
+from rig.cli.shared.command_options import add_overwrite_option, file_or_stdout
 from rig.formats.output_files import STANDARD_OUTPUT
 
 
@@ -17,7 +17,7 @@ def arguments(parser: ArgumentParser) -> None:
         help="where it is written, as Markdown, with a "
         "sketch of each effect in a folder FILE beside it; printed without sketches by default",
     )
-    user_effects_option.add_effects_option(parser)
+    calibration_and_effect_files.add_effects_option(parser)
     add_overwrite_option(parser)
 
 
@@ -30,7 +30,7 @@ def run(arguments: Namespace) -> None:
     from rig.formats.output_files import write_text
     from rig.formats.output_files.atomic_file import is_written_directly
 
-    kinds = user_effects_option.known_effects(user_effects_option.load_effect_files(arguments))
+    kinds = calibration_and_effect_files.known_effects(calibration_and_effect_files.load_effect_files(arguments))
     out = arguments.outputs.file(arguments.out)
     if is_written_directly(out):
         return write_text(out, catalogue_markdown(kinds.values()))
@@ -39,7 +39,7 @@ def run(arguments: Namespace) -> None:
             f"{arguments.out} has no ending, and a folder beside it of the same name would hold the "
             f"sketches: name it {arguments.out}.md"
         )
-    from rig.report.pages.standalone_svg import standalone_svg
+    from rig.report.pages.page_and_svg_templates import standalone_svg
     from vision.effect_sketches import effect_sketch
 
     folder, sketches = arguments.out.with_suffix(""), {}

@@ -1,4 +1,4 @@
-"""rig certify CALIBRATION REC.. --out certificate.html|json|pdf|xml."""
+"""rig certify: certify a calibration by held-out recordings; writes the certificate as HTML, JSON, PDF or XML."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import refutation_marks
-from rig.cli.shared.output_options import (
+from rig.cli.shared import calibration_and_effect_files
+from rig.cli.shared.command_options import (
     SEED,
     Progress,
+    add_json_result_option,
     add_overwrite_option,
-    add_result,
     file_or_stdout,
-    missing_drawing_reason,
+    missing_matplotlib_reason,
     page_links,
-    print_unsolved,
+    print_frames_without_pose,
     read_recording,
-    require_drawing,
+    require_matplotlib,
 )
 from rig.errors import RigError
 from rig.formats.number_parsing import parse_number
@@ -30,7 +30,7 @@ from rig.report.verdict import Evidence, exit_status
 if TYPE_CHECKING:
     from calib.certificate import digital_certificate_xml
     from calib.certificate.certificate import Certificate
-    from calib.certify.recording_claim_check import AgainstClaim
+    from calib.certify.calibration_evidence import AgainstClaim
     from calib.files.calibration_file import Calibration
     from calib.samples.recording_samples import Sampled
     from rig.recording.recording_folder import Recording
@@ -47,7 +47,7 @@ KINDS = (".json", ".html", ".pdf", ".xml")
 
 
 def parse_tolerance(text: str) -> tuple[str, float]:
-    """("position", m) or ("rotation", rad) of a text such as 20um or 0.1mrad. Raises ArgumentTypeError"""
+    r"""Parse a tolerance such as 20um or 0.1mrad: (\"position\", m) or (\"rotation\", rad). Raises ArgumentTypeError"""
     found = re.fullmatch(r"\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*([a-z]+)\s*", text)
     if found is None or found[2] not in UNITS or not 0 < float(found[1]) < 1e9:
         raise ArgumentTypeError(f"{text!r} is no tolerance; write a positive number and {', '.join(UNITS)}, as in 20um")
@@ -55,19 +55,19 @@ def parse_tolerance(text: str) -> tuple[str, float]:
 
 
 def parse_share(text: str) -> float:
-    """A share between 0 and 1. Raises ArgumentTypeError"""
+    """Parse a share between 0 and 1. Raises ArgumentTypeError"""
     return _within(text, 0.5, 0.9999, "a share from 0.5 to 0.9999")
 
 
 def parse_relative_uncertainty(text: str) -> float:
-    """A relative uncertainty. Raises ArgumentTypeError"""
+    """Parse a relative uncertainty. Raises ArgumentTypeError"""
     return _within(
         text, 0.0, math.nextafter(0.1, 0.0), "a relative standard uncertainty from 0 to 0.1, as 20e-6 for 20 um/m"
     )
 
 
 def parse_load(text: str) -> float:
-    """A rated load, kg. Raises ArgumentTypeError"""
+    """Parse a rated load, kg. Raises ArgumentTypeError"""
     return _within(text, 0.0, math.nextafter(1e6, 0.0), "a load in kg, 0 or more")
 
 
@@ -145,7 +145,7 @@ def arguments(parser: ArgumentParser) -> None:
         help="leave these frames of the one recording out, for example 0-11: those that `rig calibrate --mask` left in",
     )
     add_overwrite_option(parser)
-    add_result(parser)
+    add_json_result_option(parser)
 
 
 def run(arguments: Namespace) -> int:
@@ -163,7 +163,7 @@ def run(arguments: Namespace) -> int:
             f"{arguments.out}: a certificate is written as {', '.join(KINDS)}, or to a folder with all of them"
         )
     if suffix == ".pdf":
-        require_drawing("certificates as PDF")
+        require_matplotlib("certificates as PDF")
     progress = Progress()
     progress("reading the calibration", 0, 1)
     from calib.files import calibration_file
@@ -175,10 +175,9 @@ def run(arguments: Namespace) -> int:
 
     import numpy as np
 
-    from calib.certificate import certificate_json, certificate_provenance
-    from calib.certificate.certificate import certificate_of
+    from calib.certificate import certificate, certificate_json
+    from calib.certificate.certificate import calibration_certificate, certificate_verdict
     from calib.certificate.certificate_contents import Asked
-    from calib.certificate.certificate_verdict import certificate_verdict
 
     wanted = Asked(
         arguments.coverage,
@@ -188,11 +187,11 @@ def run(arguments: Namespace) -> int:
         arguments.scale_source,
         arguments.rated_load,
     )
-    made = certificate_of(
+    made = calibration_certificate(
         calibration,
         held,
         wanted,
-        certificate_provenance.certificate_provenance(
+        certificate.certificate_provenance(
             arguments.calibration, calibration, [r for r, _ in held], arguments.argv, SEED
         ),
         np.random.default_rng(SEED),
@@ -201,7 +200,7 @@ def run(arguments: Namespace) -> int:
     made = replace(made, known=known, claims=claims)
     verdict = certificate_verdict(made)
     progress.close()
-    left_out = missing_drawing_reason() if suffix == "" else None
+    left_out = missing_matplotlib_reason() if suffix == "" else None
     places = (
         [whole / f"certificate{kind}" for kind in KINDS if kind != ".pdf" or not left_out] if suffix == "" else [whole]
     )
@@ -210,7 +209,7 @@ def run(arguments: Namespace) -> int:
     print(verdict.line)
     _say(made)
     for _, sampled in held:
-        print_unsolved(sampled.measurement)
+        print_frames_without_pose(sampled.measurement)
     arguments.result = certificate_json.certificate_dict(made)
     if left_out:
         print(f"certificate.pdf is left out: certificates as PDF {left_out}", file=sys.stderr)
@@ -226,13 +225,20 @@ def _against_claim(
     """
     import numpy as np
 
-    from calib.certify import calibration_verdict as words
-    from calib.certify.calibration_evidence import calibration_evidence, evidence_with_verification, with_design
-    from calib.certify.recording_claim_check import check_claim_on_recording
+    from calib.certify import calibration as words
+    from calib.certify.calibration_evidence import (
+        calibration_evidence,
+        check_claim_on_recording,
+        evidence_with_confounds,
+        evidence_with_verification,
+    )
     from calib.samples.confounded_conditions import confounds_of_recordings
 
-    known, claims = calibration_evidence(calibration, refutation_marks.read_refutations(arguments.calibration)), []
-    known = with_design(
+    known, claims = (
+        calibration_evidence(calibration, calibration_and_effect_files.read_refutations(arguments.calibration)),
+        [],
+    )
+    known = evidence_with_confounds(
         known, calibration, [confounds_of_recordings([recording for recording, _ in held])], "these recordings"
     )
     for recording, sampled in held:
@@ -247,7 +253,7 @@ def _against_claim(
         claims.append(one)
         known = evidence_with_verification(known, one.found, recording.name)
         if one.found.refutes:
-            refutation_marks.write_refutation(
+            calibration_and_effect_files.write_refutation(
                 arguments, arguments.calibration, recording.name, words.refutation_sentence(one.found)
             )
     return known, tuple(claims)
@@ -257,12 +263,12 @@ def _held_out(calibration: Calibration, arguments: Namespace, progress: Progress
     """[(Recording, Sampled)], none of whose data took part in fitting or is there twice. Raises RigError naming what
     did.
     """
-    from calib.recording_calibration import held_out
+    from calib.recording_calibration import held_out_recordings
 
     if arguments.mask is not None and len(arguments.recordings) > 1:
         raise RigError("--mask names frames of one recording; certify by that one alone")
     loaded = [read_recording(arguments, path) for path in arguments.recordings]
-    return held_out(calibration, loaded, progress, str(arguments.calibration))
+    return held_out_recordings(calibration, loaded, progress, str(arguments.calibration))
 
 
 def _write(path: Path, suffix: str, made: Certificate, arguments: Namespace) -> None:
@@ -271,9 +277,9 @@ def _write(path: Path, suffix: str, made: Certificate, arguments: Namespace) -> 
     from rig.formats.output_files import write_text
 
     if suffix == ".html":
-        from calib.certificate.certificate_page import certificate_page
+        from calib.certificate.certificate_page import write_certificate_page
 
-        certificate_page(
+        write_certificate_page(
             path, made, page_links(arguments, arguments.out if arguments.out.suffix else arguments.out / path.name)
         )
     elif suffix == ".pdf":
@@ -281,7 +287,7 @@ def _write(path: Path, suffix: str, made: Certificate, arguments: Namespace) -> 
 
         certificate_pdf.write_certificate_pdf(path, made)
     elif suffix == ".xml":
-        write_text(path, xml.certificate_xml(made, _issuer(arguments)))
+        write_text(path, xml.digital_certificate_xml(made, _issuer(arguments)))
     else:
         write_text(path, certificate_json.certificate_text(made))
 
@@ -299,9 +305,9 @@ def _say(made: Certificate) -> None:
     print(
         "\n".join(
             [
-                words.scale_line(made),
+                words.length_scale_line(made),
                 words.promise_line(made),
-                words.volume_line(made),
+                words.measured_volume_line(made),
                 *words.basis_lines(made),
                 *words.conformity_lines(made),
             ]

@@ -1,4 +1,4 @@
-"""rig check REC."""
+"""rig check: check a recording for mistakes and print them, the likeliest cause first."""
 
 import argparse
 from dataclasses import asdict
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rig.checks.user_mistake import Mistake, sort_mistakes
 from rig.cli.shared import recording_checks
-from rig.cli.shared.output_options import add_json, print_json
+from rig.cli.shared.command_options import add_json_option, print_json
 from rig.errors import FileError
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="read some images even if corners.csv is there, and hold both against each other",
     )
-    add_json(parser)
+    add_json_option(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     if any(one.spoils and one.proof >= CERTAIN for one in found):
         rest = Mistake("corners and poses were not looked at", "Mend what is wrong first and check again", False, 0.0)
         return _say(arguments, sort_mistakes([*found, rest]))
-    found += recording_checks.pose_mistakes(recording)
+    found += recording_checks.pose_command_mistakes(recording)
     corners = recording.corners
     if recording.has_images and (corners is None or arguments.detect):
         from vision.checks.image_sample import read_image_sample

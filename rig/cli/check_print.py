@@ -1,4 +1,4 @@
-"""rig check-print PHOTO RIG.toml [--sheet A4 | --ruler U,V,U,V=100mm]."""
+"""rig check-print: check a printed marker sheet by a photograph: the side that its markers really have."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.output_options import add_json, parse_length, print_json
+from rig.cli.shared.command_options import add_json_option, parse_length, print_json
 from rig.errors import FileError
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="U,V,U,V=100mm",
         help="a ruler lies in the sheet's plane: two of its lines, px in the photograph, and the length between them",
     )
-    add_json(parser)
+    add_json_option(parser)
 
 
 def run(arguments: Namespace) -> None:

@@ -1,6 +1,4 @@
-"""rig closure REC [--use l1,m2,..]: more lengths than six; which six tell the pose, and by how much the others do not
-close.
-"""
+"""rig closure: loop closure of redundant limbs: which six give the pose, and how far the others do not close."""
 
 from __future__ import annotations
 
@@ -8,10 +6,10 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.cli.shared.output_options import (
+from rig.cli.shared.command_options import (
+    add_json_result_option,
     add_overwrite_option,
-    add_recording,
-    add_result,
+    add_recording_argument,
     file_or_stdout,
     read_recording,
 )
@@ -29,7 +27,9 @@ STRANGE = 5.0  # standard deviations, RMS over the poses, beyond which a closure
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    add_recording(parser, "with measuring limbs beside its struts (m1..mn in sensors.csv and [insitu] in rig.toml)")
+    add_recording_argument(
+        parser, "with measuring limbs beside its struts (m1..mn in sensors.csv and [insitu] in rig.toml)"
+    )
     parser.add_argument(
         "--use",
         metavar="LEGS",
@@ -49,7 +49,7 @@ def arguments(parser: ArgumentParser) -> None:
         "(e_..), its expected standard deviation (u_..), m",
     )
     add_overwrite_option(parser)
-    add_result(parser)
+    add_json_result_option(parser)
 
 
 def run(arguments: Namespace) -> int:
@@ -92,7 +92,7 @@ def _legs(arguments: Namespace, recording: Recording) -> tuple[Legs, np.ndarray,
     """(Legs of struts and limbs, frames (n,), lengths (n, legs) m as commanded and read)."""
     import numpy as np
 
-    from calib.certify import measuring_limbs, redundant_limb_checks
+    from calib.certify import measuring_limb_checks, measuring_limbs
     from calib.files import calibration_file
     from calib.online import measuring_limbs_file
     from rig.model.mechanism_kinds import hexapod_of
@@ -116,7 +116,12 @@ def _legs(arguments: Namespace, recording: Recording) -> tuple[Legs, np.ndarray,
         )
         commanded = commanded - calibration.correction.rho(commanded)
     if arguments.limbs is not None:
-        limbs = ("m", *redundant_limb_checks.all_fitted_limbs(measuring_limbs_file.load(arguments.limbs).limbs, stated))
+        limbs = (
+            "m",
+            *measuring_limb_checks.all_limbs_with_covariance(
+                measuring_limbs_file.load_limbs(arguments.limbs).limbs, stated
+            ),
+        )
     return redundant_legs.combine_legs([struts, limbs], machine.home), frames, np.hstack([commanded, lengths])
 
 

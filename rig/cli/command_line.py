@@ -1,4 +1,4 @@
-"""The command line: it lists the commands and opens the one asked for; each imports what it needs when it runs."""
+"""Command line `rig`: lists the commands, imports the chosen one, runs it, returns its exit status."""
 
 import argparse
 import errno
@@ -13,7 +13,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, redi
 from pathlib import Path
 from typing import Any, NoReturn, TextIO, TypeVar, cast
 
-from rig.cli.shared.argument_parser import Parser, add_common, join_negative_numbers
+from rig.cli.shared.argument_parser import Parser, add_common_options, join_negative_numbers
 from rig.errors import RigError
 from rig.formats.output_files import STANDARD_OUTPUT, Outputs
 
@@ -80,11 +80,11 @@ COMMANDS = {
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; returns the exit status: 0 done, 1 refused with a reason, 2 wrong usage, 130 interrupted.
+    """Run one command; returns the exit status: 0 done, 1 refused, 2 wrong usage, 130 interrupted.
 
     Raises SystemExit where help was asked for or the usage is wrong
     """
-    from rig.cli.shared.terminal_safe_output import escaped_output
+    from rig.cli.shared.terminal_output import escaped_output
 
     with escaped_output():
         return _main(join_negative_numbers(sys.argv[1:] if argv is None else argv))
@@ -93,7 +93,7 @@ def main(argv: list[str] | None = None) -> int:
 def _main(argv: list[str]) -> int:
     """See `main`."""
     chosen = next((word for word in argv if not word.startswith("-")), None)
-    parser = command_line([chosen] if chosen else [], tuple(argv))
+    parser = command_line_parser([chosen] if chosen else [], tuple(argv))
     try:
         if chosen is not None and chosen not in COMMANDS:
             parser.unknown(chosen, COMMANDS)
@@ -105,14 +105,12 @@ def _main(argv: list[str]) -> int:
         raise SystemExit(_flushed("rig", end.code)) from None
     except OSError as error:
         return _failed(f"rig: standard output: {error.strerror}")
-    arguments.argv, arguments.all_commands, arguments.call = argv, lambda: command_line(COMMANDS), main
+    arguments.argv, arguments.all_commands, arguments.call = argv, lambda: command_line_parser(COMMANDS), main
     return _run(arguments)
 
 
-def command_line(opened: Collection[str], words: tuple[str, ...] = ()) -> Parser:
-    """The parser of the command line. opened : commands of which it knows the arguments too; words : what it will be
-    given
-    """
+def command_line_parser(expanded_commands: Collection[str], words: tuple[str, ...] = ()) -> Parser:
+    """Parser of the command line. expanded_commands : those with their own arguments; words : the words to parse"""
     parser = Parser(
         prog="rig",
         description="Vision-measured calibration of robots that move a platform on struts, and of arms.",
@@ -124,18 +122,17 @@ def command_line(opened: Collection[str], words: tuple[str, ...] = ()) -> Parser
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     for name, text in COMMANDS.items():
         sub = commands.add_parser(name, help=text, description=text)
-        if name in opened:  # the others' arguments do not matter, so their files stay shut
+        if name in expanded_commands:  # the others' arguments do not matter, so their files stay shut
             module = importlib.import_module(f"rig.cli.{name.replace('-', '_')}")
             module.arguments(sub)
-            add_common(sub, name)
+            add_common_options(sub, name)
             sub.set_defaults(run=module.run)
             parser.command, sub.words = sub, words
     return parser
 
 
 def run_script() -> NoReturn:
-    """The `rig` of a shell: `main`, and where it was stopped the end at once, as nobody waits for an interpreter that
-    clears itself away.
+    """Entry point of the `rig` script: run `main` and end the process with its exit status.
 
     Products of matrices take one thread unless the environment says otherwise: several wait for each other, for cores
     that other processes use, ten times as long as they save.
@@ -186,7 +183,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
             refresh_indices(outputs.pages)
         if asked and arguments.result is not None:
-            from rig.cli.shared.output_options import print_json
+            from rig.cli.shared.command_options import print_json
 
             print_json(arguments.result)
         return _flushed(name, status)
@@ -215,7 +212,7 @@ def _reader_may_leave(name: str, outputs: Outputs) -> Iterator[None]:
     """Within it a command that writes files finishes them though the reader of its standard output is gone, which is
     then reported.
     """
-    from rig.cli.shared.standard_output import StandardOutput
+    from rig.cli.shared.terminal_output import StandardOutput
 
     out = StandardOutput(sys.stdout or io.StringIO(), lambda: outputs.in_use)
     with redirect_stdout(cast(TextIO, out)):
@@ -232,19 +229,19 @@ def _reader_may_leave(name: str, outputs: Outputs) -> Iterator[None]:
 
 def _compiling() -> AbstractContextManager[None]:
     """Within it is said, once, that something is compiled, for which nothing moves on."""
-    from rig.cli.shared.progress_bars import compilation_notice
+    from rig.cli.shared.terminal_output import print_compilation_notice
     from rig.compute.numba_kernels import announce_compilation
 
-    return announce_compilation(compilation_notice)
+    return announce_compilation(print_compilation_notice)
 
 
 def _workers(arguments: argparse.Namespace) -> AbstractContextManager[None]:
     """Within it those work for a command who were asked for."""
     if "workers" not in arguments:
         return nullcontext()
-    from rig.cli.shared.worker_options import workers_at_work
+    from rig.cli.shared.worker_options import use_requested_workers
 
-    return workers_at_work(arguments)
+    return use_requested_workers(arguments)
 
 
 def _require_utf8(words: list[str]) -> None:
@@ -267,7 +264,7 @@ def _for_programs(arguments: argparse.Namespace) -> bool:
 def _words(arguments: argparse.Namespace) -> Iterator[None]:
     """Within it what a command prints goes where its user wants words: nowhere with --quiet, unless it is the result
     that was asked for; to the error output where the result is printed as JSON once the command is done."""
-    from rig.cli.shared.progress_bars import Progress
+    from rig.cli.shared.terminal_output import Progress
 
     out, quiet = getattr(arguments, "out", ""), getattr(arguments, "quiet", False)
     aside = _for_programs(arguments)
@@ -336,7 +333,7 @@ def _flushed(name: str, status: S) -> S | int:
         message = ""
     except OSError as error:
         message = f"{name}: standard output cannot be written: {error.strerror}"
-    from rig.cli.shared.standard_output import discard_output
+    from rig.cli.shared.terminal_output import discard_output
 
     discard_output(sys.stdout)
     if name and message:

@@ -1,4 +1,4 @@
-"""rig completion SHELL."""
+"""rig completion: print the completion script for bash, zsh or fish."""
 
 from argparse import ArgumentParser, Namespace
 

@@ -1,4 +1,4 @@
-"""rig correct calibration.json --poses poses.csv --out commands.csv [--sensors sensors.csv] [--start lengths|home]."""
+"""rig correct: corrected commands for wanted poses by a calibration; or corrected poses of readings."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import reading_correction, refutation_marks, user_effects_option
-from rig.cli.shared.output_options import add_overwrite_option, add_result, file_or_stdout
+from rig.cli.shared import calibration_and_effect_files, poses_from_readings
+from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option, file_or_stdout
 from rig.errors import RigError, Unreachable
 from rig.formats.number_parsing import parse_numbers
 
@@ -73,15 +73,15 @@ def arguments(parser: ArgumentParser) -> None:
         action="store_true",
         help="command X + KSF(X), the method's first step, not the fixed point that is exact",
     )
-    user_effects_option.add_effects_option(parser)
+    calibration_and_effect_files.add_effects_option(parser)
     add_overwrite_option(parser)
-    add_result(parser)
+    add_json_result_option(parser)
 
 
 def run(arguments: Namespace) -> None:
     """Write the commands that give the wanted poses, or the poses that readings stand for."""
     if arguments.forward:
-        reading_correction.poses_of_readings(arguments)
+        poses_from_readings.write_poses_of_readings(arguments)
         return
     import numpy as np
 
@@ -89,10 +89,10 @@ def run(arguments: Namespace) -> None:
     from rig.recording import recording_folder as recordings
     from rig.recording import recording_tables
 
-    calibration = user_effects_option.load_calibration(
-        arguments.calibration, user_effects_option.load_effect_files(arguments)
+    calibration = calibration_and_effect_files.load_calibration(
+        arguments.calibration, calibration_and_effect_files.load_effect_files(arguments)
     )
-    refutation_marks.read_refutations(arguments.calibration)
+    calibration_and_effect_files.read_refutations(arguments.calibration)
     if arguments.single_step and calibration.physics is not None and not arguments.uncorrected:
         raise RigError(
             "--single-step is of corrections that depend on the configuration alone; this calibration knows "
@@ -289,7 +289,7 @@ def _say_rest(
     beside = arguments.outputs.stage_file(out, ".poses.csv")
     if beside is not None:
         if done.covariance is None:
-            covariance = certification.model_covariance(calibration, done.values)
+            covariance = certification.arm_pose_covariance(calibration, done.values)
             recording_tables.write_poses(beside, recordings.Poses(frames, done.T_base_platform, covariance))
         print(f"the poses that it takes instead, with their uncertainty, are in {beside.name}")
 

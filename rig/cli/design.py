@@ -1,8 +1,8 @@
-"""rig design --radius R --out rig.toml, or rig design --arm NAME [--seen cubes|hand] --out rig.toml."""
+"""rig design: write the rig.toml of a new design, from a radius or an arm's name: cubes and cameras placed."""
 
 from argparse import ArgumentParser, Namespace
 
-from rig.cli.shared.output_options import add_overwrite_option, file_or_stdout
+from rig.cli.shared.command_options import add_overwrite_option, file_or_stdout
 from rig.formats.number_parsing import parse_number, parse_whole_number
 
 

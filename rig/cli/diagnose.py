@@ -1,4 +1,4 @@
-"""rig diagnose REC.. --out DIR [--calibration FILE] [--assume 'EFFECT PLACE'] [--from DIR] [--mask FRAMES]."""
+"""rig diagnose: diagnose recordings: which effects the model leaves out, where, how large, the evidence."""
 
 from __future__ import annotations
 
@@ -8,15 +8,21 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import next_experiment, recording_checks, refutation_marks, user_effects_option
-from rig.cli.shared.output_options import Progress, add_overwrite_option, add_recordings, add_result, page_links
+from rig.cli.shared import calibration_and_effect_files, experiment_planning, recording_checks
+from rig.cli.shared.command_options import (
+    Progress,
+    add_json_result_option,
+    add_overwrite_option,
+    add_recordings_argument,
+    page_links,
+)
 from rig.errors import RigError
 from rig.formats import json_file
 from rig.report.verdict import State
 
 if TYPE_CHECKING:
     from calib.certify.calibration_evidence import OfCalibrations
-    from calib.diagnose.engine.stated_terms import Given
+    from calib.diagnose.engine.selection_inputs import StatedTerms
     from calib.diagnose.report.diagnosis_report import Report
     from calib.files.calibration_file import Calibration
     from calib.samples.recording_samples import Sampled
@@ -35,14 +41,14 @@ class Beforehand:
     """
 
     calibration: Calibration | None
-    given: Given
+    given: StatedTerms
     own: tuple[Plugin, ...]
     kinds: tuple[type[Effect], ...]
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    add_recordings(parser)
+    add_recordings_argument(parser)
     parser.add_argument(
         "--out", metavar="DIR", type=Path, required=True, help="diagnosis.json and the page are written there"
     )
@@ -76,11 +82,11 @@ def arguments(parser: ArgumentParser) -> None:
         dest="before",
         help="what another diagnosis found: begin with its findings, each of which has to stand here as well",
     )
-    user_effects_option.add_effects_option(parser)
-    next_experiment.arguments(parser)
+    calibration_and_effect_files.add_effects_option(parser)
+    experiment_planning.add_next_experiment_options(parser)
     add_overwrite_option(parser)
     recording_checks.add_anyway_option(parser)
-    add_result(parser)
+    add_json_result_option(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -88,17 +94,19 @@ def run(arguments: Namespace) -> None:
     from rig.effects.texts.effect_text import require_known_effect
     from rig.recording import data_provenance
 
-    next_experiment.refuse_invalid_options(arguments)
+    experiment_planning.refuse_invalid_experiment_options(arguments)
     progress = Progress()
     progress("reading the recording", 0, 1)
     recording, look, several = recording_checks.load_and_check_recordings(arguments, progress)
     corners = (
-        recording.corners if recording.corners is not None or several else recording_checks.sample_corners(recording)
+        recording.corners
+        if recording.corners is not None or several
+        else recording_checks.corners_of_image_sample(recording)
     )
     if corners is not None:
         look(corners)
-    own = user_effects_option.load_effect_files(arguments)
-    kinds = user_effects_option.known_effects(own)
+    own = calibration_and_effect_files.load_effect_files(arguments)
+    kinds = calibration_and_effect_files.known_effects(own)
     for text in (arguments.only or []) + arguments.without:
         require_known_effect(text, recording.design, kinds)
     out = arguments.outputs.folder(arguments.out)
@@ -119,11 +127,11 @@ def run(arguments: Namespace) -> None:
     print(f"written: {arguments.out / 'diagnosis.json'}; look at {arguments.out / 'diagnosis.html'}")
 
 
-def _given(arguments: Namespace, recording: Recording, kinds: Kinds) -> Given:
+def _given(arguments: Namespace, recording: Recording, kinds: Kinds) -> StatedTerms:
     """What the operator says beforehand. Raises RigError for what this rig cannot have, FileError for what is no
     diagnosis.
     """
-    from calib.diagnose.engine.stated_terms import Given
+    from calib.diagnose.engine.selection_inputs import StatedTerms
     from calib.diagnose.report.diagnosis_json import UNKNOWN
     from rig.effects.texts.effect_text import parse_place
 
@@ -142,7 +150,7 @@ def _given(arguments: Namespace, recording: Recording, kinds: Kinds) -> Given:
                     before.append(parse_place(f"{name} {place}", recording.design, kinds))
                 except RigError as error:
                     raise RigError(f"{path} is of another rig: {error}") from None
-    return Given(tuple(parse_place(text, recording.design, kinds) for text in arguments.assume), tuple(before))
+    return StatedTerms(tuple(parse_place(text, recording.design, kinds) for text in arguments.assume), tuple(before))
 
 
 def _said(arguments: Namespace) -> tuple[str, ...]:
@@ -187,9 +195,9 @@ def _arm(recording: Recording, arguments: Namespace, known: Beforehand, out: Pat
         page_links(arguments, arguments.out / "diagnosis.html"),
     )
     if arguments.next is not None:
-        from calib.experiment.arm_questions import arm_questions
+        from calib.experiment.diagnosis_questions import arm_questions
 
-        next_experiment.write_next_plan(arguments, arm_questions(found), recording.design, out, progress)
+        experiment_planning.write_next_experiment_plan(arguments, arm_questions(found), recording.design, out, progress)
     return report
 
 
@@ -230,9 +238,11 @@ def _platform(recording: Recording, arguments: Namespace, known: Beforehand, out
         page_links(arguments, arguments.out / "diagnosis.html"),
     )
     if arguments.next is not None:
-        from calib.experiment.platform_questions import questions
+        from calib.experiment.diagnosis_questions import platform_questions
 
-        next_experiment.write_next_plan(arguments, questions(found), recording.design, out, progress)
+        experiment_planning.write_next_experiment_plan(
+            arguments, platform_questions(found), recording.design, out, progress
+        )
     return report
 
 
@@ -243,15 +253,18 @@ def _of_calibrations(
     is marked.
     """
     from calib.certify.calibration_evidence import OfCalibrations
-    from calib.diagnose.calibration_left_out_physics import findings_against_calibrations, refuted_calibrations
+    from calib.diagnose.calibration_left_out_physics import refuted_calibrations, unexplained_and_refuted_calibrations
     from rig.recording import data_provenance
 
-    of, paths = data_provenance.content_marks(recording), refutation_marks.near_by(recording.folder, arguments.out)
+    of, paths = (
+        data_provenance.content_marks(recording),
+        calibration_and_effect_files.neighbouring_json_files(recording.folder, arguments.out),
+    )
     refuted = []
     for path, state, finding in refuted_calibrations(report, of, paths, None if sampled is None else sampled.samples):
-        refutation_marks.write_refutation(arguments, path, recording.name, finding, state)
+        calibration_and_effect_files.write_refutation(arguments, path, recording.name, finding, state)
         refuted += [f"{path.name} is refuted: {finding}"] if state == State.BAD else []
-    return OfCalibrations(tuple(refuted), findings_against_calibrations(of, paths, False).unexplained)
+    return OfCalibrations(tuple(refuted), unexplained_and_refuted_calibrations(of, paths, False).unexplained)
 
 
 def _print(report: Report) -> None:
@@ -301,7 +314,7 @@ def _known(path: Path, recording: Recording, own: tuple[Plugin, ...]) -> Calibra
     """Calibration of a file. Raises RigError where it was made from this very recording, which would count twice."""
     from calib.files import calibration_file
 
-    calibration = user_effects_option.load_calibration(path, own)
+    calibration = calibration_and_effect_files.load_calibration(path, own)
     same = calibration_file.frames_used_in_calibration(calibration, recording)
     if same:
         raise RigError(

@@ -1,13 +1,13 @@
-"""rig doctor."""
+"""rig doctor: check this computer's installation: packages, OpenGL, cameras, ports, disk space, threads."""
 
 from argparse import ArgumentParser, Namespace
 
-from rig.cli.shared.output_options import add_json, print_json
+from rig.cli.shared.command_options import add_json_option, print_json
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    add_json(parser)
+    add_json_option(parser)
 
 
 def run(arguments: Namespace) -> int:

@@ -1,4 +1,4 @@
-"""rig effects [NAME], and rig effects --new NAME [--from DIR]."""
+"""rig effects: list the effects of the catalogue, print one in full, or write a file for an effect of one's own."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import user_effects_option
-from rig.cli.shared.output_options import add_json, add_overwrite_option, print_json
+from rig.cli.shared import calibration_and_effect_files
+from rig.cli.shared.command_options import add_json_option, add_overwrite_option, print_json
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("name", metavar="NAME", nargs="?", help="one of them, whole; all as a table without it")
-    add_json(parser)
-    user_effects_option.add_effects_option(parser)
+    add_json_option(parser)
+    calibration_and_effect_files.add_effects_option(parser)
     parser.add_argument(
         "--new", metavar="NAME", help="write a file with an effect of your own, to be edited and given to --effects"
     )
@@ -49,7 +49,7 @@ def run(arguments: Namespace) -> None:
     from rig.effects.texts.catalogue_listing import effect_description, effect_dict, effect_table
 
     width = get_terminal_size((160, 24)).columns
-    known = user_effects_option.known_effects(user_effects_option.load_effect_files(arguments))
+    known = calibration_and_effect_files.known_effects(calibration_and_effect_files.load_effect_files(arguments))
     if arguments.name is None:
         if arguments.json:
             print_json([effect_dict(effect) for effect in known.values()])

@@ -1,4 +1,4 @@
-"""rig emulate RIG.toml --protocol P [--fault F]: a controller that is not there, at a real port."""
+"""rig emulate: emulate a controller at a pseudo-terminal or over TCP, with faults on request."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rig.errors import RigError
 from rig.formats.number_parsing import parse_number, parse_numbers, parse_whole_number
 
 if TYPE_CHECKING:
-    from rig.cli.shared.emulated_camera_process import Cameras
+    from rig.cli.shared.child_processes import EmulatedCameraProcess
     from rig.driving.clock import Clock
     from rig.driving.emulators.controller_emulator import Emulator
 
@@ -117,11 +117,11 @@ def run(arguments: Namespace) -> None:
         kept.cleanup()
 
 
-def _cameras(arguments: Namespace, followed: Path) -> Cameras:
+def _cameras(arguments: Namespace, followed: Path) -> EmulatedCameraProcess:
     """The process that draws; its address is printed."""
-    from rig.cli.shared.emulated_camera_process import Cameras
+    from rig.cli.shared.child_processes import EmulatedCameraProcess
 
-    cameras = Cameras(
+    cameras = EmulatedCameraProcess(
         arguments.design, arguments.truth, followed, _address(arguments.cameras, "--cameras"), arguments.seed
     )
     print(f"cameras {cameras.name}", flush=True)
@@ -129,9 +129,7 @@ def _cameras(arguments: Namespace, followed: Path) -> Cameras:
 
 
 def emulator_of_arguments(arguments: Namespace, clock: Clock) -> Emulator:
-    """The Emulator that the arguments ask for. Raises RigError for a rig without a controller and arguments that cannot
-    be meant.
-    """
+    """Emulator that the command's arguments request. Raises RigError for a rig without controller or invalid ones."""
     import numpy as np
 
     from rig.driving import emulators

@@ -1,4 +1,4 @@
-"""rig export calibration.json --format genhexkins|urdf|sdf|json|csv|linuxcnc-comp|grid|.. --out FILE."""
+"""rig export: export a calibrated geometry to other formats: genhexkins, URDF, SDF, LinuxCNC, JSON, CSV, a grid."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.output_options import add_overwrite_option, add_result, file_or_stdout
+from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option, file_or_stdout
 from rig.errors import RigError
 from rig.formats.number_parsing import parse_number, parse_whole_number
 
@@ -71,7 +71,7 @@ def arguments(parser: ArgumentParser) -> None:
         help="of linuxcnc-comp and grid: parts of each actuator's interval (default 64, and 3)",
     )
     add_overwrite_option(parser)
-    add_result(parser)
+    add_json_result_option(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -156,7 +156,7 @@ def _tables(arguments: Namespace) -> None:
     """Write corrections as tables, and say what they leave out."""
     import numpy as np
 
-    from calib.correct.correction_tables import grid_table, joint_tables
+    from calib.correct.correction_tables import axis_correction_tables, grid_correction_table
     from calib.files import calibration_file
     from rig.formats.exporters import compensation_tables
     from rig.formats.output_files import write_text
@@ -177,7 +177,7 @@ def _tables(arguments: Namespace) -> None:
         write_text(
             out,
             compensation_tables.grid(
-                *grid_table(correction, parts), mechanism.axes, mechanisms.kinematics_of(mechanism).UNIT
+                *grid_correction_table(correction, parts), mechanism.axes, mechanisms.kinematics_of(mechanism).UNIT
             ),
         )
         print(
@@ -186,7 +186,7 @@ def _tables(arguments: Namespace) -> None:
         )
         return
     folder = arguments.outputs.folder(arguments.out)
-    found = joint_tables(correction, parts + 1)
+    found = axis_correction_tables(correction, parts + 1)
     for i, (levels, trims) in enumerate(zip(found.levels, found.trims)):
         write_text(
             folder / f"joint_{i}.comp",

@@ -1,4 +1,4 @@
-"""rig go CALIBRATION [--rig RIG.toml] --pose X,Y,Z,RX,RY,RZ."""
+"""rig go: move the platform to one pose through a calibration: corrected lengths, checked, read back."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from argparse import ArgumentParser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import refutation_marks, user_effects_option
-from rig.cli.shared.output_options import add_port, add_result
+from rig.cli.shared import calibration_and_effect_files
+from rig.cli.shared.command_options import add_json_result_option, add_port_options
 from rig.errors import RigError
 from rig.formats.number_parsing import parse_number, parse_numbers
 
@@ -44,9 +44,9 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--trust", action="store_true", help="believe the position that the controller reads, though it was not homed"
     )
-    user_effects_option.add_effects_option(parser)
-    add_port(parser)
-    add_result(parser)
+    calibration_and_effect_files.add_effects_option(parser)
+    add_port_options(parser)
+    add_json_result_option(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -62,10 +62,10 @@ def run(arguments: Namespace) -> None:
     if not 0 < arguments.speed <= 1:
         raise RigError(f"--speed takes a share above 0 and up to 1, got {arguments.speed:g}")
     design = design_with_controller(arguments.rig, arguments.port)
-    calibration = user_effects_option.load_calibration(
-        arguments.calibration, user_effects_option.load_effect_files(arguments)
+    calibration = calibration_and_effect_files.load_calibration(
+        arguments.calibration, calibration_and_effect_files.load_effect_files(arguments)
     )
-    refutation_marks.read_refutations(arguments.calibration)
+    calibration_and_effect_files.read_refutations(arguments.calibration)
     correction = calibration.correction
     _same(correction.nominal, hexapod_of(design.mechanism), arguments)
     wanted = parse_pose(arguments.pose)
@@ -123,7 +123,7 @@ def _lengths(calibration: Calibration, wanted: RigidTransform, start: np.ndarray
 
 
 def parse_pose(text: str) -> RigidTransform:
-    """RigidTransform of six figures joined by commas, m and rad. Raises RigError for anything else."""
+    """Parse a pose, six numbers joined by commas, m and rad, as RigidTransform. Raises RigError for anything else."""
     import numpy as np
 
     from rig.formats.checked_entries import LARGEST_RIG

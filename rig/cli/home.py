@@ -1,13 +1,13 @@
-"""rig home RIG.toml."""
+"""rig home: home all struts and print where they stand."""
 
 from argparse import ArgumentParser, Namespace
 
-from rig.cli.shared.output_options import add_driving
+from rig.cli.shared.command_options import add_controller_arguments
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    add_driving(parser)
+    add_controller_arguments(parser)
     parser.add_argument("--unlock", action="store_true", help="clear the controller's alarm first")
 
 

@@ -1,13 +1,11 @@
-"""rig import IMAGES --rig rig.toml --commands X.csv --cameras camchain.yaml --out REC, or rig import --recipe FILE
---out REC.
-"""
+"""rig import: import images, tables and camera files as a recording, and write the recipe of it."""
 
 import argparse
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.cli.shared.output_options import add_overwrite_option, add_result
+from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -70,7 +68,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used"
     )
     add_overwrite_option(parser)
-    add_result(parser)
+    add_json_result_option(parser)
 
 
 def run(arguments: argparse.Namespace) -> None:

@@ -1,9 +1,9 @@
-"""rig index [DIR]."""
+"""rig index: write the index page of all pages below a folder, each with its verdict."""
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared.output_options import add_overwrite_option
+from rig.cli.shared.command_options import add_overwrite_option
 from rig.errors import RigError
 
 
@@ -22,11 +22,11 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Write one page of all pages below a folder."""
-    from rig.report.pages.page_index import NAME, index_page, list_pages
+    from rig.report.pages.page_index import NAME, list_pages, write_index_page
 
     if not arguments.folder.is_dir():
         raise RigError(f"{arguments.folder}: no such folder")
-    index_page(arguments.outputs.file(arguments.folder / NAME), arguments.folder)
+    write_index_page(arguments.outputs.file(arguments.folder / NAME), arguments.folder)
     known = list_pages(arguments.folder)
     for found in known:
         print(f"{found.state:6} {found.path}: {found.why}")

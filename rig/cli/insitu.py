@@ -1,4 +1,4 @@
-"""rig insitu REC --tolerance M RAD [--use m1,m2,..] [--out limbs.json] [--state FILE]."""
+"""rig insitu: test measuring limbs in situ against vision; accepted ones are saved to replace it."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.cli import online
-from rig.cli.shared.output_options import (
+from rig.cli.shared.command_options import (
     Progress,
-    add_page,
-    add_recording,
-    add_result,
+    add_json_result_option,
+    add_page_option,
+    add_recording_argument,
     page_links,
     page_path,
-    print_unsolved,
+    print_frames_without_pose,
     read_recording,
 )
 from rig.errors import RigError
@@ -24,7 +24,7 @@ from rig.formats.number_parsing import parse_number
 if TYPE_CHECKING:
     import numpy as np
 
-    from calib.certify.fitted_limbs import Limbs
+    from calib.certify.measuring_limb_checks import Limbs
     from calib.certify.measuring_limbs import Agreement
     from calib.online.measuring_limbs_file import Accepted
     from calib.samples.recording_samples import Sampled
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    add_recording(parser, "with columns m1..mn (m), six or more, in sensors.csv and [insitu] in rig.toml")
+    add_recording_argument(parser, "with columns m1..mn (m), six or more, in sensors.csv and [insitu] in rig.toml")
     parser.add_argument(
         "--tolerance",
         nargs=2,
@@ -57,14 +57,14 @@ def arguments(parser: ArgumentParser) -> None:
         help="limbs.json: geometry, covariance, agreement and verdict, for --limbs of measure, "
         "calibrate, online and run",
     )
-    add_page(parser)
+    add_page_option(parser)
     parser.add_argument(
         "--state",
         metavar="FILE",
         type=Path,
         help="once passed: learn the struts from the limbs' poses, and save that here",
     )
-    add_result(parser)
+    add_json_result_option(parser)
 
 
 def run(arguments: Namespace) -> int:
@@ -87,12 +87,12 @@ def run(arguments: Namespace) -> int:
     asked = None if arguments.use is None else _asked(arguments.use, channels)
     by_vision = sample_recording(recording, progress=Progress())
     accepted, closed = _held(arguments, recording, by_vision, read, asked)
-    from calib.report.measuring_limbs_page import limbs_verdict
+    from calib.report.online_and_limb_pages import measuring_limbs_verdict
 
     found = accepted.agreement
     _print(found, by_vision.source)
     _print_checks(accepted.limbs, channels, *closed)
-    print_unsolved(by_vision.measurement)
+    print_frames_without_pose(by_vision.measurement)
     if accepted.withdrawn is not None:
         print(
             f"from frame {accepted.withdrawn.frame} on {accepted.withdrawn.reason}; limbs that change while "
@@ -104,14 +104,16 @@ def run(arguments: Namespace) -> int:
         "the measuring limbs pass: their poses may stand for vision's" if passed else "the measuring limbs do not pass"
     )
     why = None if accepted.withdrawn is None else accepted.withdrawn.reason
-    arguments.result = _result(accepted, channels, *closed) | {"verdict": limbs_verdict(found, why).tree()}
+    arguments.result = _result(accepted, channels, *closed) | {"verdict": measuring_limbs_verdict(found, why).tree()}
     if out is not None:
-        measuring_limbs_file.save(out, accepted)
+        measuring_limbs_file.save_limbs(out, accepted)
         print(f"written: {arguments.out}, verdict {accepted.verdict}")
     if page is not None:
-        from calib.report.measuring_limbs_page import limbs_page
+        from calib.report.online_and_limb_pages import write_measuring_limbs_page
 
-        limbs_page(page, recording.name, found, by_vision.source, why, page_links(arguments, arguments.page))
+        write_measuring_limbs_page(
+            page, recording.name, found, by_vision.source, why, page_links(arguments, arguments.page)
+        )
         print(f"written: {arguments.page}")
     if state is not None and passed:
         poses = measuring_limb_poses.samples_of_limb_poses(
@@ -133,14 +135,14 @@ def _held(
     asked : (6,) numbers of those that tell poses, or None"""
     import numpy as np
 
-    from calib.certify import measuring_limb_steps, measuring_limbs, redundant_limb_checks
+    from calib.certify import measuring_limb_checks, measuring_limbs
     from calib.files.calibration_file import calibration_provenance
     from calib.online import measuring_limbs_file
 
     stated, (frames, every) = measuring_limbs.stated_limbs(recording.design), read
     sigma, home = stated.length_sigma, measuring_limbs.limb_hexapod(recording.design).home
     chosen = (
-        redundant_limb_checks.best_six_limbs(stated, home, by_vision.samples.T_base_platform)
+        measuring_limb_checks.best_six_limbs(stated, home, by_vision.samples.T_base_platform)
         if asked is None
         else asked
     )
@@ -150,11 +152,11 @@ def _held(
     found = measuring_limbs.limb_agreement(samples.T_base_platform, T, expected, arguments.tolerance)
     six = replace(measuring_limbs.calibrate_limbs(samples, nominal, sigma)[0], chosen=chosen)
     both = every[np.searchsorted(frames, samples.frame)]
-    limbs = replace(six, checks=redundant_limb_checks.fit_limb_checks(six, stated, both))
+    limbs = replace(six, checks=measuring_limb_checks.fit_limb_checks(six, stated, both))
     accepted = measuring_limbs_file.Accepted(
         limbs, nominal, found, None, calibration_provenance(recording, arguments.argv, 0, by_vision.source == "images")
     )
-    slipped = measuring_limb_steps.detect_limb_slip(samples, limbs, sigma)
+    slipped = measuring_limbs.detect_limb_slip(samples, limbs, sigma)
     if slipped is not None:
         limb = chosen[slipped.limb - 1] + 1
         reason = (
@@ -162,7 +164,7 @@ def _held(
             "it slipped"
         )
         accepted = measuring_limbs_file.withdraw_acceptance(accepted, str(recording.folder), slipped.frame, reason)
-    return accepted, redundant_limb_checks.held_out_check_errors(limbs, stated, both)
+    return accepted, measuring_limb_checks.held_out_check_errors(limbs, stated, both)
 
 
 def _asked(text: str, channels: tuple[str, ...]) -> np.ndarray:

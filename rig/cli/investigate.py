@@ -1,4 +1,4 @@
-"""rig investigate RIG.toml --out DIR --budget 2h [--machine TRUTH | --by-hand] [--resume]."""
+"""rig investigate: plan, record and diagnose in a loop until nothing is ambiguous, then calibrate and certify."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.cli.shared.investigation_certificate import certify_investigation
-from rig.cli.shared.investigation_machine import Rig, Waiting
-from rig.cli.shared.output_options import SEED, add_result
+from rig.cli.shared.command_options import SEED, add_json_result_option
+from rig.cli.shared.investigation_execution import InvestigationMachine, Waiting, certify_investigation
 from rig.errors import RigError
 from rig.formats.number_parsing import parse_whole_number
 
@@ -27,7 +26,7 @@ STATE = "investigation.json"
 
 
 def parse_minutes(text: str) -> float:
-    """min of a time as written, 2h or 90min. Raises ArgumentTypeError for anything else"""
+    """Parse a duration such as 2h or 90min, in minutes. Raises ArgumentTypeError for anything else"""
     found = re.fullmatch(r"([0-9]{1,4}(?:\.[0-9]{1,3})?)(h|min)", text)
     value = float(found[1]) * (60 if found[2] == "h" else 1) if found else 0.0
     if not 0 < value <= 6000:
@@ -78,7 +77,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--settle", default="time:1", metavar="HOW", help="as for rig run")
     parser.add_argument("--no-home", action="store_true", help="as for rig run")
     parser.add_argument("--resume", action="store_true", help="go on with DIR, whatever it was interrupted by")
-    add_result(parser)
+    add_json_result_option(parser)
 
 
 def run(arguments: Namespace) -> int:
@@ -86,7 +85,7 @@ def run(arguments: Namespace) -> int:
     certify.
     """
     from calib.experiment.investigation_folder import read_looks
-    from calib.experiment.investigation_page import investigation_verdict
+    from calib.experiment.investigation_report import investigation_verdict
     from rig.formats.rig_toml import design_file
 
     design = design_file.load(arguments.design)
@@ -102,7 +101,7 @@ def run(arguments: Namespace) -> int:
         )
     if not 12 <= arguments.verify <= 400:
         raise RigError(f"--verify takes 12 to 400 poses, not {arguments.verify}")
-    rig = Rig(arguments, design)
+    rig = InvestigationMachine(arguments, design)
     _begin(arguments, rig)
     try:
         before = read_looks(arguments.out)
@@ -136,7 +135,7 @@ def _result(so_far: list[Look], ended: str, after: tuple[str, ...], waiting: str
     """
     from dataclasses import asdict
 
-    from calib.experiment.investigation_page import investigation_verdict
+    from calib.experiment.investigation_report import investigation_verdict
 
     verdict = investigation_verdict(so_far, ended).tree() if so_far else None
     return {
@@ -149,7 +148,7 @@ def _result(so_far: list[Look], ended: str, after: tuple[str, ...], waiting: str
     }
 
 
-def _begin(arguments: Namespace, rig: Rig) -> None:
+def _begin(arguments: Namespace, rig: InvestigationMachine) -> None:
     """Make the folder, or see that it is of this rig. Raises RigError otherwise."""
     from calib.experiment.investigation_folder import plan_path
     from rig.formats import json_file
@@ -180,14 +179,14 @@ def _begin(arguments: Namespace, rig: Rig) -> None:
     write_text(out / STATE, json.dumps(own, indent=1) + "\n")
 
 
-def _first(rig: Rig) -> str:
+def _first(rig: InvestigationMachine) -> str:
     """The text of the first plan, where nobody states one."""
     if not rig.moving:
         return STANDING
     return f"{FIRST},{LOADED}" if "payload" in rig.design.experiment.may else FIRST
 
 
-def _look(arguments: Namespace, rig: Rig, number: int, so_far: list[Look]) -> None:
+def _look(arguments: Namespace, rig: InvestigationMachine, number: int, so_far: list[Look]) -> None:
     """Record the plan of a look, and diagnose all recordings together."""
     from calib.experiment.investigation_folder import plan_path, recording_path
 
@@ -195,10 +194,10 @@ def _look(arguments: Namespace, rig: Rig, number: int, so_far: list[Look]) -> No
     _diagnose(arguments, rig, number, so_far)
 
 
-def _diagnose(arguments: Namespace, rig: Rig, number: int, so_far: list[Look]) -> None:
+def _diagnose(arguments: Namespace, rig: InvestigationMachine, number: int, so_far: list[Look]) -> None:
     """Diagnose the recordings up to a number together; the next plan is written with it. so_far : the looks before"""
     from calib.experiment.investigation_folder import diagnosis_path, plan_minutes, plan_path, recording_path
-    from calib.experiment.laboratory_notebook import minutes_spent
+    from calib.experiment.investigation_report import minutes_spent
 
     out = arguments.out
     taken = minutes_spent(so_far) + plan_minutes(plan_path(out, number))
@@ -220,7 +219,7 @@ def _diagnose(arguments: Namespace, rig: Rig, number: int, so_far: list[Look]) -
 
 def _ended(arguments: Namespace, so_far: list[Look]) -> str:
     """Why the investigation ends, "" while it goes on."""
-    from calib.experiment.laboratory_notebook import minutes_spent
+    from calib.experiment.investigation_report import minutes_spent
 
     if not so_far:
         return ""
@@ -243,8 +242,7 @@ def _ended(arguments: Namespace, so_far: list[Look]) -> str:
 
 def _tell(arguments: Namespace, so_far: list[Look], ended: str, after: tuple[str, ...] = ()) -> None:
     """Write the notebook and its page as they are now."""
-    from calib.experiment.investigation_page import write_investigation_page
-    from calib.experiment.laboratory_notebook import notebook_text
+    from calib.experiment.investigation_report import notebook_text, write_investigation_page
     from rig.formats.output_files import write_text
 
     if so_far:

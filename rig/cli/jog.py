@@ -1,11 +1,11 @@
-"""rig jog RIG.toml --strut N --by MM, or --to L1,L2,.."""
+"""rig jog: jog struts, by a distance or to given lengths, checked as any move."""
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.output_options import add_driving
+from rig.cli.shared.command_options import add_controller_arguments
 from rig.errors import PositionLost, RigError
 from rig.formats.number_parsing import parse_number, parse_numbers, parse_whole_number
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    add_driving(parser)
+    add_controller_arguments(parser)
     parser.add_argument(
         "--strut",
         type=parse_whole_number,

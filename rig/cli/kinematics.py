@@ -1,4 +1,4 @@
-"""rig kinematics ARM --forward q.csv | --inverse poses.csv [--steps] [--json]."""
+"""rig kinematics: forward and inverse kinematics of an arm, all solutions, step by step on request."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.cli.shared.output_options import add_json, print_json
+from rig.cli.shared.command_options import add_json_option, print_json
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def arguments(parser: ArgumentParser) -> None:
         action="store_true",
         help="points A, B, C (D, E) and space vectors after each joint, in the arm's global frame",
     )
-    add_json(parser)
+    add_json_option(parser)
 
 
 def run(arguments: Namespace) -> None:

@@ -1,10 +1,10 @@
-"""rig lens IMAGES --board BOARD."""
+"""rig lens: calibrate one camera's lens from photographs of a board; models compared, [[camera]] block printed."""
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.cli.shared.output_options import Progress, add_overwrite_option, add_result, page_links
+from rig.cli.shared.command_options import Progress, add_json_result_option, add_overwrite_option, page_links
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def arguments(parser: ArgumentParser) -> None:
         "--out", metavar="DIR", type=Path, help="gets lens.html with residual map and uncertainty, and camera.toml"
     )
     add_overwrite_option(parser)
-    add_result(parser)
+    add_json_result_option(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -50,7 +50,7 @@ def run(arguments: Namespace) -> None:
         raise RigError(f"--name {arguments.name!r} is no name for a camera")
     out = arguments.outputs.folder(arguments.out) if arguments.out else None
 
-    from calib.report.lens_page import lens_page, lens_verdict
+    from calib.report.lens_page import lens_verdict, write_lens_page
     from rig.formats.output_files import write_text
     from rig.formats.rig_toml.design_text_edits import camera_block
     from vision.lenses.board_photographs import calibrate_photographs
@@ -82,7 +82,7 @@ def run(arguments: Namespace) -> None:
     arguments.result = _result(found) | {"verdict": lens_verdict(found).tree()}
     if out:
         write_text(out / "camera.toml", block)
-        lens_page(out / "lens.html", found, page_links(arguments, arguments.out / "lens.html"))
+        write_lens_page(out / "lens.html", found, page_links(arguments, arguments.out / "lens.html"))
         print(f"written: {arguments.out}/camera.toml; look at {arguments.out}/lens.html", file=sys.stderr)
 
 

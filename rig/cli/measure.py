@@ -1,4 +1,4 @@
-"""rig measure REC --out DIR [--limbs FILE]."""
+"""rig measure: measure platform poses with covariance from a recording's images; cameras adjusted."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.cli.shared import limb_poses, recording_checks
-from rig.cli.shared.output_options import (
+from rig.cli.shared import poses_from_readings, recording_checks
+from rig.cli.shared.command_options import (
     Progress,
+    add_json_result_option,
     add_overwrite_option,
-    add_recording,
-    add_result,
+    add_recording_argument,
     page_links,
-    print_unsolved,
+    print_frames_without_pose,
 )
 from rig.errors import RigError
 from rig.formats.input_files import read_bytes, read_text
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    add_recording(parser)
+    add_recording_argument(parser)
     parser.add_argument(
         "--out", metavar="DIR", type=Path, required=True, help="gets poses.csv, corners.csv, rig.toml and report.html"
     )
@@ -42,10 +42,10 @@ def arguments(parser: ArgumentParser) -> None:
         "adjusted too, or (auto) adjusted where the stated ones contradict what is seen",
     )
     parser.add_argument("--detect", action="store_true", help="read the images even if corners.csv is there")
-    limb_poses.arguments(parser)
+    poses_from_readings.add_limb_options(parser)
     add_overwrite_option(parser)
     recording_checks.add_anyway_option(parser)
-    add_result(parser)
+    add_json_result_option(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -56,7 +56,7 @@ def run(arguments: Namespace) -> None:
 
     free, progress = _free(arguments.hold), Progress()
     progress("reading the recording", 0, 1)
-    limb_poses.check_interval(arguments)
+    poses_from_readings.vision_check_interval(arguments)
     recording = recording_checks.load_recording(arguments)
     if arguments.limbs is not None:
         recording_checks.check_recording(recording, arguments.anyway)
@@ -67,7 +67,7 @@ def run(arguments: Namespace) -> None:
         out = arguments.outputs.folder(arguments.out)
         arguments.outputs.data = data_provenance.mark_lines(marks())
 
-    from calib.report.measurement_page import MeasurementResult, measurement_page
+    from calib.report.measurement_page import MeasurementResult, write_measurement_page
     from vision.bundle.held_out_frames import crossvalidate
     from vision.bundle.marker_displacements import adjusted_markers, marker_places
     from vision.bundle.observability import determined_combinations
@@ -96,7 +96,7 @@ def run(arguments: Namespace) -> None:
     recording_tables.write_corners(out / "corners.csv", measured.corners())
     recording_tables.copy_times(recording.folder, out, recording.exposures, recording.origin)
     told = MeasurementResult(recording, measured, held, collected, moved, determination.lines(), wrong)
-    measurement_page(out / "report.html", told, page_links(arguments, arguments.out / "report.html"))
+    write_measurement_page(out / "report.html", told, page_links(arguments, arguments.out / "report.html"))
     _print_result(arguments, told, out)
     print(determination.summary())
     print(
@@ -117,7 +117,7 @@ def _print_result(arguments: Namespace, told: MeasurementResult, out: Path) -> N
     arguments.result = _result(recording, measured, told.held, uncertainties) | {"verdict": verdict.tree()}
     print(verdict.line)
     _print_verdict(measured, told.held, uncertainties, total)
-    print_unsolved(measured)
+    print_frames_without_pose(measured)
     _stages(out, measured, total)
     if told.suspects:
         print(
@@ -169,7 +169,7 @@ def _by_limbs(arguments: Namespace, recording: Recording, progress: Progress) ->
 
     if arguments.hold or arguments.detect or arguments.places != "auto":
         raise RigError("--hold, --places and --detect are about cameras and what they see; leave them out with --limbs")
-    found, accepted = limb_poses.checked_limb_poses(arguments, recording, progress)
+    found, accepted = poses_from_readings.checked_limb_poses(arguments, recording, progress)
     out = arguments.outputs.folder(arguments.out)
     arguments.outputs.data = data_provenance.mark_lines(data_provenance.content_marks(recording))
     recording_tables.write_bytes(out / "rig.toml", read_bytes(recording.folder / "rig.toml"))

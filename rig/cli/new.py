@@ -1,4 +1,4 @@
-"""rig new [FOLDER]."""
+"""rig new: write a new rig.toml from four questions or options."""
 
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.cli.shared.argument_parser import suggestion_text
-from rig.cli.shared.output_options import add_overwrite_option, parse_length
+from rig.cli.shared.command_options import add_overwrite_option, parse_length
 from rig.errors import RigError
 
 KINDS = ("hexapod", "planar2", "arm")
@@ -86,11 +86,11 @@ def run(arguments: Namespace) -> None:
 def _index(folder: Path) -> None:
     """Write the page of all pages of a project that begins here, where no other index.html is."""
     from rig.formats.output_files import Outputs
-    from rig.report.pages.page_index import KIND, NAME, index_page
+    from rig.report.pages.page_index import KIND, NAME, write_index_page
 
     if not (folder / NAME).exists():
         with Outputs(KIND) as outputs:
-            index_page(outputs.file(folder / NAME), folder)
+            write_index_page(outputs.file(folder / NAME), folder)
 
 
 def _with_struts(arguments: Namespace, kind: str) -> tuple[str, str]:

@@ -1,4 +1,4 @@
-"""rig online REC [--learner NAME] [--state FILE]."""
+"""rig online: learn parameters online, pose by pose, from a recording; report sudden changes of the machine."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.cli.shared import limb_poses, recording_checks, refutation_marks, simple_online_learners
-from rig.cli.shared.output_options import (
+from rig.cli.shared import calibration_and_effect_files, online_pose_learning, poses_from_readings, recording_checks
+from rig.cli.shared.command_options import (
     Progress,
-    add_page,
-    add_recording,
-    add_result,
+    add_json_result_option,
+    add_page_option,
+    add_recording_argument,
     page_links,
     page_path,
-    print_unsolved,
+    print_frames_without_pose,
 )
-from rig.cli.shared.pending_frames import unlearnt_frame_numbers, unlearnt_samples
+from rig.cli.shared.online_pose_learning import unlearnt_frame_numbers, unlearnt_samples
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from calib.files.calibration_file import Calibration
     from calib.online.change_detection import Change
     from calib.online.information_filter import Online, Update
-    from calib.report.online_page import OnlineResult
+    from calib.report.online_and_limb_pages import OnlineResult
     from calib.samples.recording_samples import Sampled
     from rig.model.design import Arm, Free, Hexapod, Planar2
     from rig.recording.recording_folder import Recording
@@ -40,7 +40,7 @@ MANY = 6  # changes beyond which they are not believed to be steps
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    add_recording(parser)
+    add_recording_argument(parser)
     parser.add_argument(
         "--state",
         metavar="FILE",
@@ -50,11 +50,11 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--calibration", metavar="FILE", type=Path, help="start from this calibration, not from rig.toml"
     )
-    add_page(parser)
+    add_page_option(parser)
     recording_checks.add_anyway_option(parser)
-    simple_online_learners.arguments(parser)
-    limb_poses.arguments(parser)
-    add_result(parser)
+    online_pose_learning.add_learner_options(parser)
+    poses_from_readings.add_limb_options(parser)
+    add_json_result_option(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -73,17 +73,17 @@ def run(arguments: Namespace) -> None:
     from calib.samples.confounded_conditions import confounds_of_recordings
 
     calibration = _calibration(arguments.calibration, mechanism) if arguments.calibration else None
-    sampled = partial(limb_poses.samples_by_limbs_or_vision, arguments, recording, progress, look)
+    sampled = partial(poses_from_readings.samples_by_limbs_or_vision, arguments, recording, progress, look)
     recording.commanded()  # a recording that nobody commanded is refused
     confounds = confounds_of_recordings([recording])
     assert confounds is not None
     known_of = _of_calibrations(arguments, recording, calibration)
-    if arguments.learner != simple_online_learners.WATCHING:
-        followed, arguments.result = simple_online_learners.learn_poses(
+    if arguments.learner != online_pose_learning.WATCHING:
+        followed, arguments.result = online_pose_learning.learn_poses(
             arguments, recording, sampled, calibration, state, progress
         )
         followed = replace(followed, confounds=confounds, calibrations=known_of)
-        from calib.report.online_page import online_verdict
+        from calib.report.online_and_limb_pages import online_verdict
 
         verdict = online_verdict(followed)
         print(verdict.line)
@@ -91,7 +91,7 @@ def run(arguments: Namespace) -> None:
         print(confounds.line())
         _show(page, arguments, recording, followed)
         return
-    simple_online_learners.refuse_settings(arguments)
+    online_pose_learning.refuse_other_learners_settings(arguments)
     known = Online.load(arguments.state) if arguments.state is not None and arguments.state.exists() else None
     learner, learnt, arguments.result = learn_recording(recording, sampled, known, calibration, progress, known_of)
     assert learnt.confounds is not None
@@ -108,13 +108,17 @@ def _of_calibrations(arguments: Namespace, recording: Recording, calibration: Ca
     unexplained.
     """
     from calib.certify.calibration_evidence import calibration_evidence
-    from calib.diagnose.calibration_left_out_physics import findings_against_calibrations
+    from calib.diagnose.calibration_left_out_physics import unexplained_and_refuted_calibrations
     from rig.recording.data_provenance import content_marks
 
-    beside = findings_against_calibrations(content_marks(recording), refutation_marks.near_by(recording.folder), True)
+    beside = unexplained_and_refuted_calibrations(
+        content_marks(recording), calibration_and_effect_files.neighbouring_json_files(recording.folder), True
+    )
     if calibration is None:
         return beside
-    start = calibration_evidence(calibration, refutation_marks.read_refutations(arguments.calibration)).unexplained
+    start = calibration_evidence(
+        calibration, calibration_and_effect_files.read_refutations(arguments.calibration)
+    ).unexplained
     return beside._replace(unexplained=tuple(dict.fromkeys([*beside.unexplained, *start])))
 
 
@@ -122,7 +126,7 @@ def _show(page: Path | None, arguments: Namespace, recording: Recording, learnt:
     """Write the page, where one is asked for."""
     if page is None:
         return
-    from calib.report.online_page import write_online_page
+    from calib.report.online_and_limb_pages import write_online_page
 
     write_online_page(page, recording.name, learnt, page_links(arguments, arguments.page))
     print(f"written: {arguments.page}")
@@ -136,8 +140,7 @@ def learn_recording(
     progress: Progress,
     of_calibrations: OfCalibrations | None = None,
 ) -> tuple[Online, OnlineResult, dict[str, Any]]:
-    """The filter after a recording's poses that it has not learnt, and what they taught, which is said, and what --json
-    prints of it.
+    """Learn a recording's new poses by the filter: (filter, result for the page, dict for --json); prints a summary.
 
     sampled : makes the Sampled of it; known : the filter to go on with, or None; calibration : where a new one starts
         from, or None
@@ -148,9 +151,9 @@ def learn_recording(
     import numpy as np
 
     from calib.certify.calibration_evidence import ALONE
-    from calib.models.platform.identification import parameters
+    from calib.models.platform.identification import geometric_parameters
     from calib.online.information_filter import Online
-    from calib.report.online_page import online_verdict
+    from calib.report.online_and_limb_pages import online_verdict
     from calib.samples.confounded_conditions import confounds_of_recordings
     from rig.model.mechanism_kinds import hexapod_of
     from rig.recording.data_provenance import content_marks, marks_of_frames
@@ -181,7 +184,7 @@ def learn_recording(
     for x, T, C, B in zip(commands, samples.T_base_platform, samples.covariance, samples.common):
         updates.append(learner.update(x, T, C, B))
         progress("learning", len(updates), len(samples))
-    moved = float(np.sqrt(np.mean((learner.p - parameters(mechanism)) ** 2)))
+    moved = float(np.sqrt(np.mean((learner.p - geometric_parameters(mechanism)) ** 2)))
     taught = replace(
         _learnt(learner, updates, samples.frame, found.source, moved),
         confounds=confounds_of_recordings([recording]),
@@ -196,7 +199,7 @@ def learn_recording(
         + (f" after {before} before" if before else ""),
     )
     print(f"joints and zeros moved by {moved * 1e3:.4f} mm RMS from rig.toml")
-    print_unsolved(found.measurement)
+    print_frames_without_pose(found.measurement)
     return learner, taught, {**_result(learner, updates, samples.frame), "verdict": online_verdict(taught).tree()}
 
 
@@ -204,11 +207,11 @@ def _learnt(learner: Online, updates: list[Update], frames: np.ndarray, source: 
     """OnlineResult of updates by poses of frames (n,). moved : m RMS from rig.toml"""
     import numpy as np
 
-    from calib.report.online_page import OnlineResult
+    from calib.report.online_and_limb_pages import OnlineResult
 
     first = updates[0].number
     changes = [change for update in updates for change in update.changes]
-    returning = {change.strut for change in changes if changes_cancel(changes, change.strut)}
+    returning = {change.strut for change in changes if _changes_cancel(changes, change.strut)}
     told = [
         change_sentence(change, frames[max(change.onset - first, 0)], change.strut in returning) for change in changes
     ]
@@ -228,7 +231,7 @@ def _learnt(learner: Online, updates: list[Update], frames: np.ndarray, source: 
     )
 
 
-def changes_cancel(changes: Sequence[Change], strut: int | None) -> bool:
+def _changes_cancel(changes: Sequence[Change], strut: int | None) -> bool:
     """Whether a strut's changes take each other back, as play does and steps that were missed do not."""
     sizes = [change.size for change in changes if change.strut == strut and isinstance(change.size, float)]
     return len(sizes) > 1 and abs(sum(sizes)) < RETURNS * sum(map(abs, sizes))
@@ -248,7 +251,7 @@ def _tell(learner: Online, updates: list[Update], frames: np.ndarray, learnt: st
         print("these are no few steps: something acts on the struts or the measurement that the geometry lacks")
     for update in updates:
         for change in update.changes:
-            onset, cancelled = frames[max(change.onset - first, 0)], changes_cancel(changes, change.strut)
+            onset, cancelled = frames[max(change.onset - first, 0)], _changes_cancel(changes, change.strut)
             print(f"frame {frames[update.number - first]}: {change_sentence(change, onset, cancelled)}")
         for number in update.dropped:
             print(f"frame {frames[number - first]}: its pose agrees with no other and is left out")
@@ -303,9 +306,7 @@ def _calibration(path: Path, mechanism: Hexapod | Planar2 | Arm | Free) -> Calib
 
 
 def change_sentence(change: Change, frame: int, returns: bool = False) -> str:
-    """A Change in words; frame : number of the first frame after it; returns : whether others of the same strut take it
-    back
-    """
+    """Sentence about a change. frame : number of the first frame after it; returns : whether later changes undo it"""
     if not isinstance(change.size, float):
         position, rotation = (float((part**2).sum() ** 0.5) for part in (change.size[:3], change.size[3:]))
         return (

@@ -1,4 +1,4 @@
-"""rig plan RIG.toml --for parameters|--promise 20um|--separate EFFECT EFFECT|--parts axes:5,combined:4 --out FILE."""
+"""rig plan: plan which configurations to visit, for parameters, a promised accuracy, or to separate effects."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rig.cli.shared.output_options import (
+from rig.cli.shared.command_options import (
     SEED,
     Progress,
+    add_json_result_option,
     add_overwrite_option,
-    add_page,
-    add_result,
+    add_page_option,
     file_or_stdout,
     page_links,
     page_path,
     parse_length,
 )
-from rig.cli.shared.plan_inputs import calibrated_geometry, visited_configurations
+from rig.cli.shared.experiment_planning import calibrated_geometry_and_avoidance, visited_configurations
 from rig.errors import RigError
 from rig.formats.number_parsing import parse_number, parse_whole_number
 from rig.report.verdict import Evidence, Missing, judge_evidence
@@ -97,9 +97,9 @@ def arguments(parser: ArgumentParser) -> None:
         required=True,
         help="frame,l1..l6; `rig simulate --plan commands:FILE` runs it",
     )
-    add_page(parser)
+    add_page_option(parser)
     add_overwrite_option(parser)
-    add_result(parser)
+    add_json_result_option(parser)
 
 
 class Made(NamedTuple):
@@ -151,7 +151,7 @@ def run(arguments: Namespace) -> None:
         "confounds": confounds and confounds.tree(),
     }
     if page is not None:
-        from calib.report.plan_page import PlanResult, write_plan_page
+        from calib.report.recording_and_plan_pages import PlanResult, write_plan_page
 
         told = PlanResult(made.design, made.values, verdict, made.said)
         write_plan_page(page, str(arguments.out), told, page_links(arguments, arguments.page))
@@ -172,9 +172,9 @@ def _promise(arguments: Namespace) -> Made:
         raise RigError(f"plans for a promise are for hexapods, not for a mechanism of kind {mechanism.kind!r}")
     out = arguments.outputs.file(arguments.out)
 
-    from calib.models.platform.fewest_configurations import fewest_configurations
+    from calib.models.platform.optimal_configurations import fewest_configurations
 
-    mechanism, avoided = calibrated_geometry(arguments, mechanism)
+    mechanism, avoided = calibrated_geometry_and_avoidance(arguments, mechanism)
     given = visited_configurations(arguments.given, mechanism) if arguments.given else None
     progress = Progress()
     found = fewest_configurations(
@@ -278,9 +278,9 @@ def _separate(arguments: Namespace) -> Made:
             f"{design.mechanism.kind!r}"
         )
     if design.mechanism.kind == "hexapod":
-        from calib.diagnose.problems.platform.effect_separation import effect_separation
+        from calib.diagnose.problems.platform.effect_separation import platform_effect_separation
     else:
-        from calib.diagnose.problems.arm.effect_separation import effect_separation
+        pass
     out = arguments.outputs.file(arguments.out)
     trials = []
     moves = [text for text in MOVES if design.mechanism.kind == "hexapod" or not text.startswith("axes")]
@@ -289,7 +289,7 @@ def _separate(arguments: Namespace) -> Made:
         sensors, _ = draw_temperatures(plan.commands.t[-1], np.random.default_rng(SEED))
         trials.append(
             (
-                effect_separation(
+                platform_effect_separation(
                     text, design, plan.commands, plan.t, add_payload_channel(plan, sensors), effects, arguments.sigma
                 ),
                 plan,
@@ -338,11 +338,11 @@ def _parameters(arguments: Namespace) -> Made:
     if not isinstance(mechanism, Hexapod):
         return _of_any(arguments, design, mechanism, out)
 
-    from calib.models.platform.d_optimal_configurations import choose_configurations as choose
-    from calib.models.platform.parameter_observability import PLAUSIBLE, standard_error_along
-    from calib.models.platform.parameter_observability import parameter_combinations as combinations
+    from calib.models.platform.optimal_configurations import choose_d_optimal_configurations as choose
+    from calib.models.platform.parameter_accuracy import PLAUSIBLE, standard_error_along
+    from calib.models.platform.parameter_accuracy import parameter_combinations as combinations
 
-    mechanism, avoided = calibrated_geometry(arguments, mechanism)
+    mechanism, avoided = calibrated_geometry_and_avoidance(arguments, mechanism)
     given = visited_configurations(arguments.given, mechanism) if arguments.given else None
     progress = Progress()
     chosen = choose(

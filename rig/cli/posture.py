@@ -1,4 +1,4 @@
-"""rig posture ARM.toml --pose x,y,z,rx,ry,rz --force y --norm 2 [--exert fx,fy,fz] [--among REC]."""
+"""rig posture: optimal posture of a redundant arm at a fixed hand pose, for sensing or exerting a force."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import posture_force
-from rig.cli.shared.output_options import (
+from rig.cli.shared.command_options import (
     SEED,
-    add_json,
+    add_json_option,
     add_overwrite_option,
     file_or_stdout,
     parse_numbers,
@@ -84,7 +84,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--hold", choices=("pose", "position", "orientation"), default="pose", help="what of the hand stays"
     )
-    posture_force.arguments(parser)
+    posture_force.add_exertion_options(parser)
     parser.add_argument(
         "--from", dest="start", nargs="+", metavar="Q", help="joint angles now, rad; by default a solution of the pose"
     )
@@ -101,7 +101,7 @@ def arguments(parser: ArgumentParser) -> None:
         "--out", metavar="FILE", type=file_or_stdout, help="commands.csv of the motion into the posture"
     )
     add_overwrite_option(parser, "--overwrite")
-    add_json(parser)
+    add_json_option(parser)
 
 
 def run(arguments: Namespace) -> None:

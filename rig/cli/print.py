@@ -1,10 +1,10 @@
-"""rig print RIG.toml --out sheets.pdf [--stl DIR]."""
+"""rig print: write the marker cubes of a rig.toml as sheets to print true to scale (PDF), or as STL bodies."""
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.output_options import add_overwrite_option, file_or_stdout, parse_length, require_drawing
+from rig.cli.shared.command_options import add_overwrite_option, file_or_stdout, parse_length, require_matplotlib
 
 if TYPE_CHECKING:
     from rig.model.design import Design
@@ -42,7 +42,7 @@ def run(arguments: Namespace) -> None:
     """Write the sheets, and the bodies where they are asked for."""
     from rig.formats.rig_toml import design_file
 
-    require_drawing("sheets to print")
+    require_matplotlib("sheets to print")
     design = design_file.load(arguments.design)
     out = arguments.outputs.file(arguments.out)
     folder = arguments.outputs.folder(arguments.stl) if arguments.stl else None

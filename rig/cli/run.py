@@ -1,4 +1,4 @@
-"""rig run RIG.toml --plan P --out REC: a plan carried out on the real machine, journalled, measured while it grows."""
+"""rig run: run a plan on the real machine: move, settle, expose, journal; frames are measured during the run."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import limb_poses
-from rig.cli.shared.output_options import SEED, add_driving
+from rig.cli.shared import poses_from_readings
+from rig.cli.shared.command_options import SEED, add_controller_arguments
 from rig.driving.operator_advice import TRUST
 from rig.errors import PositionLost, RigError
 from rig.formats.number_parsing import parse_number, parse_whole_number
@@ -31,7 +31,7 @@ KINDS = ("jump", "camera", "covered", "unseen", "drift", "limbs")
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    add_driving(parser)
+    add_controller_arguments(parser)
     parser.add_argument(
         "--plan",
         required=True,
@@ -76,7 +76,7 @@ def arguments(parser: ArgumentParser) -> None:
         help=f"end the run on {', '.join(KINDS)}; by default they are only said",
     )
     parser.add_argument("--no-measure", action="store_true", help="take images only")
-    limb_poses.arguments(parser)
+    poses_from_readings.add_limb_options(parser)
     parser.add_argument(
         "--page",
         nargs="?",
@@ -105,9 +105,9 @@ def run(arguments: Namespace) -> int:
             "under [turned]"
         )
     settle, options = parse_settling(arguments.settle), _options(arguments)
-    limb_poses.check_interval(arguments)
+    poses_from_readings.vision_check_interval(arguments)
     if arguments.limbs is not None:
-        limb_poses.accepted_limbs_for_run(arguments, design)
+        poses_from_readings.accepted_limbs_for_run(arguments, design)
     if arguments.dry_run:
         _dry_run(design, planned)
         return 0
@@ -148,7 +148,7 @@ def _dry_run(design: Design, planned: tuple[Step, ...]) -> None:
 
     c = design.driver()
     start = c.home if c.home is not None else home_lengths(struts_of(design.mechanism))
-    check_steps(planned, start, check_move(design))
+    check_steps(planned, start, move_checker(design))
     way = step_distances(planned, start)
     for k, step in enumerate(planned):
         exposed = f"{step.frames} frame{'s' * (step.frames != 1)}" if step.frames else "passed on the way"
@@ -165,8 +165,8 @@ def _dry_run(design: Design, planned: tuple[Step, ...]) -> None:
     )
 
 
-def check_move(design: Design) -> Callable[[np.ndarray, np.ndarray], None]:
-    """(start, goal (axes,) m) -> None: raises Unreachable where the controller's driver would refuse the move."""
+def move_checker(design: Design) -> Callable[[np.ndarray, np.ndarray], None]:
+    """Checker of moves: (start, goal (axes,) m) -> None, raises Unreachable where the driver would refuse the move."""
     from rig.driving import path_check
     from rig.model.mechanism_kinds import struts_of
 
@@ -196,11 +196,16 @@ def _place(arguments: Namespace) -> None:
 
 
 def _run(arguments: Namespace, design: Design, planned: tuple[Step, ...], settle: Settling, options: tuple) -> int:
-    from rig.cli.shared.compilation_warm_up import warm_up
     from rig.cli.shared.controller_session import open_driver, settled_status
-    from rig.cli.shared.run_equipment import open_cameras, run_equipment, set_exposures
     from rig.cli.shared.run_observation import Stopping
-    from rig.cli.shared.run_observation_options import run_displays, run_observation
+    from rig.cli.shared.run_preparation import (
+        open_bench,
+        open_cameras,
+        run_displays,
+        run_observer_of_arguments,
+        set_exposures,
+        warm_up,
+    )
     from rig.driving.clock import SystemClock
     from rig.driving.operator_loop import Operator
     from rig.driving.run_journal import Began, Journal
@@ -235,15 +240,17 @@ def _run(arguments: Namespace, design: Design, planned: tuple[Step, ...], settle
         if homes:
             print("homing")
             status = driver.home()
-        check_steps(planned, status.lengths, check_move(design))
-        bench = run_equipment(design, driver, shutter, settle, clock)
+        check_steps(planned, status.lengths, move_checker(design))
+        bench = open_bench(design, driver, shutter, settle, clock)
         for line in set_exposures(shutter, design, exposure) if exposure != "keep" else ():
             print(line)
         if fresh:
             write_bytes(arguments.out / "rig.toml", arguments.design.read_bytes())
             journal.append(Began(0.0, clock.now(), len(planned), _hash(planned), tuple(map(float, status.lengths))))
         origin = _origin(journal, clock)
-        looking = run_observation(arguments, design, planned, status.lengths, clock, Stopping(stop_on, driver.stop))
+        looking = run_observer_of_arguments(
+            arguments, design, planned, status.lengths, clock, Stopping(stop_on, driver.stop)
+        )
         looking.displays += stack.enter_context(run_displays(arguments, looking))
         operator = Operator(bench, planned, journal, design.mechanism.axes, origin, looking)
         looking.note, told[:] = operator.remark, [operator.remark, lambda text: looking.update(phase=text)]

@@ -1,4 +1,4 @@
-"""rig simulate RIG.toml --plan .. --out REC, or rig simulate --from DIAGNOSIS --out DIR."""
+"""rig simulate: simulate a recording under a plan, or from a diagnosis; its truth is written separately."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import user_effects_option
-from rig.cli.shared.output_options import Progress, add_overwrite_option
+from rig.cli.shared import calibration_and_effect_files
+from rig.cli.shared.command_options import Progress, add_overwrite_option
 from rig.errors import RigError
 from rig.formats.number_parsing import parse_number, parse_whole_number
 
@@ -56,7 +56,7 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="NAME:PLACE:PARAMETER=VALUE,..",
         help="left-out physics; may be repeated",
     )
-    user_effects_option.add_effects_option(parser)
+    calibration_and_effect_files.add_effects_option(parser)
     parser.add_argument(
         "--noise", type=parse_number, default=0.04, metavar="PX", help="of corners, standard deviation (default 0.04)"
     )
@@ -113,7 +113,7 @@ def run(arguments: Namespace) -> None:
         raise RigError("simulating takes a RIG.toml, or --from with the folder of a diagnosis")
     design, kinds = (
         design_file.load(arguments.design),
-        user_effects_option.known_effects(user_effects_option.load_effect_files(arguments)),
+        calibration_and_effect_files.known_effects(calibration_and_effect_files.load_effect_files(arguments)),
     )
     effects = tuple(require_size(require_place(parse_effect(text, kinds), design)) for text in arguments.effect)
     sensor = replace(
@@ -199,7 +199,8 @@ def _again(arguments: Namespace) -> None:
     from synthetic.recording_with_findings import replay_diagnosis
 
     done = replay_diagnosis(
-        arguments.source, user_effects_option.known_effects(user_effects_option.load_effect_files(arguments))
+        arguments.source,
+        calibration_and_effect_files.known_effects(calibration_and_effect_files.load_effect_files(arguments)),
     )
     out = arguments.outputs.folder(arguments.out)
     sensor = next(iter(done.values())).world.true.sensor

@@ -1,14 +1,14 @@
-"""rig status RIG.toml."""
+"""rig status: print the status that the controller reports; nothing moves."""
 
 from argparse import ArgumentParser, Namespace
 
-from rig.cli.shared.output_options import add_driving, add_result
+from rig.cli.shared.command_options import add_controller_arguments, add_json_result_option
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    add_driving(parser)
-    add_result(parser)
+    add_controller_arguments(parser)
+    add_json_result_option(parser)
 
 
 def run(arguments: Namespace) -> None:

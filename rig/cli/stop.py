@@ -1,15 +1,15 @@
-"""rig stop RIG.toml."""
+"""rig stop: stop the struts immediately, and any process that moves them."""
 
 from argparse import ArgumentParser, Namespace
 
-from rig.cli.shared.output_options import add_driving
+from rig.cli.shared.command_options import add_controller_arguments
 
 PATIENCE = 10.0  # s for a process that drives to let go
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    add_driving(parser)
+    add_controller_arguments(parser)
 
 
 def run(arguments: Namespace) -> None:

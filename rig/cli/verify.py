@@ -1,4 +1,4 @@
-"""rig verify CALIBRATION REC [--json] [--wanted poses.csv]."""
+"""rig verify: verify a calibration by a recording not used for it: error before and after correction."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import refutation_marks, user_effects_option
-from rig.cli.shared.output_options import (
+from rig.cli.shared import calibration_and_effect_files
+from rig.cli.shared.command_options import (
     SEED,
     Progress,
-    add_json,
-    add_page,
-    add_recording,
+    add_json_option,
+    add_page_option,
+    add_recording_argument,
     page_links,
     page_path,
-    print_comparison,
+    print_frames_without_pose,
+    print_held_out_errors,
     print_json,
-    print_unsolved,
     read_recording,
 )
 from rig.errors import RigError
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from calib.certify.held_out_errors import Figures
     from calib.files.calibration_file import Calibration
-    from calib.report.verification_page import Verified
+    from calib.report.verification_and_visit_pages import Verified
     from calib.samples.pose_samples import Samples
     from calib.samples.recording_samples import Sampled
     from rig.recording.corner_and_pose_tables import Poses
@@ -42,10 +42,10 @@ def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.epilog = "Ends with 0 where the verdict is good or check, with 3 where it is bad: the claim is NOT kept."
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
-    add_recording(parser)
-    add_json(parser)
-    add_page(parser)
-    user_effects_option.add_effects_option(parser)
+    add_recording_argument(parser)
+    add_json_option(parser)
+    add_page_option(parser)
+    calibration_and_effect_files.add_effects_option(parser)
     parser.add_argument(
         "--wanted", metavar="FILE", type=Path, help="poses that the recording's frames, in order, were meant to take"
     )
@@ -58,8 +58,8 @@ def run(arguments: Namespace) -> int:
 
     progress = Progress()
     progress("reading the recording", 0, 1)
-    calibration = user_effects_option.load_calibration(
-        arguments.calibration, user_effects_option.load_effect_files(arguments)
+    calibration = calibration_and_effect_files.load_calibration(
+        arguments.calibration, calibration_and_effect_files.load_effect_files(arguments)
     )
     wanted = recordings.load_poses(arguments.wanted, commanded=True) if arguments.wanted else None
     recording = read_recording(arguments)
@@ -68,28 +68,33 @@ def run(arguments: Namespace) -> int:
 
     import numpy as np
 
-    from calib.certify import calibration_verdict as words
-    from calib.certify.calibration_evidence import of_samples
+    from calib.certify import calibration as words
+    from calib.certify.calibration_evidence import verify_claim_on_samples
     from calib.certify.distinct_configurations import axis_ranges, configuration_numbers
-    from calib.certify.held_out_errors import compare_errors, errors_before_and_after
-    from calib.report.verification_page import Verified, refutes_claim, verification_verdict, write_verification_page
+    from calib.certify.held_out_errors import compare_errors, errors_before_and_after_correction
+    from calib.report.verification_and_visit_pages import (
+        Verified,
+        refutes_claim,
+        verification_verdict,
+        write_verification_page,
+    )
     from calib.samples.confounded_conditions import confounds_of_recordings
     from calib.samples.recording_samples import sample_recording
 
     sampled = sample_recording(recording, progress=progress)
     samples = calibration.with_physics(recording, sampled.samples)
     label = configuration_numbers(samples.commanded, axis_ranges(calibration.correction.nominal))
-    before, after = errors_before_and_after(calibration.correction, samples)
+    before, after = errors_before_and_after_correction(calibration.correction, samples)
     held = compare_errors(before, after, samples.total_covariance(), np.random.default_rng(SEED), label)
     same, found = (
         calibration_file.frames_used_in_calibration(calibration, recording),
-        of_samples(calibration, samples, np.random.default_rng(SEED)),
+        verify_claim_on_samples(calibration, samples, np.random.default_rng(SEED)),
     )
     driven = _driven(calibration, recording, sampled.samples, wanted) if wanted is not None else None
     confounds = confounds_of_recordings([recording])
     progress.close()
     unsolved = sampled.measurement.unsolved if sampled.measurement is not None else {}
-    refuted = refutation_marks.read_refutations(arguments.calibration)
+    refuted = calibration_and_effect_files.read_refutations(arguments.calibration)
     shown = Verified(
         recording.design, samples, before, after, held, found, calibration, refuted, same, driven, unsolved, confounds
     )
@@ -97,7 +102,7 @@ def run(arguments: Namespace) -> int:
     if page is not None:
         write_verification_page(page, recording.name, shown, page_links(arguments, arguments.page))
     if found is not None and refutes_claim(shown):
-        refutation_marks.write_refutation(
+        calibration_and_effect_files.write_refutation(
             arguments, arguments.calibration, recording.name, words.refutation_sentence(found)
         )
     if arguments.json:
@@ -122,7 +127,7 @@ def _say(shown: Verified, verdict: Verdict, sampled: Sampled) -> None:
     """Print what was found."""
     print(verdict.line)
     if shown.driven is None:
-        print_comparison(shown.held, f"{len(shown.samples)} poses from {sampled.source}")
+        print_held_out_errors(shown.held, f"{len(shown.samples)} poses from {sampled.source}")
         if shown.found is not None and shown.found.parts:
             print(
                 "an error of the machine would have been noticed from "
@@ -150,27 +155,27 @@ def _say(shown: Verified, verdict: Verdict, sampled: Sampled) -> None:
             f"{stated[0] * 1e3:.4f} mm{turned[1]}: "
             f"the error is {figures.position[0] / stated[0]:.2f}{turned[2]} times it"
         )
-    print_unsolved(sampled.measurement)
+    print_frames_without_pose(sampled.measurement)
 
 
 def _driven(calibration: Calibration, recording: Recording, samples: Samples, wanted: Poses) -> Driven:
     """(Figures of measured against wanted poses, stated standard uncertainty (m, rad) of their difference, the
     differences (n, 6)).
     """
-    from calib.certify.held_out_errors import error_figures, pose_errors
-    from calib.models.corrected_pose_covariance import pose_covariance
+    from calib.certify.held_out_errors import error_statistics, pose_errors
+    from calib.models.corrected_pose_covariance import corrected_pose_covariance
     from calib.samples.pose_samples import rms_uncertainty
 
     frames = recording.exposures.times()[0].tolist()
     if len(frames) != len(wanted.frame):
         raise RigError(f"{len(wanted.frame)} poses were wanted, but the recording has {len(frames)} frames")
     T = wanted.T_base_platform[[frames.index(frame) for frame in samples.frame]]
-    of_model = pose_covariance(calibration, T, samples.commanded)
+    of_model = corrected_pose_covariance(calibration, T, samples.commanded)
     if wanted.covariance is not None:  # as `rig correct` stated it, of what it knew
         of_model = wanted.covariance[[frames.index(frame) for frame in samples.frame]]
     stated = samples.total_covariance() + of_model
     errors = pose_errors(T, samples)
-    return error_figures(errors), rms_uncertainty(stated), errors
+    return error_statistics(errors), rms_uncertainty(stated), errors
 
 
 def _verification(shown: Verified, verdict: Verdict, sampled: Sampled) -> dict:

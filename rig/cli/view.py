@@ -1,14 +1,14 @@
-"""rig view REC --frame N | REC --page FILE [--effect EFFECT] | REC --rerun FILE.rrd."""
+"""rig view: view one frame of a recording with markers and residuals drawn, or all of it in 3-D."""
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared.output_options import (
+from rig.cli.shared.command_options import (
     Progress,
     add_overwrite_option,
-    add_recording,
+    add_recording_argument,
     file_or_stdout,
     page_links,
     read_recording,
@@ -19,7 +19,7 @@ from rig.formats.number_parsing import parse_number, parse_whole_number
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    add_recording(parser)
+    add_recording_argument(parser)
     shown = parser.add_mutually_exclusive_group(required=True)
     shown.add_argument("--frame", type=parse_whole_number, help="draw what was read in this frame")
     shown.add_argument(
@@ -95,7 +95,7 @@ def _page(arguments: Namespace) -> None:
     recording, effects = read_recording(arguments), [require_size(parse_effect(text)) for text in arguments.effect]
     out = arguments.outputs.file(arguments.page)
 
-    from calib.report.recording_page import write_recording_page
+    from calib.report.recording_and_plan_pages import write_recording_page
 
     write_recording_page(out, recording, effects, page_links(arguments, arguments.page))
     print(f"written: {arguments.page}")

@@ -1,4 +1,4 @@
-"""rig watch CALIBRATION VISIT.. [--history FILE] | CALIBRATION --plan --out FILE."""
+"""rig watch: watch a calibration's drift by small visits: whether it still holds, what changed."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import refutation_marks
-from rig.cli.shared.output_options import (
+from rig.cli.shared import calibration_and_effect_files
+from rig.cli.shared.command_options import (
     SEED,
     Progress,
-    add_json,
+    add_json_option,
     add_overwrite_option,
-    add_page,
+    add_page_option,
     page_links,
     page_path,
     print_json,
@@ -45,7 +45,7 @@ def arguments(parser: ArgumentParser) -> None:
         type=Path,
         help="go on from the visits kept there where the file is there, and keep these too",
     )
-    add_json(parser)
+    add_json_option(parser)
     parser.add_argument("--skip-unreadable", action="store_true", help="leave out images that cannot be used")
     parser.add_argument("--plan", action="store_true", help="choose what a visit visits, instead of looking at visits")
     parser.add_argument(
@@ -54,7 +54,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--count", type=parse_whole_number, default=POSES, help=f"for --plan: poses of a visit (default {POSES})"
     )
-    add_page(parser)
+    add_page_option(parser)
     parser.add_argument(
         "--out",
         metavar="FILE",
@@ -83,12 +83,12 @@ def run(arguments: Namespace) -> int:
 
 def _watch(arguments: Namespace) -> int:
     from calib.certify.calibration_evidence import calibration_evidence
-    from calib.drift import change_sentences, visit_history_file
+    from calib.drift import change_sentences, visit_history
     from calib.drift.visit_history import History, add_visit
     from calib.files import calibration_file
-    from calib.report.visits_page import (
+    from calib.report.verification_and_visit_pages import (
         Visit,
-        alarm_sentence,
+        change_alarm_sentence,
         first_visit_sentence,
         last_visit_verdict,
         write_visits_page,
@@ -99,12 +99,12 @@ def _watch(arguments: Namespace) -> int:
     progress = Progress()
     calibration, own = (
         calibration_file.load(arguments.calibration),
-        visit_history_file.calibration_digest(arguments.calibration),
+        visit_history.calibration_digest(arguments.calibration),
     )
     kept = None if arguments.history is None else arguments.outputs.file(arguments.history, own=True)
     page = page_path(arguments)
     known = arguments.history is not None and arguments.history.exists()
-    history = visit_history_file.read_history(arguments.history, own) if known else History(own)
+    history = visit_history.read_history(arguments.history, own) if known else History(own)
     loaded = [recordings.load(path, arguments.skip_unreadable) for path in arguments.visits]
     told: list[dict] = []
     shown: list[str] = []
@@ -120,25 +120,27 @@ def _watch(arguments: Namespace) -> int:
         claim = None if found is None else {"kept": not found.refutes, "of_limit": found.of_limit}
         told.append(_tree(verdict, history, scale) | {"claim": claim, "confounds": confounds and confounds.tree()})
         seen.append(Visit(history.visits[-1].name, verdict, (), scale, found))
-        lines = change_sentences.change_lines(
+        lines = change_sentences.change_verdict_lines(
             verdict, seen[-1].name, _names(history), history.reference, scale, seen[-1].allowed
         )
         seen[-1] = replace(seen[-1], lines=lines)
         shown += [*lines, *([] if confounds is None else [f"  {confounds.line()}"])]
     judgement = last_visit_verdict(
-        seen, calibration_evidence(calibration, refutation_marks.read_refutations(arguments.calibration))
+        seen, calibration_evidence(calibration, calibration_and_effect_files.read_refutations(arguments.calibration))
     )
     if kept is not None:
-        visit_history_file.write_history(kept, history)
+        visit_history.write_history(kept, history)
     if page is not None:
         write_visits_page(page, arguments.calibration.name, seen, judgement, page_links(arguments, arguments.page))
     last = seen[-1].evidence
     if seen[-1].allowed:
-        refutation_marks.write_refutation(
+        calibration_and_effect_files.write_refutation(
             arguments, arguments.calibration, seen[-1].name, first_visit_sentence(seen[-1]), State.CHECK
         )
     elif last.alarm and (last.named is None or last.named.kind not in MEASURING):
-        refutation_marks.write_refutation(arguments, arguments.calibration, seen[-1].name, alarm_sentence(last))
+        calibration_and_effect_files.write_refutation(
+            arguments, arguments.calibration, seen[-1].name, change_alarm_sentence(last)
+        )
     if not arguments.json:
         print("\n".join([judgement.line, *shown]))
     if arguments.json:
@@ -154,12 +156,12 @@ def _verified(calibration: Calibration, recording: Recording, verdict: Verdict) 
     """
     import numpy as np
 
-    from calib.certify.calibration_evidence import of_samples
+    from calib.certify.calibration_evidence import verify_claim_on_samples
     from calib.samples.recording_samples import sample_recording
 
     if not verdict.alarm or verdict.chance is None:
         return None
-    return of_samples(
+    return verify_claim_on_samples(
         calibration,
         calibration.with_physics(recording, sample_recording(recording).samples),
         np.random.default_rng(SEED),

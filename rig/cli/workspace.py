@@ -1,4 +1,4 @@
-"""rig workspace CALIBRATION [--certificate FILE] [--out DIR]."""
+"""rig workspace: effect of a calibration on the workspace: poses lost and gained, limits, singularities."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.output_options import add_overwrite_option, add_result, page_links
+from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option, page_links
 from rig.errors import FileError, RigError
 
 if TYPE_CHECKING:
@@ -33,17 +33,16 @@ def arguments(parser: ArgumentParser) -> None:
         help="a folder for workspace.json, workspace.csv (a line a cell) and workspace.html",
     )
     add_overwrite_option(parser)
-    add_result(parser)
+    add_json_result_option(parser)
 
 
 def run(arguments: Namespace) -> None:
     """Say what a calibration does to the workspace, and write its map."""
     from calib.files import calibration_file
-    from calib.models.corrected_pose_covariance import add_workspace
-    from calib.report.workspace_page import workspace_verdict
-    from calib.workspace import workspace_sentences
-    from calib.workspace.workspace_cells import margin_description
-    from calib.workspace.workspace_file import workspace_dict
+    from calib.models.corrected_pose_covariance import calibration_with_workspace
+    from calib.workspace import workspace_page
+    from calib.workspace.workspace_cells import axis_margin_description, workspace_dict
+    from calib.workspace.workspace_page import workspace_verdict
     from rig.model import mechanisms
 
     if arguments.out is not None and arguments.out.suffix:
@@ -56,38 +55,38 @@ def run(arguments: Namespace) -> None:
         )
     if calibration.workspace is None:
         print(f"{arguments.calibration} was made before a calibration held its workspace: worked out now")
-        calibration = add_workspace(calibration)
+        calibration = calibration_with_workspace(calibration)
     w, correction = calibration.workspace, calibration.correction
     assert w is not None
     certified = None if arguments.certificate is None else _certified(arguments.certificate, arguments.calibration, w)
     unit = mechanisms.travel_unit(correction.nominal)
-    verdict = workspace_verdict(w, workspace_sentences.workspace_lines(w, unit)[0].removeprefix("workspace: "))
-    print("\n".join([verdict.line, *workspace_sentences.workspace_lines(w, unit)]))
+    verdict = workspace_verdict(w, workspace_page.workspace_lines(w, unit)[0].removeprefix("workspace: "))
+    print("\n".join([verdict.line, *workspace_page.workspace_lines(w, unit)]))
     if certified is not None:
-        print(workspace_sentences.certified_line(certified))
+        print(workspace_page.certified_cells_line(certified))
     if correction.extension is not None or any(correction.remainder):
         print(
             "beyond the recorded configurations what is corrected on top of the geometry is extrapolated; "
             "its bound grows there"
         )
-    arguments.result = {"verdict": verdict.tree(), **workspace_dict(w), "room_of": margin_description(correction)}
+    arguments.result = {"verdict": verdict.tree(), **workspace_dict(w), "room_of": axis_margin_description(correction)}
     if arguments.out is not None:
-        _write(arguments, w, unit, margin_description(correction), certified)
+        _write(arguments, w, unit, axis_margin_description(correction), certified)
 
 
 def _write(arguments: Namespace, w: Workspace, unit: str, room_of: str, certified: np.ndarray | None) -> None:
     """Write the map as data, as a table and as a page."""
     import json
 
-    from calib.report.workspace_page import workspace_page
-    from calib.workspace.workspace_file import COLUMNS, workspace_rows
+    from calib.workspace.workspace_cells import COLUMNS, workspace_rows
+    from calib.workspace.workspace_page import write_workspace_page
     from rig.formats.output_files import write_text
     from rig.recording.recording_tables import write_table
 
     folder = arguments.outputs.folder(arguments.out)
     write_text(folder / "workspace.json", json.dumps(arguments.result, allow_nan=False) + "\n")
     write_table(folder / "workspace.csv", COLUMNS, workspace_rows(w))
-    workspace_page(
+    write_workspace_page(
         folder / "workspace.html",
         arguments.calibration.name,
         w,
@@ -104,7 +103,7 @@ def _certified(path: Path, calibration: Path, w: Workspace) -> np.ndarray:
 
     Raises FileError for a file that is no certificate, or one of another calibration
     """
-    from calib.workspace.certified_cells import certified_cell_promises
+    from calib.workspace.workspace_cells import certified_cell_promises
     from rig.formats import json_file
 
     tree = json_file.load(path, "certificate", "certificate/1")

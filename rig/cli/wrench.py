@@ -1,6 +1,4 @@
-"""rig wrench ARM torques.csv [--out wrench.csv]: what pushed on an arm's hand, from its joints' torques or motor
-currents.
-"""
+"""rig wrench: external wrench on an arm's hand, estimated from joint torques or motor currents, with covariance."""
 
 from __future__ import annotations
 
@@ -8,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.output_options import add_overwrite_option, add_result, file_or_stdout
+from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option, file_or_stdout
 from rig.errors import RigError
 from rig.formats.number_parsing import parse_number
 
@@ -53,7 +51,7 @@ def arguments(parser: ArgumentParser) -> None:
         "--out", metavar="FILE", type=file_or_stdout, help="wrench.csv: both estimates with their covariance, in time"
     )
     add_overwrite_option(parser)
-    add_result(parser)
+    add_json_result_option(parser)
 
 
 def run(arguments: Namespace) -> None:

@@ -19,7 +19,7 @@ from rig.model.mechanism_kinds import bodies_of
 from rig.recording.corner_and_pose_tables import Corners, Poses, load_corners, load_measured, load_poses
 from rig.recording.exposures import Exposures, Unreadable, load_exposures
 from rig.recording.time_origin import Origin, exact_decimal
-from rig.report.notebook_display import result_html
+from rig.report.pages.html_elements import result_html
 
 LIMB = re.compile(r"m[1-9]\d*")  # a channel of a measuring limb, m, read only where there are rows about an exposure
 PAYLOAD = "payload_mass_kg"  # channel of sensors.csv, column of a plan in time: what the platform carries

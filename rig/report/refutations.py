@@ -1,5 +1,4 @@
-"""Which files of a folder were refuted later, by what: kept beside them under each file's SHA-256, so that what was
-refuted is shown as that.
+"""Refutations of result files, kept in refutations.json of their folder by SHA-256: read, look up, add.
 
 A command that refutes a result, or finds what it leaves out, adds an entry to refutations.json in the result's folder.
 It is read wherever the file is shown or used. A copy elsewhere carries no entry.
@@ -42,7 +41,7 @@ class Refutation:
 
 
 def load_refutations(folder: Path) -> tuple[Refutation, ...]:
-    """The entries of a folder, none where nothing in it was refuted. Raises FileError for a file that holds none."""
+    """Load the refutations of a folder, () where there are none. Raises FileError for an invalid file."""
     path = folder / NAME
     try:
         tree = json.loads(path.read_bytes().decode("utf-8"))
@@ -58,15 +57,14 @@ def load_refutations(folder: Path) -> tuple[Refutation, ...]:
 
 
 def refutations_of_file(path: Path) -> tuple[Refutation, ...]:
-    """The entries of a result's file, by its SHA-256, oldest first. Raises FileError as `load_refutations` does."""
+    """Refutations of a result file, by its SHA-256, oldest first. Raises FileError as `load_refutations` does."""
     known = load_refutations(path.parent)
     own = file_digest(path) if known else ""
     return tuple(one for one in known if one.sha256 == own)
 
 
 def add_refutation(place: Path, folder: Path, new: Refutation) -> None:
-    """Write the entries of a folder with a new one, which replaces an earlier one of the same file by the same command
-    and recording.
+    """Add a refutation to those of a folder; it replaces one of the same file by the same command and recording.
 
     place : where the file waits to be put into the folder as NAME
     """

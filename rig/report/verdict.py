@@ -1,4 +1,4 @@
-"""The one judgement of a result, made from its evidence: good, check or bad, why, and the command that would tell more.
+"""Verdict of a result, judged from its evidence: good, check or bad, with reasons and the next command.
 
 Good needs all of it: a held-out error within AGREES of what noise and claim allow, nothing unexplained, and nothing
 stated beyond what the design of the recording supports. Bad is what was refuted: by a later recording, by an error
@@ -89,7 +89,7 @@ class Evidence:
 
 
 def judge_evidence(evidence: Evidence) -> Verdict:
-    """The Verdict of evidence."""
+    """Judge evidence: its Verdict."""
     beyond = (
         [f"held-out error is {evidence.held_out:.3g} times what noise and claim allow"]
         if _beyond(evidence, AGREES)
@@ -129,7 +129,7 @@ def judge_evidence(evidence: Evidence) -> Verdict:
 
 
 def worst_state(states: Sequence[State]) -> State:
-    """The worst of states, check where there is none."""
+    """Worst of several states; check where there is none."""
     return next((state for state in WORST if state in states), State.CHECK)
 
 

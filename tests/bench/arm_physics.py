@@ -18,7 +18,7 @@ from calib.diagnose.arm_findings_refit import findings_of_arm_diagnosis, refit_a
 from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm
 from calib.files.calibration_from_recording import calibration_with_provenance
 from calib.models.arm import error_model
-from calib.models.arm.certification import certify, workspace_claim_of
+from calib.models.arm.certification import arm_workspace_claim, certify_arm
 from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.recording_samples import sample_recording
 from rig.effects.framework.effect import Effect
@@ -112,7 +112,7 @@ def _driven(rec: Recording, secret: World, physics: bool) -> tuple[np.ndarray, n
     """((2,) RMS error of driven poses, (2,) its stated standard uncertainty, NaN without physics), m and rad."""
     sampled, rng = sample_recording(rec), np.random.default_rng(0)
     taken = refit_arm_with_findings(rec, sampled, findings_of_arm_diagnosis(diagnose_arm(rec))) if physics else None
-    done = certify(
+    done = certify_arm(
         sampled.samples,
         rec.design.mechanism,
         sampled.instrument,
@@ -124,14 +124,14 @@ def _driven(rec: Recording, secret: World, physics: bool) -> tuple[np.ndarray, n
         rec,
         sampled,
         done,
-        workspace_claim_of(samples, done, rng),
+        arm_workspace_claim(samples, done, rng),
         (),
         None if taken is None else taken.with_geometry(done),
     )
     seen = np.stack([sampled.samples.commanded.min(axis=0), sampled.samples.commanded.max(axis=0)], axis=1)
     q = low_discrepancy(seen, 2 * POSES, REACH, 17)
     values = np.linalg.svd(error_model.joint_jacobian(q, secret.true.mechanism), compute_uv=False)
-    T = error_model.predicted(
+    T = error_model.predicted_target_poses(
         q[values[:, -1] > NEAR_SINGULAR * values[:, 0]][:POSES], done.correction.fitted
     )  # its own idea of how the hand is turned
     made = commands_along_route(calibration, T, np.zeros(len(seen)))

@@ -13,8 +13,8 @@ from scipy.stats import chi2
 
 from calib.files import calibration_file
 from calib.models.arm import error_model, instrument_placement
-from calib.models.arm.identification import identify, parameters
-from calib.models.arm.instrument_observations import of_poses
+from calib.models.arm.identification import identify_arm, independent_arm_parameters
+from calib.models.arm.instrument_observations import pose_observations
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics, six_joint_inverse
@@ -90,12 +90,12 @@ def _closed_forms():
 
 def _identification():
     for name, nominal in (("UR10", UR10), ("seven joints", SEVEN)):
-        free, z, steps = parameters(nominal, "pose"), [], []
+        free, z, steps = independent_arm_parameters(nominal, "pose"), [], []
         for seed in range(40):
             rng = np.random.default_rng(seed)
             true = worlds.secret(nominal, rng)
-            seen = of_poses(worlds.tracked(true, nominal, 80, rng))
-            found = identify(seen, instrument_placement.place_arm(seen, nominal, True, True))
+            seen = pose_observations(worlds.tracked(true, nominal, 80, rng))
+            found = identify_arm(seen, instrument_placement.place_arm(seen, nominal, True, True))
             z.append(worlds.scores(found, true, nominal, free))
             steps.append(found.iterations)
         z = np.array(z)
@@ -112,19 +112,19 @@ def _identification():
     rng = np.random.default_rng(50)
     true = worlds.secret(UR10, rng)
     q = configurations(UR10, 200, rng, 0.5)
-    want = error_model.predicted(q, true)
+    want = error_model.predicted_target_poses(q, true)
     for name, seen in (
-        ("tracker, 6D probe, 20 um", of_poses(worlds.tracked(true, UR10, 120, rng))),
+        ("tracker, 6D probe, 20 um", pose_observations(worlds.tracked(true, UR10, 120, rng))),
         ("CMM, ball, 20 um", worlds.touched(true, UR10, 120, rng)),
         (
             "vision, 50 um and 0.1 mrad shared 20 um",
-            of_poses(worlds.tracked(true, UR10, 120, rng, (5e-5, 1e-4), (2e-5, 2e-5))),
+            pose_observations(worlds.tracked(true, UR10, 120, rng, (5e-5, 1e-4), (2e-5, 2e-5))),
         ),
         ("drawn wire, 50 um, 400 lengths", worlds.wired(true, UR10, 400, rng)),
     ):
         start = UR10 if seen.kind != "distance" else type(UR10)(UR10.joints, UR10.limits, tool=worlds.TOOL)
-        found = identify(seen, instrument_placement.place_arm(seen, start, True, seen.kind != "distance"))
-        got = error_model.predicted(q, found.arm)
+        found = identify_arm(seen, instrument_placement.place_arm(seen, start, True, seen.kind != "distance"))
+        got = error_model.predicted_target_poses(q, found.arm)
         error = np.linalg.norm(got.translation, axis=1) - np.linalg.norm(want.translation, axis=1)
         error = np.abs(error) if seen.kind == "distance" else np.linalg.norm(got.translation - want.translation, axis=1)
         what = "length" if seen.kind == "distance" else "position"
@@ -143,12 +143,12 @@ def _real():
             )
         )
         held = calibration_file.load(out).held_out
-    from calib.models.arm.certification import certify
+    from calib.models.arm.certification import certify_arm
     from calib.samples.recording_samples import sample_recording
     from rig.recording import recording_folder
 
     folder = recording_folder.load(SHARED / "recordings/arm-1")
-    done = certify(
+    done = certify_arm(
         sample_recording(folder).samples, folder.design.mechanism, folder.design.instrument, np.random.default_rng(0)
     )
     yield "arm-1: `rig calibrate`, whole", f"{seconds:.1f} s", ""

@@ -14,10 +14,9 @@ from types import SimpleNamespace
 import numpy as np
 
 from calib.online.run_learning import Learner
-from rig.cli.shared.compilation_warm_up import warm_up
-from rig.cli.shared.run_equipment import save_image
-from rig.cli.shared.run_observation import Looking, Stopping
-from rig.cli.shared.run_page import Page
+from rig.cli.shared.run_observation import RunObserver, Stopping
+from rig.cli.shared.run_page import RunPage
+from rig.cli.shared.run_preparation import save_image, warm_up
 from rig.driving.cameras.camera_interface import Frame
 from rig.driving.cameras.camera_synchronisation import Shutter
 from rig.driving.cameras.settling_check import parse_settling
@@ -97,11 +96,11 @@ def _run(folder):
     start = planned[0].goal
     machine = SimpleNamespace(lengths=lambda: start, move=lambda goal: None, stop=lambda: None)
     bench = Bench(machine, shutter, clock, parse_settling(f"time:{TIME}"), 1e-5, lambda *_: (), save_image)
-    looking = Looking(
+    looking = RunObserver(
         design, planned, start, clock, Live(design), Learner(design.mechanism), Stopping(frozenset(), lambda: None)
     )
     (folder / "rec").mkdir()
-    with Page(looking, 0) as page, Journal(folder / "rec" / "journal.jsonl") as journal:
+    with RunPage(looking, 0) as page, Journal(folder / "rec" / "journal.jsonl") as journal:
         looking.displays.append(page)
         came = {}
         reader = threading.Thread(target=_listen, args=(page.url, came), daemon=True)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.diagnose.problems.platform.effect_strength import effect_strengths
+from calib.diagnose.problems.platform.effect_strength import platform_effect_strengths
 from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.report import platform_report
 from calib.samples.recording_samples import Sampled, sample_recording
@@ -152,7 +152,7 @@ def strength(case: blind_cases.DrawnCase) -> list[float]:
         )
         written = replace(recording_folder.load(Path(folder) / "rec"), corners=blind_cases.simulated_corners(case))
     world = case.simulation.world
-    return effect_strengths(written, world.true, case.noise, world.effects, case.simulation.sensors)[
+    return platform_effect_strengths(written, world.true, case.noise, world.effects, case.simulation.sensors)[
         : len(case.hidden)
     ].tolist()
 

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosis, diagnose_platform
-from calib.experiment.discriminating_configurations import NAME
+from calib.experiment.diagnosis_questions import platform_questions
 from calib.experiment.experiment_choice import Experiment, available_plans, choose_experiment, evaluate_experiment
-from calib.experiment.platform_questions import questions
+from calib.experiment.experiment_information import NAME
 from rig.effects.texts.effect_text import parse_effect, require_place
 from rig.errors import RigError
 from rig.formats.rig_toml import design_file
@@ -116,14 +116,14 @@ def settle(case, first, found, pick, looks=LOOKS) -> tuple[PlatformDiagnosis, in
     """
     parts, poses, minutes, stated = [first], 0, 0.0, []
     for number in range(1, looks):
-        asked = questions(found)
+        asked = platform_questions(found)
         chosen = pick(asked, number, BUDGET - minutes) if asked else None
         if chosen is None:
             break
         parts.append(case.recorded(f"{pick.__name__}{number}", chosen.plan))
         found = diagnose_platform(combine_recordings(parts).recording)
         poses, minutes = poses + len(chosen.plan.t), minutes + chosen.minutes
-        stated.append((chosen.settles, not questions(found)))
+        stated.append((chosen.settles, not platform_questions(found)))
     return found, poses, minutes, stated
 
 
@@ -218,14 +218,14 @@ def tried(base, rooms, number, draws) -> Tried:
         rng = np.random.default_rng(seed)
         case = Case(base / str(seed), design, text, drawn(both[number // len(PAIRS) % 2], rng), seed)
         first, found = case.first(route)
-        if questions(found):
+        if platform_questions(found):
             break
     else:
         right = names(found) == [case.title]
         return Tried(f"{case.truth}: {names(found)} {'alone' if right else 'NOT right'} at once", False, right, draw)
     done, poses, minutes, told = settle(case, first, found, best(design))
     _, others, _, random = settle(case, first, found, at_random(design, rng), AT_RANDOM)
-    alone = names(done) == [case.title] and not questions(done)
+    alone = names(done) == [case.title] and not platform_questions(done)
     said = f"{[(round(s, 2), h) for s, h in told]} random {[(round(s, 2), h) for s, h in random]}"
     return Tried(
         f"{case.truth}: {names(done)} {'alone' if alone else 'NOT alone'}, {poses} poses in {minutes:.1f} "

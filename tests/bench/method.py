@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from calib.certify.calibration import Calibration
-from calib.correct.summand_extension import correction_with_field, fit_summand_field, geometry_of, summands
-from calib.diagnose.platform_findings_refit import findings_of_diagnosis
+from calib.correct.summand_extension import base_geometry, correction_with_field, fit_summand_field, measured_summands
+from calib.diagnose.platform_findings_refit import findings_of_platform_diagnosis
 from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.samples.recording_samples import sample_recording
 from rig.effects.texts.effect_text import parse_effect
@@ -29,8 +29,8 @@ POSES, SEED = 200, 41
 def by_field(sampled, design, kind) -> Calibration:
     """Calibration of KSF by a way of extending it alone, on the owner's model."""
     samples, nominal = sampled.samples, design.mechanism
-    found = geometry_of(samples, nominal, True)
-    correction = correction_with_field(nominal, found, fit_summand_field(summands(samples, nominal), kind))
+    found = base_geometry(samples, nominal, True)
+    correction = correction_with_field(nominal, found, fit_summand_field(measured_summands(samples, nominal), kind))
     return Calibration(
         correction, found.covariance, found.scatter, tuple(samples.frame.tolist()), (), None, {}, None, None
     )
@@ -52,7 +52,9 @@ def rows() -> Iterator[tuple[str, str, str]]:
         floor = float(np.sqrt(np.trace(own[:, :3, :3], axis1=1, axis2=2).mean()))
         ways = {
             "physics": learnt(
-                recording, sampled, findings_of_diagnosis(diagnose_platform(recording, only=ASKED, sampled=sampled))
+                recording,
+                sampled,
+                findings_of_platform_diagnosis(diagnose_platform(recording, only=ASKED, sampled=sampled)),
             ),
             "parameters alone": learnt(recording, sampled, None, "none"),
             "grid alone, 729 poses, n-linear": by_field(on_grid, design, "linear"),

@@ -11,10 +11,16 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from calib.certify import measuring_limbs
-from calib.models.platform import joint_camera_fit
-from calib.models.platform.d_optimal_configurations import CRITERIA, choose_configurations
-from calib.models.platform.identification import PRIOR, identify, parameters, pose_jacobian, with_parameters
-from calib.models.platform.parameter_observability import PLAUSIBLE, parameter_combinations
+from calib.correct import joint_camera_fit
+from calib.models.platform.identification import (
+    PRIOR,
+    geometric_parameters,
+    identify_platform,
+    mechanism_with_parameters,
+    pose_parameter_jacobian,
+)
+from calib.models.platform.optimal_configurations import CRITERIA, choose_d_optimal_configurations
+from calib.models.platform.parameter_accuracy import PLAUSIBLE, parameter_combinations
 from calib.online.information_filter import Online
 from calib.online.learners import Drifting, FirstOrder, Forgetting
 from calib.samples.recording_samples import sample_recording
@@ -58,19 +64,19 @@ def rows() -> Iterator[tuple[str, str, str]]:
 
 def _batch(design):
     samples, _ = sampled(design, 1, count=1000)
-    found, times = identify(samples, design.mechanism), []
+    found, times = identify_platform(samples, design.mechanism), []
     for _ in range(9):
         start = time.perf_counter()
-        found = identify(samples, design.mechanism)
+        found = identify_platform(samples, design.mechanism)
         times.append(time.perf_counter() - start)
     ours = np.median(times)
     yield "42 parameters and 6 shared errors from 1000 poses, batch, whole, median of 9", f"{ours:.3f} s", "<= 0.2 s"
-    whitener, nominal = np.linalg.inv(np.linalg.cholesky(samples.covariance)), parameters(design.mechanism)
+    whitener, nominal = np.linalg.inv(np.linalg.cholesky(samples.covariance)), geometric_parameters(design.mechanism)
 
     def cost(q):
-        T = hexapod.forward(samples.commanded, with_parameters(design.mechanism, nominal + q[:42] * 1e-3)) * exp(
-            samples.common @ q[42:]
-        )
+        T = hexapod.forward(
+            samples.commanded, mechanism_with_parameters(design.mechanism, nominal + q[:42] * 1e-3)
+        ) * exp(samples.common @ q[42:])
         left = whitener @ pose_difference(T, samples.T_base_platform)[..., None]
         return np.concatenate([left.ravel(), q[:42] * 1e-3 / PRIOR, q[42:]])
 
@@ -78,7 +84,7 @@ def _batch(design):
     other = least_squares(cost, np.zeros(48))
     seconds = time.perf_counter() - start
     apart = np.abs(
-        (nominal + other.x[:42] * 1e-3 - parameters(found.mechanism)) / np.sqrt(np.diag(found.covariance))
+        (nominal + other.x[:42] * 1e-3 - geometric_parameters(found.mechanism)) / np.sqrt(np.diag(found.covariance))
     ).max()
     yield "scipy least_squares, numeric Jacobian, the same cost", f"{seconds:.2f} s, {seconds / ours:.0f} x", ">= 50 x"
     yield "the two optima apart, greatest", f"{apart:.1e} sigma", ""
@@ -91,14 +97,14 @@ def _batch(design):
 
 
 def _scatter(design):
-    first = identify(sampled(design, 0, count=200)[0], design.mechanism)
+    first = identify_platform(sampled(design, 0, count=200)[0], design.mechanism)
     along = np.array([part.direction for part in parameter_combinations(first.root, first.mechanism)[0]])
     z = np.empty((MORE_RUNS, 42))
     for seed in range(MORE_RUNS):
         samples, true = sampled(design, seed, count=200)
-        found = identify(samples, design.mechanism)
+        found = identify_platform(samples, design.mechanism)
         sigma = np.sqrt(np.einsum("ki,ij,kj->k", along, found.covariance, along))
-        z[seed] = along @ (parameters(found.mechanism) - parameters(true)) / sigma
+        z[seed] = along @ (geometric_parameters(found.mechanism) - geometric_parameters(true)) / sigma
     some = z[:RUNS]
     yield (
         f"z-scores along 42 combinations, {RUNS} runs of 200 poses: mean, worst",
@@ -117,7 +123,7 @@ def _scatter(design):
 def _plans(design):
     for criterion in CRITERIA:
         start = time.perf_counter()
-        found = choose_configurations(design.mechanism, 60, (1e-5, 1e-4), criterion)
+        found = choose_d_optimal_configurations(design.mechanism, 60, (1e-5, 1e-4), criterion)
         seconds = time.perf_counter() - start
         s, even = (np.linalg.svd(root * PLAUSIBLE, compute_uv=False) for root in (found.root, found.even))
         better = f"{(s.prod() / even.prod()) ** (1 / 42):.2f}, {s[-1] / even[-1]:.2f} x"
@@ -131,11 +137,11 @@ def _plans(design):
 
 def _online(design):
     samples, true = sampled(design, 1, count=1000)
-    batch = identify(samples, design.mechanism)
+    batch = identify_platform(samples, design.mechanism)
     along = np.array([part.direction for part in parameter_combinations(batch.root, batch.mechanism)[0]])
     sigma = np.sqrt(np.einsum("ki,ij,kj->k", along, batch.covariance, along))
     alone = replace(samples, common=samples.common[:, :, :0], covariance=samples.total_covariance())
-    rest = identify(alone, design.mechanism)
+    rest = identify_platform(alone, design.mechanism)
     ways = {
         "square-root filter, 6 shared errors": (Online(design.mechanism, shared=6), samples, batch),
         "square-root filter": (Online(design.mechanism), alone, rest),
@@ -150,7 +156,7 @@ def _online(design):
             start = time.perf_counter()
             learner.update(x, T, C, *B)
             times.append(time.perf_counter() - start)
-        apart = np.abs(along @ (learner.p - parameters(best.mechanism)) / sigma).max()
+        apart = np.abs(along @ (learner.p - geometric_parameters(best.mechanism)) / sigma).max()
         wanted = "<= 0.1 sigma, 150 us" if name.startswith("square") else ""
         yield (
             f"one pass over 1000 poses, {name}: from the batch; update, median",
@@ -250,7 +256,7 @@ def _joint():
     wanted = hexapod.forward(lengths, true)
 
     def figure(found, covariance):
-        errors, J = pose_difference(wanted, hexapod.forward(lengths, found)), pose_jacobian(wanted, found)
+        errors, J = pose_difference(wanted, hexapod.forward(lengths, found)), pose_parameter_jacobian(wanted, found)
         C = J @ covariance @ np.swapaxes(J, 1, 2)
         both = []
         for part, unit in ((slice(0, 3), "um"), (slice(3, 6), "urad")):
@@ -262,18 +268,22 @@ def _joint():
         return ", ".join(both)
 
     start = time.perf_counter()
-    corners, commanded, state = joint_camera_fit.commanded_state(done.measurement, samples)
+    corners, commanded, state = joint_camera_fit.joint_fit_inputs(done.measurement, samples)
     one = joint_camera_fit.fit_cameras_and_geometry(
-        corners, commanded, state, read.design.cameras, nominal, identify(samples, nominal).mechanism
+        corners, commanded, state, read.design.cameras, nominal, identify_platform(samples, nominal).mechanism
     )
     seconds = time.perf_counter() - start
-    two = identify(samples, nominal)
-    pooled = identify(replace(samples, covariance=samples.total_covariance(), common=samples.common[:, :, :0]), nominal)
+    two = identify_platform(samples, nominal)
+    pooled = identify_platform(
+        replace(samples, covariance=samples.total_covariance(), common=samples.common[:, :, :0]), nominal
+    )
     name = "open-quiet, model's pose error over 90 % of the strokes (its stated bound)"
     yield f"{name}: joint solve", figure(one.mechanism, one.covariance), "<= 5.0 um, 10.6 urad"
     yield f"{name}: two steps, shared errors solved", figure(two.mechanism, two.covariance), ""
     yield f"{name}: two steps, poses as if apart", figure(pooled.mechanism, pooled.covariance), ""
-    apart = np.abs((parameters(one.mechanism) - parameters(two.mechanism)) / np.sqrt(np.diag(one.covariance))).max()
+    apart = np.abs(
+        (geometric_parameters(one.mechanism) - geometric_parameters(two.mechanism)) / np.sqrt(np.diag(one.covariance))
+    ).max()
     yield f"joint solve of {len(corners)} corners; from the two-step optimum", f"{seconds:.1f} s; {apart:.4f} sigma", ""
     yield from _over_draws(samples, nominal, true, lengths, wanted)
 
@@ -291,10 +301,10 @@ def _over_draws(samples, nominal, true, lengths, wanted):
         )
         drawn = replace(samples, T_base_platform=T * exp(noise))
         apart = replace(drawn, covariance=drawn.total_covariance(), common=drawn.common[:, :, :0])
-        found = [identify(each, nominal) for each in (drawn, apart)]
+        found = [identify_platform(each, nominal) for each in (drawn, apart)]
         errors = [pose_difference(wanted[:300], hexapod.forward(lengths[:300], each.mechanism)) for each in found]
         squares.append([[(e[:, :3] ** 2).sum(axis=1).mean(), (e[:, 3:] ** 2).sum(axis=1).mean()] for e in errors])
-        off = [parameters(each.mechanism) - parameters(true) for each in found]
+        off = [geometric_parameters(each.mechanism) - geometric_parameters(true) for each in found]
         claims.append([d @ np.linalg.solve(each.covariance, d) / 42 for d, each in zip(off, found)])
     rms = np.sqrt(np.mean(squares, axis=0)) * 1e6
     for k, name in enumerate(("shared errors solved", "poses as if apart")):

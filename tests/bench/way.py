@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify.held_out_errors import compare_errors, errors_before_and_after
-from calib.correct.correction import calibrate
-from calib.models.platform.identification import pose_jacobian
+from calib.certify.held_out_errors import compare_errors, errors_before_and_after_correction
+from calib.correct.correction import calibrate_correction
+from calib.models.platform.identification import pose_parameter_jacobian
 from calib.samples.recording_samples import sample_recording
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
@@ -105,7 +105,7 @@ def _workspace():
         platform_joints=truth["platform_joints"],
         strut_zeros=truth["strut_zeros"],
     )
-    correction, found = calibrate(sample_recording(folder).samples, nominal)
+    correction, found = calibrate_correction(sample_recording(folder).samples, nominal)
     rng = np.random.default_rng(0)
     lengths = nominal.strut_range.mean(axis=1) + 0.45 * np.ptp(nominal.strut_range, axis=1) * rng.uniform(
         -1, 1, (2000, 6)
@@ -113,7 +113,7 @@ def _workspace():
     wanted = hexapod.forward(lengths, nominal)
     before = _rms(pose_difference(wanted, hexapod.forward(hexapod.inverse(wanted, nominal), true)))
     after = _rms(pose_difference(wanted, hexapod.forward(correction.inverse(wanted), true)))
-    J = pose_jacobian(wanted, correction.fitted)
+    J = pose_parameter_jacobian(wanted, correction.fitted)
     C = J @ found.covariance @ np.swapaxes(J, 1, 2)
     bound = [np.sqrt(np.trace(C[:, part, part], axis1=1, axis2=2).mean()) * 1e6 for part in (slice(0, 3), slice(3, 6))]
     reached = f"{after[0] * 1e6:.2f} um, {after[1] * 1e6:.1f} urad"
@@ -134,9 +134,11 @@ def _unused(name):
     folder = recording_folder.load(SHARED / "recordings" / name)
     samples = sample_recording(folder).samples
     half = np.arange(len(samples)) < len(samples) // 2
-    correction, _ = calibrate(samples.take(half), folder.design.mechanism)
+    correction, _ = calibrate_correction(samples.take(half), folder.design.mechanism)
     rest = samples.take(~half)
-    held = compare_errors(*errors_before_and_after(correction, rest), rest.total_covariance(), np.random.default_rng(0))
+    held = compare_errors(
+        *errors_before_and_after_correction(correction, rest), rest.total_covariance(), np.random.default_rng(0)
+    )
     yield (
         f"{name}: second half, calibrated on the first: before / after, as measured",
         f"{held.before.position[0] * 1e6:.0f} / {held.after.position[0] * 1e6:.2f} um = {held.ratio[0]:.0f} x",
@@ -145,7 +147,7 @@ def _unused(name):
     true = RigidTransform.from_matrix(np.array(_truth(name)["poses"]).reshape(-1, 4, 4))[rest.frame]
     true_samples = replace(rest, T_base_platform=true)
     held = compare_errors(
-        *errors_before_and_after(correction, true_samples), rest.total_covariance(), np.random.default_rng(0)
+        *errors_before_and_after_correction(correction, true_samples), rest.total_covariance(), np.random.default_rng(0)
     )
     reached = f"{held.after.position[0] * 1e6:.2f} um = {held.ratio[0]:.0f} x"
     yield f"{name}: the same against the true poses", reached, ">= 50 x" if name == "open-quiet" else ""

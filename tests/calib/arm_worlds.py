@@ -52,7 +52,7 @@ def tracked(true, nominal, count, rng, sigma=(2e-5, 1e-4), common=(0.0, 0.0), de
     q = configurations_of(nominal, count - again, rng)
     q = np.concatenate([q, q[:again]])
     scale, shared = (np.repeat(pair, 3) for pair in (sigma, common))
-    T = error_model.predicted(q if deviation is None else q + deviation(q), true)
+    T = error_model.predicted_target_poses(q if deviation is None else q + deviation(q), true)
     T = T * exp(shared * rng.normal(size=6) + scale * rng.normal(size=(count, 6)))
     factor = np.tile(np.diag(shared)[:, shared > 0], (count, 1, 1))
     return Samples(np.arange(count), np.arange(count) * 10.0, q, T, np.tile(np.diag(scale**2), (count, 1, 1)), factor)
@@ -61,16 +61,19 @@ def tracked(true, nominal, count, rng, sigma=(2e-5, 1e-4), common=(0.0, 0.0), de
 def touched(true, nominal, count, rng, sigma=2e-5):
     """Observations of positions alone: a reflector, a ball, a touched point."""
     q = configurations_of(nominal, count, rng)
-    return instrument_observations.of_positions(
-        q, error_model.predicted(q, true).translation + sigma * rng.normal(size=(count, 3)), sigma
+    return instrument_observations.position_observations(
+        q, error_model.predicted_target_poses(q, true).translation + sigma * rng.normal(size=(count, 3)), sigma
     )
 
 
 def wired(true, nominal, count, rng, sigma=5e-5):
     """Observations of one distance: a drawn wire from the frame's origin to the hand."""
     q = configurations_of(nominal, count, rng)
-    return instrument_observations.of_distances(
-        q, np.linalg.norm(error_model.predicted(q, true).translation, axis=1) + sigma * rng.normal(size=count), sigma
+    return instrument_observations.distance_observations(
+        q,
+        np.linalg.norm(error_model.predicted_target_poses(q, true).translation, axis=1)
+        + sigma * rng.normal(size=count),
+        sigma,
     )
 
 
@@ -108,13 +111,13 @@ def write(folder, nominal, samples, base="free", tool="free", positions_alone=Fa
 def same_gauge(true, nominal, free):
     """The true arm's parameters less the nominal's, in the fit's own gauge: the fit of noiseless observations."""
     q = configurations(nominal, 200, np.random.default_rng(99), 0.6)
-    T = error_model.predicted(q, true)
+    T = error_model.predicted_target_poses(q, true)
     arm = replace(nominal, base=BASE, tool=TOOL)
     for _ in range(30):
         J = error_model.parameter_jacobian(q, arm)[..., free].reshape(-1, free.sum())
         step = np.zeros(len(free))
-        step[free] = np.linalg.lstsq(J, error_model.residuals(q, T, arm).ravel())[0]
-        arm = error_model.moved(arm, step)
+        step[free] = np.linalg.lstsq(J, error_model.pose_residuals(q, T, arm).ravel())[0]
+        arm = error_model.arm_with_parameter_step(arm, step)
         if np.abs(step).max() < 1e-13:
             return arm
     raise AssertionError("no arm of this gauge is the true one")

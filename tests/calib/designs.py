@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from calib.models.platform import closed_loop_kernels
-from calib.models.platform.identification import parameters
+from calib.models.platform import closed_loop_equations
+from calib.models.platform.identification import geometric_parameters
 from rig.model.design import Hexapod
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose
@@ -40,15 +40,15 @@ def by_differences(m, T, step=1e-5):
     """(6, 42) change of the pose at constant command with each parameter: central differences of the forward
     kinematics, two
     steps extrapolated to none. step : over the machine's radius"""
-    command, p, start = hexapod.inverse(T, m), parameters(m), T.as_matrix()
+    command, p, start = hexapod.inverse(T, m), geometric_parameters(m), T.as_matrix()
     h = step * np.linalg.norm(m.base_joints, axis=1).mean()
     out, e = np.empty((6, 42)), np.empty((4, 6))
     for k in range(42):
         for side, sign in enumerate((-2, -1, 1, 2)):
             moved, R, t = p.copy(), start[:3, :3].copy(), start[:3, 3].copy()
             moved[k] += sign * h
-            assert closed_loop_kernels.pose_of(command, moved, R, t)
-            closed_loop_kernels.error(start[:3, :3], start[:3, 3], R, t, e[side])
+            assert closed_loop_equations.forward_kinematics_kernel(command, moved, R, t)
+            closed_loop_equations.pose_error_kernel(start[:3, :3], start[:3, 3], R, t, e[side])
         out[:, k] = (8 * (e[2] - e[1]) - (e[3] - e[0])) / (12 * h)
     return out
 
@@ -57,13 +57,13 @@ def worst_jacobian(count, seed):
     """Greatest relative disagreement, of the whole matrix, between J_p and differences over `count` random machines and
     poses.
     """
-    from calib.models.platform.identification import pose_jacobian
+    from calib.models.platform.identification import pose_parameter_jacobian
 
     rng = np.random.default_rng(seed)
     worst = 0.0
     for _ in range(count):
         m, T = machine(rng)
-        J = pose_jacobian(T, m)
+        J = pose_parameter_jacobian(T, m)
         scale = np.r_[np.ones(3), np.full(3, np.linalg.norm(m.platform_joints, axis=1).mean())][:, None]
         worst = max(worst, np.linalg.norm((by_differences(m, T) - J) * scale) / np.linalg.norm(J * scale))
     return worst

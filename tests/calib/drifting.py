@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.certify.calibration import Calibration
-from calib.correct.correction import calibrate
+from calib.correct.correction import calibrate_correction
 from calib.drift.visit_configurations import choose_visit_configurations
 from calib.samples.recording_samples import sample_recording
 from rig.effects.texts.effect_text import parse_effect
@@ -61,7 +61,7 @@ def rig(design, text, seed, folder, poses=80):
         recording_simulation.simulate(secret, route, rng, _weather(route, ROOM, 0.0)), folder, text, rng, NOISE
     )
     sampled = sample_recording(recording_folder.load(folder))
-    correction, found = calibrate(sampled.samples, design.mechanism)
+    correction, found = calibrate_correction(sampled.samples, design.mechanism)
     made = Calibration(correction, found.covariance, found.scatter, tuple(sampled.samples.frame.tolist()), (), None, {})
     return Rig(secret, text, made, visits_of(design, made))
 

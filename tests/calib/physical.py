@@ -8,8 +8,8 @@ import numpy as np
 
 from calib.certify.calibration import Calibration
 from calib.certify.platform_certification import Certified
-from calib.correct.correction import calibrate
-from calib.diagnose.platform_findings_refit import findings_of_diagnosis, refit_platform_with_findings
+from calib.correct.correction import calibrate_correction
+from calib.diagnose.platform_findings_refit import findings_of_platform_diagnosis, refit_platform_with_findings
 from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.models.wanted_pose_commands import commands_along_route, route_pace
 from calib.samples.recording_samples import sample_recording
@@ -57,7 +57,7 @@ def learnt(rec, sampled, findings, remainder="find"):
     remainder : "none" for no such thing"""
     taken = None if findings is None else refit_platform_with_findings(rec, sampled, findings)
     samples = sampled.samples if taken is None else taken.samples
-    correction, found = calibrate(samples, rec.design.mechanism, remainder)
+    correction, found = calibrate_correction(samples, rec.design.mechanism, remainder)
     done = Certified(correction, found, np.arange(len(samples)), None)
     physics, covariance = (None, found.covariance) if taken is None else taken.with_geometry(done)
     return Calibration(
@@ -100,7 +100,7 @@ def three_ways(folder, design, text, seed, effect, route):
     """(Driven with physics, Driven plain, Driven of the same rig without the effect, calibrated plainly)."""
     rec, secret = write(folder / "with", design, text, seed, (effect,), route)
     sampled = sample_recording(rec)
-    known = learnt(rec, sampled, findings_of_diagnosis(diagnose_platform(rec, only=ASKED, sampled=sampled)))
+    known = learnt(rec, sampled, findings_of_platform_diagnosis(diagnose_platform(rec, only=ASKED, sampled=sampled)))
     plain = learnt(rec, sampled, None)
     bare, innocent = write(folder / "without", design, text, seed, (), route)
     without = learnt(bare, sample_recording(bare), None)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.models.platform.identification import parameters, with_parameters
+from calib.models.platform.identification import geometric_parameters, mechanism_with_parameters
 from calib.online.information_filter import Online
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp
@@ -36,7 +36,7 @@ def stream(design, seed, count, at=None, jump=None, moved=None):
     """
     rng = np.random.default_rng(seed)
     before = secret_machine.draw_machine(design, rng).true.mechanism
-    after = before if jump is None else with_parameters(before, parameters(before) + jump)
+    after = before if jump is None else mechanism_with_parameters(before, geometric_parameters(before) + jump)
     commands = low_discrepancy(design.mechanism.strut_range, count, 0.9, seed)
     split = count if at is None else at
     matrices = np.concatenate(

@@ -7,14 +7,13 @@ import pytest
 from scipy.special import chdtri
 
 from calib.diagnose.engine.candidate_score import Score, score_with_likelihood_ratio
-from calib.diagnose.engine.candidates import Candidate
 from calib.diagnose.engine.chance_probability import residual_dispersion, scan_p_value
 from calib.diagnose.engine.cross_validation import frame_folds
 from calib.diagnose.engine.frame_inner_products import FrameProducts, normal_of_common_weights, solve_normal_equations
 from calib.diagnose.engine.linear_model import Block, Column, LinearModel
-from calib.diagnose.engine.selection_policy import PLATFORM
+from calib.diagnose.engine.selection_inputs import PLATFORM, Candidate
 from calib.diagnose.engine.term_selection import _hidden
-from calib.diagnose.problems.platform.held_out_validation import sides
+from calib.diagnose.problems.platform.held_out_validation import sides_of_sudden_changes
 from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.report.platform_report import platform_report
 from rig.effects.catalogue.camera_bump import CameraBump
@@ -103,7 +102,9 @@ def test_what_comes_before_a_moment_is_never_held_out_whole():
 def test_sides_are_held_out_of_what_is_seen_and_not_of_what_axes_do():
     """In one stretch an axis may do so for where it stands: a coupling without a name was called lost steps."""
     t = np.arange(10.0)
-    late, early = sides([CameraBump("camera cam1", time=3.0), MissedSteps("strut 2", jump=1e-4, time=3.0)], t)
+    late, early = sides_of_sudden_changes(
+        [CameraBump("camera cam1", time=3.0), MissedSteps("strut 2", jump=1e-4, time=3.0)], t
+    )
     np.testing.assert_array_equal(late, ~early)
     assert late.sum() == 7
 

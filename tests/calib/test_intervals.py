@@ -10,9 +10,13 @@ import pytest
 from calib.diagnose.engine.chance_probability import Z95
 from calib.diagnose.problems.platform import tolerance_columns
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
-from calib.diagnose.problems.platform.interval_widening import of_tolerances, told, widened
+from calib.diagnose.problems.platform.interval_widening import (
+    observed_tolerance_sigmas,
+    tolerance_errors,
+    widen_intervals,
+)
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
-from calib.diagnose.problems.platform.simultaneous_refinement import Refined, refine, refine_standing
+from calib.diagnose.problems.platform.simultaneous_refinement import Refined, refine, refine_at_fixed_repeated_error
 from calib.diagnose.report import report_sentences
 from calib.diagnose.report.diagnosis_json import FindingEntry, Value, bounded_value
 from rig.effects.framework.fit_coordinates import coordinates_of
@@ -53,18 +57,19 @@ def test_sides_of_single_markers_make_the_side_of_all_less_sure(tmp_path, design
     prints = printing_errors.draw_printing_errors(design, np.random.default_rng(3), 3e-6, SIDE)
     refined, sensitivities = fitted(tmp_path, design, [prints])
     found = tolerance_columns.tolerance_model(refined.marginalised, sensitivities)
-    sigma = told(found.projected(refined.marginalised), found)
+    sigma = observed_tolerance_sigmas(found.projected(refined.marginalised), found)
     singles = {s.place: s.columns.start for s in found.sites if s.effect == "print_scale" and s.place != "markers"}
     together = next(s.columns for s in found.sites if s.place == "markers")
     assert 0.5 * SIDE < sigma[list(singles.values())].max() < 1.5 * SIDE and sigma[together] == SIDES.sigma
-    off = of_tolerances(refined, sensitivities)
+    off = tolerance_errors(refined, sensitivities)
     assert off[0, together] == 0  # which is what the scale is the size of
     heaviest = max(singles, key=lambda place: abs(off[0, singles[place]]))
     by = {
-        sign: refine_standing(larger(refined.point, heaviest, sign * FAR), sensitivities).values[0] for sign in (1, -1)
+        sign: refine_at_fixed_repeated_error(larger(refined.point, heaviest, sign * FAR), sensitivities).values[0]
+        for sign in (1, -1)
     }
     assert (by[1] - by[-1]) / (2 * FAR) == pytest.approx(off[0, singles[heaviest]] / sigma[singles[heaviest]], rel=0.1)
-    wide, narrow = (float(np.sqrt(one.covariance[0, 0])) for one in (widened(refined, sensitivities), refined))
+    wide, narrow = (float(np.sqrt(one.covariance[0, 0])) for one in (widen_intervals(refined, sensitivities), refined))
     assert wide > 1.2 * narrow and wide**2 == pytest.approx(narrow**2 + (off[0] ** 2).sum())
     true = np.mean((1 + 2e-3) * (1 + np.array(prints.scales))) - 1
     assert abs(refined.values[0] - true) < Z95 * wide
@@ -73,7 +78,7 @@ def test_sides_of_single_markers_make_the_side_of_all_less_sure(tmp_path, design
 @pytest.mark.slow
 def test_markers_that_are_as_stated_leave_intervals_as_they_are(tmp_path, design):
     refined, sensitivities = fitted(tmp_path, design, [])
-    assert widened(refined, sensitivities).covariance[0, 0] < 1.1 * refined.covariance[0, 0]
+    assert widen_intervals(refined, sensitivities).covariance[0, 0] < 1.1 * refined.covariance[0, 0]
 
 
 @pytest.mark.parametrize(

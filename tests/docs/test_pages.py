@@ -17,7 +17,7 @@ import pytest
 
 from docs.make import commands, messages, rig_toml, tables
 from rig.cli.command_line import COMMANDS
-from rig.cli.shared.argument_parser import add_common
+from rig.cli.shared.argument_parser import add_common_options
 from rig.errors import FileError
 from rig.model.mechanism_kinds import Mechanism
 from rig.recording.recording_folder import load
@@ -109,7 +109,7 @@ def test_every_kind_of_error_and_every_mistake_is_told():
 def parsed(words: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(exit_on_error=False)
     importlib.import_module(f"rig.cli.{words[0].replace('-', '_')}").arguments(parser)
-    add_common(parser, words[0])
+    add_common_options(parser, words[0])
     return parser.parse_args(words[1:])
 
 

@@ -14,7 +14,7 @@ import calib
 import rig
 import vision
 from rig.errors import FileError
-from rig.report.notebook_display import result_html
+from rig.report.pages.html_elements import result_html
 from tests.docs.told import ROOT
 
 PACKAGES = (rig, vision, calib)

@@ -132,7 +132,7 @@ def test_the_truth_is_closed_to_a_diagnosis(tmp_path):
             "else p.read_text())"
         )
         code = (
-            "from rig.cli.shared.folder_access_ban import forbid_folder as forbid; "
+            "from rig.cli.shared.child_processes import forbid_folder as forbid; "
             f"forbid({str(tmp_path / 'truth')!r}); {look}"
         )
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
@@ -335,7 +335,7 @@ def test_what_is_no_campaign_is_said(tmp_path):
 
 
 def test_strength_is_the_signal_after_calibration_has_had_its_share(design, rig_text, tmp_path):
-    from calib.diagnose.problems.platform.effect_strength import effect_strengths
+    from calib.diagnose.problems.platform.effect_strength import platform_effect_strengths
 
     effects = (parse_effect("backlash:strut2:gap=5e-5"), parse_effect("scale_error:strut3:scale=1e-12"))
     rng = np.random.default_rng(8)
@@ -346,7 +346,9 @@ def test_strength_is_the_signal_after_calibration_has_had_its_share(design, rig_
     for noise in (0.04, 0.08):
         recording_simulation.write_recording(done, tmp_path / "rec", rig_text, rng, noise)
         found.append(
-            effect_strengths(recording_folder.load(tmp_path / "rec"), done.world.true, noise, effects, done.sensors)
+            platform_effect_strengths(
+                recording_folder.load(tmp_path / "rec"), done.world.true, noise, effects, done.sensors
+            )
         )
     assert (
         8 < found[0][0] < 60 and found[0][1] < 1e-3
@@ -354,7 +356,9 @@ def test_strength_is_the_signal_after_calibration_has_had_its_share(design, rig_
     assert found[1][0] == pytest.approx(found[0][0] / 2, rel=0.05)
     window, exchanged = parse_effect("refraction:cam1:thickness=0.01"), parse_effect("marker_swap:8:turn=1")
     alone, beside = (
-        effect_strengths(recording_folder.load(tmp_path / "rec"), done.world.true, 0.04, (window, *more), done.sensors)
+        platform_effect_strengths(
+            recording_folder.load(tmp_path / "rec"), done.world.true, 0.04, (window, *more), done.sensors
+        )
         for more in ((), (exchanged,))
     )
     assert (

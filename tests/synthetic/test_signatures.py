@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.models.platform.identification import pose_jacobian
+from calib.models.platform.identification import pose_parameter_jacobian
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.texts.effect_text import parse_effect
 from rig.model import motion_simulation
@@ -86,7 +86,8 @@ def signatures(design):
 
     clean = look()
     columns = [
-        (look(poses=T * exp(1e-6 * J)) - clean) / 1e-6 for J in np.moveaxis(pose_jacobian(T, design.mechanism), -1, 0)
+        (look(poses=T * exp(1e-6 * J)) - clean) / 1e-6
+        for J in np.moveaxis(pose_parameter_jacobian(T, design.mechanism), -1, 0)
     ]
     for i, camera in enumerate(design.cameras):
         for k in range(6 + len(lens.terms(camera.distortion))):

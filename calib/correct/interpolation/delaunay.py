@@ -1,4 +1,4 @@
-"""Barycentric interpolation of scattered samples, on the simplices of their Delaunay triangulation.
+"""Delaunay interpolation of scattered samples: barycentric on the simplices of their triangulation.
 
 Beyond the samples' hull a place takes the value where the way to it from their middle leaves the hull, so that the
 field goes on continuously. Source: configuration-space patent, [0033], [0034]; Devillers, Pion and Teillaud, Walking in
@@ -12,8 +12,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial import Delaunay as Triangulation
 
-from calib.correct.interpolation.field import Known, merge_repeats
-from calib.correct.interpolation.weighted_fields import Weighted, Weights
+from calib.correct.interpolation.field import Known, WeightedField, Weights, merge_repeats
 from rig.compute.numba_kernels import njit
 from rig.errors import RigError
 
@@ -31,7 +30,7 @@ EDGE = -1e-10  # of a barycentric weight, for rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Delaunay(Weighted):
+class Delaunay(WeightedField):
     """centre, half : (axes,) scale of the configuration space; samples : (n, axes) scaled; values, variances : (n,
     outputs); misfit : (outputs,).
 

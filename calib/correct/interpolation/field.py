@@ -1,9 +1,7 @@
-"""What every way of extending corrections answers to: a value, its gradient and an error estimate all over a
-configuration space.
-"""
+"""Field interface of all interpolations (value, gradient, error), and fields as weighted sums of samples."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
@@ -71,28 +69,84 @@ class Known:
         return Known(self.configurations[index], self.values[index], self.variances[index], self.strokes)
 
 
-def merge_repeats(known: Known, tolerance: float = 1e-5) -> Known:
-    """Known with repeats of one configuration (within a share of the strokes) as one sample: their mean, weighted by
-    their variances.
-    """
+def merge_repeats(samples: Known, tolerance: float = 1e-5) -> Known:
+    """Samples with repeats of one configuration merged to their weighted mean."""
     scaled = np.round(
-        (known.configurations - known.strokes[:, 0]) / (tolerance * np.ptp(known.strokes, axis=1)) / 2
+        (samples.configurations - samples.strokes[:, 0]) / (tolerance * np.ptp(samples.strokes, axis=1)) / 2
     ).astype(np.int64)
     _, first, at = np.unique(scaled, axis=0, return_index=True, return_inverse=True)
     if len(first) == len(scaled):
-        return known
+        return samples
     at, where = at.ravel(), np.zeros((len(first), scaled.shape[1]))
-    np.add.at(where, at, known.configurations)
-    return Known(where / np.bincount(at)[:, None], *average_samples(known, at), known.strokes)
+    np.add.at(where, at, samples.configurations)
+    return Known(where / np.bincount(at)[:, None], *average_samples(samples, at), samples.strokes)
 
 
-def average_samples(known: Known, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(values, variances), (count, outputs) each, of samples that stand for one of 0..count - 1 each: at (n,). Weighted
-    by their variances.
-    """
-    weight = 1 / np.maximum(known.variances, 1e-300)
-    shape = int(at.max()) + 1, weight.shape[1]
+def average_samples(samples: Known, group_indices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Averages (values, variances), each (count, outputs), of samples grouped by index, weighted by variance."""
+    weight = 1 / np.maximum(samples.variances, 1e-300)
+    shape = int(group_indices.max()) + 1, weight.shape[1]
     total, mean = np.zeros(shape), np.zeros(shape)
-    np.add.at(total, at, weight)
-    np.add.at(mean, at, weight * known.values)
+    np.add.at(total, group_indices, weight)
+    np.add.at(mean, group_indices, weight * samples.values)
     return mean / total, 1 / total
+
+
+ON = 1e-4  # of half the samples' extent, beyond which a place is no more among them: commands are written rounded
+
+
+class Weights(NamedTuple):
+    """Of n places: samples (n, k), their indices; weight (n, k), which add up to 1; slope (n, k, axes) of the weights
+    with the place.
+    """
+
+    samples: np.ndarray
+    weight: np.ndarray
+    slope: np.ndarray
+
+
+class WeightedField:
+    """A field by weights of samples. Who inherits it has values, variances (samples, outputs) and misfit (outputs,):
+    the standard deviation of what it leaves midway between samples, 0 at a sample."""
+
+    __slots__ = ()
+    values: np.ndarray
+    variances: np.ndarray
+    misfit: np.ndarray
+
+    def weights(self, x: np.ndarray) -> Weights:
+        """Weights at places x (n, axes)."""
+        raise NotImplementedError
+
+    def outside(self, x: np.ndarray) -> np.ndarray:
+        """(n,) how far places x (n, axes) lie beyond the samples, as a share of half their extent; 0 among them."""
+        raise NotImplementedError
+
+    def value(self, x: np.ndarray) -> np.ndarray:
+        x = np.asarray(x, float)
+        found = self.weights(x.reshape(-1, x.shape[-1]))
+        return np.einsum("nk,nkm->nm", found.weight, self.values[found.samples]).reshape(*x.shape[:-1], -1)
+
+    def gradient(self, x: np.ndarray) -> np.ndarray:
+        x = np.asarray(x, float)
+        found = self.weights(x.reshape(-1, x.shape[-1]))
+        return np.einsum("nkd,nkm->nmd", found.slope, self.values[found.samples]).reshape(
+            *x.shape[:-1], -1, x.shape[-1]
+        )
+
+    def error(self, x: np.ndarray) -> np.ndarray:
+        x = np.asarray(x, float)
+        flat = x.reshape(-1, x.shape[-1])
+        found = self.weights(flat)
+        square = found.weight**2
+        noise = np.einsum("nk,nkm->nm", square, self.variances[found.samples])
+        k = square.shape[1]
+        between = (1 - square.sum(axis=1)) * k / (k - 1)  # 0 at a sample, 1 where all weigh alike
+        beyond = self.outside(flat)[:, None] * self.values.std(
+            axis=0
+        )  # as far as the values differ over half their extent, so far they may go on
+        return np.sqrt(noise + between[:, None] * self.misfit**2 + beyond**2).reshape(*x.shape[:-1], -1)
+
+    def inside(self, x: np.ndarray) -> np.ndarray:
+        x = np.asarray(x, float)
+        return (self.outside(x.reshape(-1, x.shape[-1])) <= ON).reshape(x.shape[:-1])

@@ -1,18 +1,15 @@
-"""Samples on a grid: every actuator's interval divided, evenly or not, and a value at each of the vertices.
-
-The levels W(0, i) < W(1, i) < .. < W(Q(i), i) of actuator i may leave out the ends of its stroke. Source:
-configuration-space patent, [0031], [0032], [0144], [0145].
-"""
+"""Grid of samples and interpolation on it: n-linear, or barycentric on the simplices of a cell."""
 
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, Self
+from itertools import product
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from calib.correct.interpolation.field import Known, average_samples
-from calib.correct.interpolation.grid_kernels import Tables
-from calib.correct.interpolation.weighted_fields import Weighted
+from calib.correct.interpolation.field import Known, WeightedField, Weights, average_samples
+from calib.correct.interpolation.grid_kernels import Tables, compiled_simplex_kernels, n_linear_interpolation_kernel
 from rig.errors import RigError
+from rig.model.mechanisms.hexapod_kernels import EACH, run_in_threads
 
 SAME = 1e-5  # of the stroke, within which commands are one level: they are written to a tenth of a micrometre
 
@@ -26,9 +23,8 @@ class Lattice(NamedTuple):
     vertex: np.ndarray
 
 
-def lattice_of_configurations(configurations: np.ndarray, strokes: np.ndarray) -> Lattice | None:
-    """Lattice that configurations (n, axes) fill, each vertex at least once, others beside it or not; None where they
-    fill none.
+def grid_lattice_of_configurations(configurations: np.ndarray, strokes: np.ndarray) -> Lattice | None:
+    """Grid lattice that configurations (n, axes) fill, each vertex at least once; None where they fill none.
 
     strokes : (axes, 2), the scale by which levels are told apart
     """
@@ -63,7 +59,7 @@ def _levels(values: np.ndarray, tolerance: float, fewest: int) -> np.ndarray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Grid(Weighted):
+class Grid(WeightedField):
     """levels : per axis (Q + 1,), ascending; values, variances : (vertices, outputs), C order; misfit : (outputs,).
 
     Raises ValueError where these do not fit each other
@@ -98,7 +94,7 @@ class Grid(Weighted):
 
         Raises RigError where the samples fill no grid
         """
-        found = lattice_of_configurations(known.configurations, known.strokes)
+        found = grid_lattice_of_configurations(known.configurations, known.strokes)
         if found is None:
             n, axes = known.configurations.shape
             raise RigError(
@@ -175,3 +171,69 @@ def _tables(grid: Grid) -> Tables:
     return Tables(
         levels, inverse, np.array(grid.shape) - 1, grid.strides().astype(np.int64), np.ascontiguousarray(grid.values)
     )
+
+
+class Linear(Grid):
+    """A Grid, linear along each axis within its cells."""
+
+    __slots__ = ()
+    kind: ClassVar[str] = "linear"
+    exact: ClassVar[bool] = True
+
+    def value(self, x: np.ndarray) -> np.ndarray:
+        x = np.ascontiguousarray(x, float)
+        out = np.empty((x.size // x.shape[-1], self.values.shape[1]))
+        n_linear_interpolation_kernel(x.reshape(-1, x.shape[-1]), *self.tables, out)
+        return out.reshape(*x.shape[:-1], -1)
+
+    def weights(self, x: np.ndarray) -> Weights:
+        cell, t, slope = self.cells(x)
+        corners = np.array(list(product((0, 1), repeat=x.shape[1])))
+        index = (cell @ self.strides())[:, None] + corners @ self.strides()
+        shares = np.where(corners, t[:, None], 1 - t[:, None])  # (n, 2^axes, axes)
+        slopes = np.empty_like(shares)
+        for i in range(x.shape[1]):
+            slopes[..., i] = (
+                np.delete(shares, i, axis=2).prod(axis=2) * np.where(corners[:, i], 1, -1) * slope[:, None, i]
+            )
+        return Weights(index, shares.prod(axis=2), slopes)
+
+
+class Simplex(Grid):
+    """A Grid whose cells are cut into simplices."""
+
+    __slots__ = ()
+    kind: ClassVar[str] = "simplex"
+    exact: ClassVar[bool] = True
+
+    def value(self, x: np.ndarray) -> np.ndarray:
+        x = np.ascontiguousarray(x, float)
+        flat, out = x.reshape(-1, x.shape[-1]), np.empty((x.size // x.shape[-1], self.values.shape[1]))
+        kernel = compiled_simplex_kernels(x.shape[-1]).values
+        if len(flat) < 2 * EACH:
+            kernel(flat, *self.tables, out)
+        else:
+            run_in_threads(lambda part: kernel(flat[part], *self.tables, out[part]), len(flat))
+        return out.reshape(*x.shape[:-1], -1)
+
+    def fixed_points(self, goal: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+        """(commands (n, axes), what their last step changed (n,)): commands = goal + value(commands), for goals (n,
+        axes).
+        """
+        commands, change = np.empty(goal.shape), np.empty(len(goal))
+        kernel = compiled_simplex_kernels(goal.shape[1]).fixed_points
+        run_in_threads(lambda part: kernel(goal[part], self.tables, tolerance, commands[part], change[part]), len(goal))
+        return commands, change
+
+    def weights(self, x: np.ndarray) -> Weights:
+        cell, t, slope = self.cells(x)
+        n, axes = x.shape
+        strides = self.strides()
+        order = np.argsort(-t, axis=1, kind="stable")
+        index = np.cumsum(np.column_stack([cell @ strides, strides[order]]), axis=1)
+        largest = np.column_stack([np.ones(n), np.take_along_axis(t, order, axis=1), np.zeros(n)])
+        slopes = np.zeros((n, axes + 1, axes))
+        at, step = np.arange(n)[:, None], np.take_along_axis(slope, order, axis=1)
+        slopes[at, np.arange(axes), order] -= step
+        slopes[at, np.arange(1, axes + 1), order] += step
+        return Weights(index, -np.diff(largest, axis=1), slopes)

@@ -1,6 +1,4 @@
-"""The values of grids at many places, compiled: simplices by ranking coordinates without a branch, n-linear by
-halving.
-"""
+"""Compiled kernels that evaluate grids at many places: simplex and n-linear interpolation."""
 
 from collections.abc import Callable
 from functools import cache
@@ -34,8 +32,8 @@ class SimplexKernels(NamedTuple):
 
 
 @cache
-def simplex_kernels(axes: int) -> SimplexKernels:
-    """The kernels for so many axes. Compiled for each number, so that loops over axes unroll."""
+def compiled_simplex_kernels(axes: int) -> SimplexKernels:
+    """Simplex kernels compiled for a number of axes."""
 
     @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
     def at(
@@ -108,7 +106,7 @@ def simplex_kernels(axes: int) -> SimplexKernels:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def linear_kernel(
+def n_linear_interpolation_kernel(
     x: np.ndarray,
     levels: np.ndarray,
     inverse: np.ndarray,
@@ -117,9 +115,7 @@ def linear_kernel(
     values: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """n-linear values into out (n, outputs) at x (n, axes): a cell's vertices, halved along one axis after the
-    other.
-    """
+    """Kernel of n-linear interpolation: values into out (n, outputs) at x (n, axes)."""
     axes, outputs = x.shape[1], values.shape[1]
     corner, t = np.zeros(2**axes, np.int64), np.empty(axes)
     part = np.empty((2**axes, outputs))

@@ -1,4 +1,4 @@
-"""All ways to extend corrections over a space, by name, and how they are kept in files."""
+"""Interpolation methods by name: fitting a field, and writing it to and reading it from files."""
 
 from collections.abc import Callable
 from dataclasses import fields as parts_of
@@ -6,15 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from calib.correct.interpolation.axis_functions import Axes
 from calib.correct.interpolation.delaunay import Delaunay
 from calib.correct.interpolation.field import Field, Known
+from calib.correct.interpolation.field_combinations import RestrictedMap, SpacePart, SummedPasses
 from calib.correct.interpolation.gaussian_process import Radial, RadialMap
-from calib.correct.interpolation.multilinear import Linear
-from calib.correct.interpolation.polynomial import Polynomial
-from calib.correct.interpolation.repeated_passes import Passes
-from calib.correct.interpolation.restricted_map import Part, Within
-from calib.correct.interpolation.simplex import Simplex
+from calib.correct.interpolation.grid import Linear, Simplex
+from calib.correct.interpolation.regression_fields import AxisFunctions, Polynomial
 from rig.errors import RigError
 from rig.formats.checked_entries import Entries
 
@@ -32,21 +29,21 @@ SHAPES = {  # of the arrays: a axes, m outputs, the other letters any number, th
         "misfit": "m",
     },
 }
-ALL = {one.kind: one for one in (Linear, Simplex, Delaunay, Axes, RadialMap, Polynomial)}
+METHODS = {one.kind: one for one in (Linear, Simplex, Delaunay, AxisFunctions, RadialMap, Polynomial)}
 
 
-def fit_field(kind: str, known: Known) -> Field:
-    """The Field of a kind through samples. Raises RigError for a kind that is not known, and what the kind raises."""
-    if kind not in ALL:
-        raise RigError(f"there is no way {kind!r} to extend corrections; there are {', '.join(ALL)}")
-    return ALL[kind].fit(known)
+def fit_field(kind: str, samples: Known) -> Field:
+    """Field of a kind fitted to samples. Raises RigError for an unknown kind, and what the kind raises."""
+    if kind not in METHODS:
+        raise RigError(f"there is no way {kind!r} to extend corrections; there are {', '.join(METHODS)}")
+    return METHODS[kind].fit(samples)
 
 
 def field_to_dict(field: Field) -> dict[str, Any]:
     """dict of a Field, as JSON holds it."""
-    if isinstance(field, Passes):
+    if isinstance(field, SummedPasses):
         return {"kind": field.kind, "fields": [field_to_dict(one) for one in field.fields]}
-    if isinstance(field, Within):
+    if isinstance(field, RestrictedMap):
         return {
             "kind": field.kind,
             "field": field_to_dict(field.field),
@@ -62,10 +59,10 @@ def _bounds(values: np.ndarray) -> list[float | None]:
     return [float(value) if np.isfinite(value) else None for value in values]
 
 
-def _part(table: Entries, axes: int) -> Part:
+def _part(table: Entries, axes: int) -> SpacePart:
     low, high = (table.array(name, (axes,), nulls=True) for name in ("low", "high"))
     try:
-        return Part(np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high))
+        return SpacePart(np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high))
     except ValueError as error:
         table.fail(f"{table.name('low')}: {error}", "low")
 
@@ -80,12 +77,12 @@ def _plain(value: Any) -> Any:
 
 def field_from_entries(table: Entries, axes: int) -> Field:
     """Field over so many axes, of what `field_to_dict` gave. Raises FileError for anything else."""
-    named = table.text("kind", (*ALL, Passes.kind, Within.kind))
-    if named == Passes.kind:
-        return Passes(tuple(field_from_entries(one, axes) for one in table.tables("fields")))
-    if named == Within.kind:
-        return Within(field_from_entries(table.table("field"), axes), _part(table, axes))
-    kind = ALL[table.text("kind", tuple(ALL))]
+    named = table.text("kind", (*METHODS, SummedPasses.kind, RestrictedMap.kind))
+    if named == SummedPasses.kind:
+        return SummedPasses(tuple(field_from_entries(one, axes) for one in table.tables("fields")))
+    if named == RestrictedMap.kind:
+        return RestrictedMap(field_from_entries(table.table("field"), axes), _part(table, axes))
+    kind = METHODS[table.text("kind", tuple(METHODS))]
     build: Callable[..., Field] = kind
     if kind is RadialMap:
         parts = _ragged(table, "parts")
@@ -110,7 +107,7 @@ def field_from_entries(table: Entries, axes: int) -> Field:
 
 
 def gaussian_process_from_entries(table: Entries, axes: int) -> Radial:
-    """Radial over so many axes, of its parts in a file. Raises FileError where it is none."""
+    """Gaussian process from its entries in a file. Raises FileError where it is none."""
     inputs = table.array("inputs", (None, axes))
     half, lengths = table.array("half", (axes,)), table.array("lengths", (2,))
     for name, values in (("half", half), ("lengths", lengths)):

@@ -1,15 +1,12 @@
-"""For each finding, the hypotheses that would have explained as much: listed, and fitted in its place where a scan
-cannot decide.
-"""
+"""Alternative hypotheses of each finding that explain the data as well, listed and refitted."""
 
 from dataclasses import dataclass, replace
 from typing import Any, Generic
 
 from calib.diagnose.engine.candidate_score import Alternative, Score, score_with_likelihood_ratio
-from calib.diagnose.engine.candidates import C
 from calib.diagnose.engine.linear_model import column_cosine
 from calib.diagnose.engine.problem_interface import Fit, Model, Problem
-from calib.diagnose.engine.selection_policy import SelectionPolicy
+from calib.diagnose.engine.selection_inputs import C, SelectionPolicy
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,15 +20,15 @@ class Refit(Generic[Fit, C]):
 
 
 def is_indistinguishable(alternative: Alternative[C], policy: SelectionPolicy) -> bool:
-    """Whether an Alternative is not told apart from its finding."""
+    """Whether the data leave an Alternative indistinguishable from its finding."""
     close = abs(alternative.cosine)
     return close > policy.cosine or (alternative.behind < policy.alike and close >= policy.akin)
 
 
-def alternatives_of(
+def find_alternatives(
     problem: Problem[Fit, Model, C], model: Model, own: Score[C], progress: Any
 ) -> list[Alternative[C]]:
-    """[Alternative] by weight of a Score on a model without it, the best of each name and place."""
+    """[Alternative] to a Score on a model without it, by weight, the best of each name and place."""
     policy, linear = problem.policy, problem.linear(model)
     size, here = linear.size, (own.candidate.name, own.candidate.place)
     reach = max(2 * policy.alike, policy.near * own.delta_chi2 * own.dispersion)
@@ -65,13 +62,13 @@ def refit_alternatives(
     fit: Fit,
     number: int,
     own: Score[C],
-    found: list[Alternative[C]],
+    alternatives: list[Alternative[C]],
     hidden: bool = False,
 ) -> list[Refit[Fit, C]]:
     """[Refit] of the first few that a scan does not tell from a finding: a scan takes for scatter what is not admitted
     yet, and so tells of a strong term far less than it could. hidden : whether the finding convinces by its fit alone,
     as they then may"""
-    close = [a for a in found if is_indistinguishable(a, problem.policy)][: problem.policy.refitted]
+    close = [a for a in alternatives if is_indistinguishable(a, problem.policy)][: problem.policy.refitted]
     if not close:
         return []
     size, bare, out = problem.size(fit), problem.remove_term(fit, number), []

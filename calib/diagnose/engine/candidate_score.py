@@ -1,4 +1,4 @@
-"""How much a candidate explains, what it costs, and what else explains as much."""
+"""Score of a candidate: explained chi-square, its chance, its cost in BIC, and the best node of its grid."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -6,10 +6,10 @@ from typing import Generic
 
 import numpy as np
 
-from calib.diagnose.engine.candidates import C, Node, Role, UsualRange
 from calib.diagnose.engine.chance_probability import residual_dispersion, scan_p_value
 from calib.diagnose.engine.frame_inner_products import FrameProducts, Solved, normal_of_weighted_directions
 from calib.diagnose.engine.linear_model import LinearModel
+from calib.diagnose.engine.selection_inputs import C, Node, Role, UsualRange
 
 BEYOND = 0.3  # standard deviation of the logarithm of a parameter above what rigs show
 WRONG_SIGN = 12.0  # minus twice the logarithm of the chance that a parameter has the sign that rigs do not show
@@ -87,9 +87,7 @@ class Alternative(Generic[C]):
 
 
 def score_with_likelihood_ratio(score: Score[C], ratio: float, frames: int) -> Score[C]:
-    """A Score with a fit's likelihood ratio in place of its delta chi-square where that is larger, scatter at its best
-    with and without (docs/mathematics.md (14)); its logarithm is less than chi-square of few frames, by Bartlett's
-    factor."""
+    """Score with a fit's likelihood ratio in place of its delta chi-square where that is larger."""
     delta = ratio * max(1 - score.freedom / frames, 0.0) / score.dispersion
     if delta <= score.delta_chi2:
         return score
@@ -116,9 +114,7 @@ def best_node_score(
 
 
 def insignificant_score(candidate: C, solved: Solved, best: int) -> Score[C]:
-    """Score of the best node of those solved, which explains so little that no dispersion is asked: its chance counts
-    as certain.
-    """
+    """Score of a candidate so insignificant that its dispersion is not computed."""
     return Score(
         candidate,
         dict(candidate.grid[best]),

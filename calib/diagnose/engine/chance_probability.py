@@ -1,4 +1,4 @@
-"""How likely a score is by chance over a search, and how much more frames scatter than their covariance says.
+"""Probability that a scan's best score arises by chance, and the residuals' dispersion beyond their covariance.
 
 Where a candidate was searched over a nonlinear parameter that means nothing under the null, its greatest delta
 chi-square is not chi-square: Davies' bound is used (Biometrika 74, 1987, 33-43, eq. 3.4), the search's own variation

@@ -1,4 +1,4 @@
-"""Whether a term predicts what it was not fitted to: whole stretches of time held out in turn, with and without it."""
+"""Cross-validation of terms: folds of whole stretches of time, held-out residuals, and the gain by a term."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -41,16 +41,17 @@ class HeldOut(NamedTuple):
     beforehand: tuple[np.ndarray, ...]
 
 
-def time_stretch_folds(count: int, number: int) -> np.ndarray:
+def time_stretch_folds(count: int, folds: int) -> np.ndarray:
     """(count,) fold of each frame: whole stretches in time, never too short to tell anything."""
-    return time_block_folds(count, min(number, max(count // FEWEST, 2)))
+    return time_block_folds(count, min(folds, max(count // FEWEST, 2)))
 
 
 def frame_folds(frames: int, sudden: bool, sides: Sequence[np.ndarray] = ()) -> np.ndarray:
-    """(F,) which frames are held out together: a stretch of time; where something happens at one time (sudden), several
-    shorter ones, so that what comes before it and after it is never held out whole. sides : each (F,) bool, what is
+    """(F,) fold of each frame: a stretch of time; with sudden effects, several stretches spread over both sides.
+    sides : each (F,) bool, what is
     before such a moment or after it; of one that is within a single stretch, the later half is held out with the
-    next."""
+    next.
+    """
     count = min(FOLDS, frames // FEWEST)
     if not sudden:
         return time_block_folds(frames, count)
@@ -94,8 +95,7 @@ def held_out_residuals(
 def sizes_without_columns(
     grams: Sequence[np.ndarray], rights: Sequence[np.ndarray], information: np.ndarray
 ) -> Callable[[np.ndarray], list[np.ndarray]]:
-    """A function: indices of columns that are left out -> for each fold, the sizes (p,) of all columns (0 for those)
-    fitted on the other folds.
+    """A function: indices of omitted columns -> for each fold, the fitted sizes (p,) of all columns.
 
     grams, rights : for each fold, (p, p) its whitened columns' products with each other and (p,) with the residual
     information : (p, p) of all folds, priors included
@@ -115,10 +115,9 @@ def sizes_without_columns(
     return sizes
 
 
-def signed_rank_gain(fall: np.ndarray) -> float:
-    """How surely stretches gain by a fall (n,) of squares, in standard errors: Wilcoxon's signed ranks, since a strong
-    term's gains are uneven (one stretch may hold most of it); none where their sum falls."""
-    by = np.bincount(time_stretch_folds(len(fall), STRETCHES), weights=fall)
+def signed_rank_gain_in_standard_errors(square_reductions: np.ndarray) -> float:
+    """Gain of held-out stretches in standard errors, by Wilcoxon's signed ranks of square reductions (n,)."""
+    by = np.bincount(time_stretch_folds(len(square_reductions), STRETCHES), weights=square_reductions)
     by = by[by != 0]
     if by.sum() <= 0:
         return 0.0
@@ -128,12 +127,14 @@ def signed_rank_gain(fall: np.ndarray) -> float:
     return float(ranks @ np.sign(by) / np.sqrt(n * (n + 1) * (2 * n + 1) / 6))
 
 
-def summed_gain(fall: np.ndarray, beforehand: float = 0.0) -> float:
-    """The same by the sum over stretches of a fall (n,), in standard errors of that sum.
+def summed_gain_in_standard_errors(square_reductions: np.ndarray, beforehand: float = 0.0) -> float:
+    """Gain of held-out stretches in standard errors, by the sum of square reductions (n,).
 
     beforehand : what squares fall by that belong to no frame: a misfit that the prior on a nuisance alone shows is no
         stretch's, and has no rank
     """
-    by = np.bincount(time_block_folds(len(fall), min(20, len(fall) // 2)), weights=fall)
+    by = np.bincount(
+        time_block_folds(len(square_reductions), min(20, len(square_reductions) // 2)), weights=square_reductions
+    )
     error = np.sqrt(len(by)) * by.std(ddof=1) if len(by) > 1 else np.inf
     return float((by.sum() + beforehand) / max(error, 1e-300))

@@ -1,4 +1,4 @@
-"""What was left out of a diagnosis as wild, and what is far off in too many rows to be left out."""
+"""Records of excluded outliers, and of deviations in too many rows to be outliers."""
 
 from dataclasses import dataclass
 

@@ -1,5 +1,4 @@
-"""What a short formula may be made of: products of a few quantities, and sinusoids of one, each a column of the linear
-model.
+"""Library of a formula search: products of a few quantities and sinusoids of one, as columns of the model.
 
 A quantity is whatever a recording says of every frame (a stroke, a temperature, a time); an atom is one product or one
 sinusoid.

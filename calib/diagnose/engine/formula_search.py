@@ -1,5 +1,4 @@
-"""A short formula for what nobody named: atoms of a library admitted greedily and exchanged, frequencies refined,
-complexity paid for.
+"""Search for a short formula of a library's terms that fits residuals nobody has a name for.
 
 Description length: minus twice the log likelihood with scatter at its best (never below the noise that is known),
 Schwarz's logarithm of the size for each number, and twice the logarithm of how many there were to choose from for each

@@ -1,13 +1,12 @@
-"""Inner products frame by frame, from which every candidate's normal equations follow without its columns being made.
-
-A candidate moves each frame in a few directions (an axis longer, a camera's mount moved) by weights; so a search over
-thousands of hypotheses costs sums over frames alone.
-"""
+"""Inner products of columns frame by frame, the normal equations made of them, and fast sums against sinusoids."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.fft import next_fast_len
+from scipy.sparse import csr_array
 
 SWALLOWED = 1e-7  # share of a direction's square that the nuisances must leave for it to count as seen
 
@@ -92,7 +91,7 @@ def normal_of_common_weights(products: FrameProducts, w: np.ndarray) -> Normal:
 
 
 def solve_normal_equations(normal: Normal) -> Solved:
-    """Least squares in the directions that nuisances leave visible."""
+    """Solved normal equations: least squares in the directions that nuisances leave visible."""
     b, G, raw = normal
     scale = np.sqrt(np.maximum(raw, 1e-300))
     values, vectors = np.linalg.eigh(G / scale[:, :, None] / scale[:, None, :])
@@ -105,9 +104,7 @@ def solve_normal_equations(normal: Normal) -> Solved:
 
 
 def solve_with_prior(normal: Normal, prior: np.ndarray | float) -> Solved:
-    """Least squares with coefficients normal about 0 with standard deviations (q,); the rank is the trace of what the
-    data say against it.
-    """
+    """Solved normal equations with a normal prior, standard deviations (q,), on the coefficients."""
     b, G, raw = normal
     size = np.linalg.solve(G + np.eye(b.shape[1]) / np.square(prior), np.concatenate([b[..., None], G], axis=2))
     rank = np.round(np.einsum("sqq->s", size[..., 1:]), 1)
@@ -115,9 +112,48 @@ def solve_with_prior(normal: Normal, prior: np.ndarray | float) -> Solved:
 
 
 def solve_fixed_size(normal: Normal) -> Solved:
-    """For candidates (q = 1) whose size is in their node: the coefficient is one."""
+    """Solved candidates (q = 1) of fixed size, stated in their node: the coefficient is one."""
     b, G, raw = normal.b[:, 0], normal.G[:, 0, 0], normal.raw[:, 0]
     seen = G / np.maximum(raw, 1e-300)
     return Solved(
         np.where(seen > SWALLOWED, 2 * b - G, 0.0), [np.zeros(0)] * len(b), np.zeros(len(b), int), np.clip(seen, 0, 1)
     )
+
+
+WIDTH = 10  # grid points that a pose is spread onto; errors are about ten to the power of 1 - WIDTH
+SHAPE = 2.30 * WIDTH
+NODES = 60  # of the quadrature for the kernel's transform
+
+
+def sinusoid_sums(q: np.ndarray, values: np.ndarray, step: float, first: int, count: int) -> np.ndarray:
+    """(count, p) complex: sum over poses of values * exp(1j * order * q) at orders step * (first, first + 1, ..).
+
+    q : (m,) rad, its span times step below 2 pi; values : (m, p); step : cycles per radian times 2 pi, between orders;
+        first : at least 0
+    """
+    last = first + count
+    size = next_fast_len(4 * last + 2 * WIDTH)
+    centre = (q.min() + q.max()) / 2
+    at = (q - centre) * step * size / (2 * np.pi)  # in grid steps
+    start = np.ceil(at - WIDTH / 2).astype(int)
+    cells = start[:, None] + np.arange(WIDTH)
+    rows = np.repeat(np.arange(len(q)), WIDTH)
+    spread = csr_array(
+        (_kernel(2 * (cells - at[:, None]) / WIDTH).ravel(), ((cells % size).ravel(), rows)), shape=(size, len(q))
+    )
+    order = np.arange(first, last)
+    grid = np.fft.rfft(spread @ values, axis=0)[order].conj()
+    return grid * (np.exp(1j * order * step * centre) / _transform(size, first, count))[:, None]
+
+
+def _kernel(z: np.ndarray) -> np.ndarray:
+    """The kernel at z in -1..1 (half its width is 1)."""
+    return np.exp(SHAPE * (np.sqrt(np.maximum(1 - z**2, 0)) - 1))
+
+
+@lru_cache(maxsize=64)
+def _transform(size: int, first: int, count: int) -> np.ndarray:
+    """(count,) transform of the kernel, in grid steps, at orders first, first + 1, .. of a grid of a size."""
+    z, weight = np.polynomial.legendre.leggauss(NODES)
+    frequency = np.arange(first, first + count) / size
+    return WIDTH / 2 * np.cos(np.pi * WIDTH * frequency[:, None] * z) @ (weight * _kernel(z))

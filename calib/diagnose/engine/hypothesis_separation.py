@@ -18,7 +18,7 @@ class Separation:
     cosine: float
 
 
-def hypothesis_separation(
+def _signal_separation(
     text: str, frames: int, parts: tuple[np.ndarray, np.ndarray], freedoms: np.ndarray, prior: np.ndarray
 ) -> Separation:
     """Separation of two sensitivities (n,), whitened, by freedoms (n, p), whitened, each of which a prior (p,)

@@ -1,9 +1,10 @@
-"""What is left when every candidate has had its say: tests of smooth functions, and of scatter, that nobody named."""
+"""Tests of lack of fit in residuals: smooth functions, excess scatter, covariates ranked by explained share."""
 
 from collections import Counter
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from calib.diagnose.engine.chance_probability import residual_dispersion, scan_p_value
 from calib.diagnose.engine.frame_inner_products import (
@@ -76,9 +77,9 @@ class LackOfFit:
 def test_lack_of_fit(
     model: LinearModel, products: FrameProducts, test: Test, cluster: int = 1, alpha: float = LIKELY
 ) -> LackOfFit | None:
-    """LackOfFit of a Test, None where the nuisances swallow its functions: what the fit explains beyond what noise
-    alone would, nuisances
-    taken out, tells their size. alpha : chance above which no dispersion is asked"""
+    """LackOfFit by a Test of smooth functions, None where the nuisances contain its functions.
+    taken out, tells their size. alpha : chance above which no dispersion is asked
+    """
     normal = normal_of_weighted_directions(products, test.weights[None])
     solved = solve_normal_equations(normal) if test.prior is None else solve_with_prior(normal, test.prior)
     delta, rank = solved.delta_chi2, float(solved.rank[0])
@@ -117,9 +118,7 @@ def delta_chi2_by_column_count(normal: Normal) -> tuple[tuple[float, int], ...]:
 
 
 def significant_lack_of_fit(found: list[LackOfFit | None], alpha: float = ALPHA) -> list[LackOfFit]:
-    """Those too good for chance over all of them, functions of something before scatter, the most convincing first.
-    alpha : that chance
-    """
+    """The LackOfFits that are significant over all tests, the most significant first, functions before scatter."""
     held = [u for u in found if u is not None]
     functions = Counter(u.place for u in held if u.dispersion is not None)
     held = [
@@ -131,8 +130,80 @@ def significant_lack_of_fit(found: list[LackOfFit | None], alpha: float = ALPHA)
 
 
 def first_of_each_place(found: list[LackOfFit]) -> list[LackOfFit]:
-    """The most convincing of each place, in order."""
+    """The first, most significant LackOfFit of each place, in order."""
     seen: dict[str, LackOfFit] = {}
     for u in found:
         seen.setdefault(u.place, u)
     return list(seen.values())
+
+
+MATERIAL = 1.2  # times the stated noise; a statement of noise is seldom better than that
+
+
+def detect_excess_scatter(
+    place: str, unit: str, noise: float, square: float, freedom: float, tests: int = 1, depends_on: tuple[str, ...] = ()
+) -> LackOfFit | None:
+    """LackOfFit of excess scatter at a place, beyond chance and the stated noise; None where noise suffices.
+
+    noise : in unit, RMS of what is stated; square : sum of squares left, whitened by it, over `freedom` degrees of
+        freedom
+    tests : how many such are made of one recording
+    """
+    ratio = square / max(freedom, 1.0)
+    chance = float(scipy.special.chdtrc(max(freedom, 1.0), square))
+    if ratio <= MATERIAL**2 or chance * tests >= ALPHA:
+        return None
+    return LackOfFit(place, float(noise * np.sqrt(ratio - 1)), unit, depends_on, chance, float(square - freedom))
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """share : of the squares left, that smooth functions of a covariate explain beyond what as many numbers do by
+    chance; p_value : of chance.
+    """
+
+    share: float
+    p_value: float
+
+
+@dataclass(frozen=True, slots=True)
+class Covariate:
+    """name; before, after : {what is looked at: Share}, with nothing admitted and with all."""
+
+    name: str
+    before: dict[str, Share]
+    after: dict[str, Share]
+
+    @property
+    def weight(self) -> float:
+        """The greatest share that it explained before."""
+        return max((s.share for s in self.before.values()), default=0.0)
+
+
+def explained_share(
+    model: LinearModel, block: int, parts: list[tuple[FrameProducts, np.ndarray]], cluster: int = 1
+) -> Share:
+    """Share of a block's squares that functions explain. parts : [(FrameProducts, (F, a, q) weights)] fitted one beside
+    the other
+    cluster : frames in a row whose errors may be alike"""
+    found = [
+        test_lack_of_fit(model, products, Test("", "", (), weights, 1.0), cluster, alpha=1.0)
+        for products, weights in parts
+    ]
+    seen = [u for u in found if u is not None]
+    if not seen:
+        return Share(0.0, 1.0)
+    left = float(np.square(model.blocks[block].residual[model.blocks[block].frames_rows]).sum())
+    beyond = sum(u.delta_chi2 * (u.dispersion or 1.0) - u.freedom for u in seen)
+    p = (
+        seen[0].p_value
+        if len(seen) == 1
+        else float(scipy.special.chdtrc(sum(u.freedom for u in seen), sum(u.delta_chi2 for u in seen)))
+    )
+    return Share(float(np.clip(beyond / max(left, 1e-300), 0.0, 1.0)), p)
+
+
+def rank_covariates(before: dict[str, dict[str, Share]], after: dict[str, dict[str, Share]]) -> list[Covariate]:
+    """[Covariate] of {name: {what: Share}} before and after, the one that explained most before first."""
+    found = [Covariate(name, shares, after.get(name, {})) for name, shares in before.items()]
+    return sorted(found, key=lambda c: -c.weight)

@@ -1,5 +1,4 @@
-"""A linear model of whitened residuals in blocks, frame by frame, with the nuisances' directions taken out of all of
-them.
+"""Linear model of whitened residuals in blocks, frame by frame, with nuisance directions projected out.
 
 Every residual r is whitened; P = I - Q Q^T takes out the span of the nuisances, Q orthonormal. Each block (corners,
 closures, poses) is a kind of measurement; its rows stand frame by frame, then what was known beforehand.
@@ -253,7 +252,7 @@ def join_columns(columns: list[Column]) -> Column:
 
 
 def column_cosine(model: LinearModel, a: Column, b: Column) -> float:
-    """Of the angle between two directions, nuisances taken out."""
+    """Cosine of the angle between two columns, nuisances projected out."""
     one, other = model.project(a), model.project(b)
     inner = -float((one.onto.T @ other.onto)[0, 0])
     inner += sum(float((x.T @ y)[0, 0]) for x, y in zip(a.parts, b.parts) if x is not None and y is not None)

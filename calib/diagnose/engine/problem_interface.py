@@ -1,4 +1,4 @@
-"""What a problem answers, so that the engine can search it: the one protocol of platforms, bodies and arms.
+"""The interface (protocol) of a problem that the engine searches: platforms, bodies and arms.
 
 A Fit is all that is admitted at its best; a Model is what it leaves, linear, with nuisances and the admitted terms'
 parameters taken out.
@@ -8,12 +8,10 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol, TypeVar
 
 from calib.diagnose.engine.candidate_score import Score
-from calib.diagnose.engine.candidates import C
 from calib.diagnose.engine.cross_validation import CrossValidation
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.linear_model import Column, LinearModel
-from calib.diagnose.engine.selection_policy import SelectionPolicy
-from calib.diagnose.engine.stated_terms import Given
+from calib.diagnose.engine.selection_inputs import C, SelectionPolicy, StatedTerms
 
 Fit = TypeVar("Fit")
 Model = TypeVar("Model")
@@ -41,7 +39,7 @@ class Problem(Protocol[Fit, Model, C]):
         """All that it is asked for."""
 
     @property
-    def given(self) -> Given:
+    def given(self) -> StatedTerms:
         """What is said beforehand."""
 
     def start(self) -> Fit:

@@ -1,6 +1,4 @@
-"""Frames' own directions whitened, nuisances taken out: ordinary least squares in which columns are added one after the
-other.
-"""
+"""Least squares reduced by whitening and nuisance elimination, to which columns are added one at a time."""
 
 from dataclasses import dataclass, replace
 

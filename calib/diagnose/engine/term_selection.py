@@ -1,16 +1,15 @@
-"""Which terms: forward steps, backward checks, special cases before general ones, stretches held out, alternatives."""
+"""Selection of terms: forward steps, backward removal, held-out tests, confirmation against alternatives."""
 
 from dataclasses import dataclass, replace
 from typing import Any, Generic
 
 import numpy as np
 
-from calib.diagnose.engine.alternative_hypotheses import alternatives_of, is_indistinguishable, refit_alternatives
+from calib.diagnose.engine.alternative_hypotheses import find_alternatives, is_indistinguishable, refit_alternatives
 from calib.diagnose.engine.candidate_score import Alternative, Score, score_with_likelihood_ratio
-from calib.diagnose.engine.candidates import C
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.problem_interface import Fit, Model, Problem, Progress
-from calib.diagnose.engine.selection_policy import SelectionPolicy
+from calib.diagnose.engine.selection_inputs import C, SelectionPolicy
 
 DIGITS = 3  # of a node's values, by which hypotheses are told apart
 RESTARTS = 2  # times the most terms that there may be, after which terms are confirmed as they stand
@@ -40,7 +39,7 @@ class Selection(Generic[Fit, C]):
 
 
 def is_significant(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
-    """Whether a Score is a finding: too good for chance over all candidates, and worth its parameters."""
+    """Whether a Score is significant: beyond chance over all candidates, and worth its parameters."""
     return score.p_value * count <= policy.alpha and score.delta_bic(size) >= policy.delta_bic
 
 
@@ -52,23 +51,21 @@ def labelled_progress(progress: Progress | None, label: str) -> Any:
 def select_terms(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Selection[Fit, C]:
     """Selection of the terms that a problem needs. progress : called with (label, done, of), or None"""
     before = problem.start()
-    fit = remove_terms_without_held_out_gain(
-        problem, problem.simplified(_forward(problem, fit_with_stated_terms(problem, before), progress))
+    fit = _remove_terms_without_held_out_gain(
+        problem, problem.simplified(_forward(problem, _fit_with_stated_terms(problem, before), progress))
     )
     fit, findings = _confirm(problem, fit, progress)
     return Selection(before, fit, findings, len(problem.candidates))
 
 
-def choose_terms(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Fit:
-    """The Fit that `select_terms` finds before its terms are held against alternatives: what a stretch held out is
-    predicted with.
-    """
-    return remove_terms_without_held_out_gain(
-        problem, problem.simplified(_forward(problem, fit_with_stated_terms(problem, problem.start()), progress))
+def fit_selected_terms(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Fit:
+    """The Fit of the selected terms, as `select_terms` has it before alternatives are tried."""
+    return _remove_terms_without_held_out_gain(
+        problem, problem.simplified(_forward(problem, _fit_with_stated_terms(problem, problem.start()), progress))
     )
 
 
-def fit_with_stated_terms(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
+def _fit_with_stated_terms(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
     """The Fit with what is said beforehand admitted, each at its best beside those before it."""
     for site in problem.given.first:
         own = [c for c in problem.open(fit) if (c.name, c.place) == site]
@@ -99,7 +96,7 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None)
         model, size, admitted = problem.residual(fit), problem.size(fit), len(problem.terms(fit))
         label = f"searching beside {admitted} effects" if admitted else "searching"
         scores = problem.search(model, problem.open(fit), policy.delta_bic, labelled_progress(progress, label))
-        fresh = [s for s in scores if hypothesis_key(s) not in taken and not any(s.candidate is c for c in refused)]
+        fresh = [s for s in scores if _hypothesis_key(s) not in taken and not any(s.candidate is c for c in refused)]
         promising = [s for s in fresh if is_significant(s, count, problem.linear(model).size, policy)] or _hidden(
             problem, fit, model, fresh
         )
@@ -113,7 +110,7 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None)
         if step is None:
             break
         fit, score = step
-        taken.add(hypothesis_key(score))
+        taken.add(_hypothesis_key(score))
         fit = _companions(problem, fit, score, promising, taken, size)
         fit = remove_redundant_terms(problem, problem.refined(fit))
     return None if problem.is_explained_by_tolerances(fit, None) else fit
@@ -125,7 +122,7 @@ def _hidden(problem: Problem[Fit, Model, C], fit: Fit, model: Model, scores: lis
     strongest hides itself most, and what a scan sees of it is worth no more than its frames, however many numbers that
     has to pay for."""
     policy, linear = problem.policy, problem.linear(model)
-    scanned = [s for s in scores if may_become_significant(s, len(problem.candidates), linear.size, policy)]
+    scanned = [s for s in scores if _may_become_significant(s, len(problem.candidates), linear.size, policy)]
     surest = sorted(scanned, key=lambda s: s.p_value)[: policy.tried]
     strongest = [
         s
@@ -140,7 +137,7 @@ def _hidden(problem: Problem[Fit, Model, C], fit: Fit, model: Model, scores: lis
     return sorted(found, key=lambda s: -s.delta_bic(linear.size))
 
 
-def may_become_significant(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
+def _may_become_significant(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
     """Whether a Score that does not convince may once it is fitted: it is not likely by chance, or explains much by
     whichever frames.
     """
@@ -149,7 +146,7 @@ def may_become_significant(score: Score[C], count: int, size: int, policy: Selec
     )
 
 
-def hypothesis_key(score: Score[C]) -> tuple:
+def _hypothesis_key(score: Score[C]) -> tuple:
     """What a hypothesis is known by: its name, place and node."""
     node = tuple(
         sorted(
@@ -211,7 +208,7 @@ def _companions(
         places.add(score.candidate.place)
         again = problem.companion(fit, score)
         if again is not None and is_significant(again, len(problem.candidates), size, policy):
-            taken.add(hypothesis_key(score))
+            taken.add(_hypothesis_key(score))
             fit = problem.add_term(fit, again)
     return fit
 
@@ -229,7 +226,7 @@ def _smooth_beyond(problem: Problem[Fit, Model, C], model: Model, best: Score[C]
 
 
 def remove_redundant_terms(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
-    """The Fit without terms that the others have made needless."""
+    """The Fit without terms that the others make redundant."""
     while not all(map(problem.given.holds, problem.terms(fit))):
         gains = []
         for number, candidate in enumerate(problem.terms(fit)):
@@ -243,7 +240,7 @@ def remove_redundant_terms(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
     return fit
 
 
-def remove_terms_without_held_out_gain(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
+def _remove_terms_without_held_out_gain(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
     """The Fit without terms that do not pay on stretches held out, where the policy asks that at the end."""
     least = problem.policy.final_gain
     while least is not None and not all(map(problem.given.holds, problem.terms(fit))):
@@ -268,14 +265,14 @@ def _confirm(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | Non
         model, size = problem.without_term(fit, number), problem.size(fit)
         scanned, held = problem.rescored(model, fit, number), problem.given.holds(problem.terms(fit)[number])
         own = scanned
-        if not is_significant(own, count, size, policy) and may_become_significant(own, count, size, policy):
+        if not is_significant(own, count, size, policy) and _may_become_significant(own, count, size, policy):
             own = score_with_likelihood_ratio(
                 own, problem.likelihood_ratio(problem.remove_term(fit, number), fit), problem.linear(model).frames
             )
         if not held and not is_significant(own, count, size, policy):  # beside all others it is none
             fit, findings = problem.remove_term(fit, number), []
             continue
-        found = alternatives_of(
+        found = find_alternatives(
             problem, model, scanned, labelled_progress(progress, f"alternatives of {own.candidate.name}")
         )  # like against like
         tries = refit_alternatives(problem, fit, number, scanned, found, own is not scanned)
@@ -319,12 +316,13 @@ def _outdone(problem: Problem[Fit, Model, C], model: Model, fit: Fit, score: Sco
 
 
 def remove_unsupported_findings(
-    problem: Problem[Fit, Model, C], selection: Selection[Fit, C], left: list[LackOfFit]
+    problem: Problem[Fit, Model, C], selection: Selection[Fit, C], unexplained: list[LackOfFit]
 ) -> Selection[Fit, C]:
-    """Selection without findings whose name does not stand where something is left unexplained: which smooth functions
-    of the same would explain as well, or which explain less than they leave at their place. Where what is left at a
+    """Selection without findings that the data do not support once smooth functions of the rest are allowed.
+    Where what is left at a
     name's own place would make no finding, and is as unlikely by chance as what is named, the same is asked; then the
-    name goes only for what is told in its stead."""
+    name goes only for what is told in its stead.
+    """
     fit, gone, after = selection.fit, [], problem.residual(selection.fit)
     for f in selection.findings:
         if problem.given.holds(f.score.candidate):
@@ -333,11 +331,11 @@ def remove_unsupported_findings(
         doubts = [
             u
             for u in problem.lack_of_fit(after, place)
-            if not any((u.place, u.depends_on) == (v.place, v.depends_on) for v in left)
+            if not any((u.place, u.depends_on) == (v.place, v.depends_on) for v in unexplained)
         ]
-        if left and not _stays(problem, f, fit, left, selection.asked):
+        if unexplained and not _stays(problem, f, fit, unexplained, selection.asked):
             gone.append(f.number)
-        elif doubts and not _stays(problem, f, fit, left + doubts, selection.asked):
+        elif doubts and not _stays(problem, f, fit, unexplained + doubts, selection.asked):
             gone += [f.number] * any(
                 problem.within(u, place) for u in problem.lack_of_fit(problem.without_term(fit, f.number))
             )
@@ -366,7 +364,7 @@ def _stays(problem: Problem[Fit, Model, C], finding: Finding[C], fit: Fit, left:
 def is_finding_significant(
     problem: Problem[Fit, Model, C], finding: Finding[C], model: Model, fit: Fit, count: int
 ) -> bool:
-    """Whether a Finding convinces on a model without it, of so many candidates asked."""
+    """Whether a Finding is significant on a model without it, among so many candidates."""
     return is_significant(
         problem.rescored(model, fit, finding.number), count, problem.linear(model).size, problem.policy
     )

@@ -1,6 +1,4 @@
-"""What is suggested of something without a name: a formula, how it was chosen, what it leaves on stretches that it was
-chosen and fitted without.
-"""
+"""Suggestion of a formula for an unexplained deviation: its library, its text, its held-out error."""
 
 from dataclasses import dataclass
 
@@ -45,9 +43,8 @@ class Suggestion:
     length: float
 
 
-def formula_library(motion: Motion, axis: int | None, directions: int = 1, apart: bool = False) -> Library:
-    """Library of the quantities that vary: of one axis by its index, of all alike (None), or of the platform, which
-    goes apart along and about the base's axes."""
+def library_of_quantities(motion: Motion, axis: int | None, directions: int = 1, apart: bool = False) -> Library:
+    """Library of the quantities that vary: of one axis by its index, of all alike (None), or of the platform."""
     own = None if axis is None else f"travel of {motion.places[axis]}"
     out = []
     for q in quantities(motion, not apart):
@@ -60,8 +57,8 @@ def formula_library(motion: Motion, axis: int | None, directions: int = 1, apart
     return Library(tuple(out), directions, apart)
 
 
-def written(formula: Formula, library: Library, word: str, alike: bool) -> Written:
-    """Written of a Formula in a Library. word : what the axes are called; alike : whether it holds of all of them"""
+def formula_text(formula: Formula, library: Library, word: str, alike: bool) -> Written:
+    """Written, the text of a Formula in a Library. word : name of the axes; alike : whether it holds of all of them"""
     terms, at = [], 0
     for atom in formula.atoms:
         count, wave, turns = 1, None, 0.0
@@ -83,5 +80,5 @@ def written(formula: Formula, library: Library, word: str, alike: bool) -> Writt
 
 
 def formula_quantities(formula: Formula | None, library: Library) -> tuple[str, ...]:
-    """Names of the quantities that a Formula looks at; none for none."""
+    """Names of the quantities in a Formula; none for no Formula."""
     return () if formula is None else tuple(library.quantities[i].name for i in sorted(formula.quantities))

@@ -13,52 +13,52 @@ AT_ONCE = 1e-3  # s; a shorter wait counts as so long
 
 
 def time_and_sensor_functions(t: np.ndarray, sensors: Sensors | None) -> dict[str, np.ndarray]:
-    """{covariate: (F, 1, q) functions of it} at times (F,) s that are the same for all axes and cameras."""
+    """{covariate: (F, 1, q) functions} of time and of each sensor, at times (F,) s, alike for all axes and cameras."""
     order = np.argsort(np.argsort(t)).astype(float)
-    out = {"time": cosines(t, COURSE), "order": cosines(order, COURSE)}
+    out = {"time": time_cosines(t, COURSE), "order": time_cosines(order, COURSE)}
     if sensors is not None:
         logged = {name: np.interp(t, sensors.t, values) for name, values in sensors.channels.items()}
-        out |= {name: powers(series, 2) for name, series in logged.items() if np.ptp(series) > 0}
+        out |= {name: scaled_powers(series, 2) for name, series in logged.items() if np.ptp(series) > 0}
     return {name: functions[:, None, :] for name, functions in out.items()}
 
 
 def motion_functions(path: Path, commands: Commands, t: np.ndarray) -> dict[str, np.ndarray]:
-    """{covariate: (F, axes or 1, q) functions of it} of how the axes came to where they were at times (F,) s."""
+    """{covariate: (F, axes or 1, q) functions} of the axes' motion up to times (F,) s."""
     wait = np.log(np.maximum(path.dwell, AT_ONCE))
-    own = {"step": path.last_step, "speed": speed(commands, t), "way travelled": path.way}
+    own = {"step": path.last_step, "speed": axis_speeds(commands, t), "way travelled": path.way}
     out = {
-        name: np.stack([powers(column, 2) for column in values.T], axis=1)
+        name: np.stack([scaled_powers(column, 2) for column in values.T], axis=1)
         for name, values in own.items()
         if np.ptp(values) > 0
     }
     out["direction"] = path.direction[..., None]
-    return {**out, "dwell": powers(wait, 2)[:, None, :]} if np.ptp(wait) > 0 else out
+    return {**out, "dwell": scaled_powers(wait, 2)[:, None, :]} if np.ptp(wait) > 0 else out
 
 
 def separate_weights(functions: np.ndarray, count: int) -> np.ndarray:
-    """(F, count, count q) weights: functions (F, count or 1, q) at each of so many directions, each of its own size."""
+    """(F, count, count q) weights separate for each direction, made of functions (F, count or 1, q)."""
     wide = np.broadcast_to(functions, (len(functions), count, functions.shape[2]))
     return np.einsum("faq,ab->fabq", wide, np.eye(count)).reshape(len(functions), count, -1)
 
 
 def scaled_to_unit_interval(x: np.ndarray) -> np.ndarray:
-    """x (F,) about its mean, within -1 .. 1."""
+    """x (F,) about its mean, scaled to the interval -1 .. 1."""
     return (x - x.mean()) / max(np.abs(x - x.mean()).max(), 1e-300)
 
 
-def powers(x: np.ndarray, most: int) -> np.ndarray:
-    """(F, most) powers of a covariate (F,), from the first on, scaled to within -1 .. 1."""
-    return np.stack([scaled_to_unit_interval(x) ** n for n in range(1, most + 1)], axis=1)
+def scaled_powers(x: np.ndarray, highest: int) -> np.ndarray:
+    """(F, highest) powers, from the first on, of a covariate x (F,), scaled to within -1 .. 1."""
+    return np.stack([scaled_to_unit_interval(x) ** n for n in range(1, highest + 1)], axis=1)
 
 
-def cosines(t: np.ndarray, count: int) -> np.ndarray:
-    """(F, q) so many cosines of time, slowest first."""
+def time_cosines(t: np.ndarray, count: int) -> np.ndarray:
+    """(F, count) cosines of time, slowest first."""
     s = (t - t[0]) / max(np.ptp(t), 1e-300)
     return np.cos(np.pi * s[:, None] * np.arange(1, count + 1))
 
 
-def speed(commands: Commands, t: np.ndarray) -> np.ndarray:
-    """(F, axes) m/s or rad/s of the axes at times (F,) s."""
+def axis_speeds(commands: Commands, t: np.ndarray) -> np.ndarray:
+    """(F, axes) m/s or rad/s, speeds of the commanded axes at times (F,) s."""
     ends = [
         np.stack([np.interp(t + s * ABOUT, commands.t, column) for column in commands.values.T], axis=1)
         for s in (1, -1)

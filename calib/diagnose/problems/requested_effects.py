@@ -1,10 +1,9 @@
-"""What of the catalogue a diagnosis is asked for: effects, or effects at places, alone or left out."""
+"""Requested effects: which effects of the catalogue, at which places, a diagnosis includes or omits."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from calib.diagnose.engine.candidates import Candidate, NotAsked
-from calib.diagnose.engine.stated_terms import Given
+from calib.diagnose.engine.selection_inputs import Candidate, NotAsked, StatedTerms
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
@@ -22,7 +21,7 @@ class RequestedEffects:
 
     @staticmethod
     def of(
-        only: Iterable[str] | None, without: Iterable[str], given: Given, kinds: tuple[type[Effect], ...] = ALL
+        only: Iterable[str] | None, without: Iterable[str], given: StatedTerms, kinds: tuple[type[Effect], ...] = ALL
     ) -> "RequestedEffects":
         """Asked with what is assumed besides. Raises RigError where that is left out at the same time."""
         asked = RequestedEffects(tuple(only or ()), tuple(without), kinds)
@@ -57,8 +56,10 @@ class RequestedEffects:
                 )
 
 
-def require_answerable(given: Given, candidates: Sequence[Candidate], not_asked: Sequence[NotAsked]) -> Given:
-    """What is given itself. Raises RigError where a recording cannot be asked for what is assumed."""
+def require_assumed_effects_testable(
+    given: StatedTerms, candidates: Sequence[Candidate], not_asked: Sequence[NotAsked]
+) -> StatedTerms:
+    """The stated terms, unchanged. Raises RigError where the recording cannot test an assumed effect."""
     there = {(c.name, c.place) for c in candidates}
     for name, place in given.assumed:
         if (name, place) not in there:

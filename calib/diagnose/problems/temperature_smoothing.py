@@ -19,9 +19,7 @@ FAR = 8.0  # times its middle size that noise may reach
 
 
 def smooth_temperatures(sensors: Sensors | None) -> tuple[Sensors | None, dict[str, np.ndarray]]:
-    """(Sensors, {channel: (n, q) K}): each temperature's line, parabola or cubic spline, of as many stretches as
-    Schwarz's criterion grants, in place of its log, and its errors as q directions of one standard deviation each:
-    those of the next course, since what the criterion did not grant may be there as far as noise hides it.
+    """(Sensors with smoothed temperatures, {channel: (n, q) K error of each smoothing coefficient}).
 
     A log that is not smooth with white noise on it stays as it is, and so do all other channels. sensors : Sensors or
     None, for which (None, {}) is returned. Source of the criterion: Schwarz, Annals of Statistics 6, 1978, 461-464; for

@@ -12,29 +12,30 @@ from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import chain as chains
 from rig.report.pages.html_elements import list_html
 from rig.report.pages.plots import panel_row
-from rig.report.pages.svg_elements import WIDTH, svg, text, tooltip
+from rig.report.pages.svg_elements import WIDTH, svg_figure, svg_text, tooltip
 
 GHOSTS = 14  # other configurations, drawn faintly
 VIEWS = (((0, 2), "from the side"), ((0, 1), "from above"))
-HIGH, MARGIN = 260.0, 24.0  # of a view, units of a figure
+ARM_FIGURE_HEIGHT, ARM_MARGIN = 260.0, 24.0  # of a view, units of a figure
 
 
-def arm_outline_figures(arm: Arm | Chain, q: np.ndarray, moved: dict[int, dict[str, float]]) -> str:
+def arm_outline_figures(arm: Arm | Chain, q: np.ndarray, marked_joints: dict[int, dict[str, float]]) -> str:
     """Figures of an Arm, or a Chain, over its configurations q (n, joints) rad or m.
 
-    moved : {joint: {effect: RMS in rad or, of what slides, m}} of what was found
+    marked_joints : {joint: {effect: RMS in rad or, of what slides, m}} of what was found
     """
     at, joints = _points(q, arm)
     typical = int(np.argmin(((q - np.median(q, axis=0)) ** 2).sum(axis=1)))
     ghosts = np.linspace(0, len(q) - 1, GHOSTS).astype(int)
     places, units = mechanisms.axis_places(arm), mechanisms.axis_units(arm)
     said = {
-        j: f"{places[j]}: " + ", ".join(f"{name} {size * 1e3:.3f} m{units[j]}" for name, size in moved[j].items())
-        for j in sorted(moved)
+        j: f"{places[j]}: "
+        + ", ".join(f"{name} {size * 1e3:.3f} m{units[j]}" for name, size in marked_joints[j].items())
+        for j in sorted(marked_joints)
     }
-    largest = max((max(found.values()) for found in moved.values()), default=1.0)
+    largest = max((max(found.values()) for found in marked_joints.values()), default=1.0)
     marks = [
-        Mark(place, max(moved[j].values()) / largest if j in moved else None, said.get(j, place))
+        Mark(place, max(marked_joints[j].values()) / largest if j in marked_joints else None, said.get(j, place))
         for j, place in enumerate(places)
     ]
     views = [
@@ -58,26 +59,33 @@ def _view(title: str, ghosts: np.ndarray, points: np.ndarray, joints: np.ndarray
     """
     every = np.concatenate([ghosts.reshape(-1, 2), points, joints])
     low, high = every.min(axis=0), every.max(axis=0)
-    scale = min((WIDTH - 2 * MARGIN) / max(high[0] - low[0], 1e-9), (HIGH - 2 * MARGIN) / max(high[1] - low[1], 1e-9))
+    scale = min(
+        (WIDTH - 2 * ARM_MARGIN) / max(high[0] - low[0], 1e-9),
+        (ARM_FIGURE_HEIGHT - 2 * ARM_MARGIN) / max(high[1] - low[1], 1e-9),
+    )
 
     def placed(way: np.ndarray) -> list[list[float]]:
         return np.stack(
-            [MARGIN + scale * (way[:, 0] - low[0]), 20 + HIGH - MARGIN - scale * (way[:, 1] - low[1])], axis=1
+            [
+                ARM_MARGIN + scale * (way[:, 0] - low[0]),
+                20 + ARM_FIGURE_HEIGHT - ARM_MARGIN - scale * (way[:, 1] - low[1]),
+            ],
+            axis=1,
         ).tolist()
 
     def drawn(way: np.ndarray, style: str) -> str:
         return f'<path class="{style}" d="M' + "L".join(f"{x:.1f} {y:.1f}" for x, y in placed(way)) + '"/>'
 
-    parts = [text(4, 14, title, style="name"), *(drawn(ghost, "tick") for ghost in ghosts), drawn(points, "link")]
+    parts = [svg_text(4, 14, title, style="name"), *(drawn(ghost, "tick") for ghost in ghosts), drawn(points, "link")]
     for j, (mark, (x, y)) in enumerate(zip(marks, placed(joints))):
         parts += [
             f'<circle class="joint{"" if mark.size is None else " marked"}" cx="{x:.1f}" cy="{y:.1f}" '
             f'r="{8 + 5 * (mark.size or 0.0):.1f}">'
             f"{tooltip(mark.said)}</circle>",
-            text(x, y + 4, str(j + 1), "middle", "within"),
+            svg_text(x, y + 4, str(j + 1), "middle", "within"),
         ]
-    return svg(
-        int(HIGH) + 24,
+    return svg_figure(
+        int(ARM_FIGURE_HEIGHT) + 24,
         f"the machine {title}, marked: {', '.join(mark.place for mark in marks if mark.size is not None) or 'nothing'}",
         parts,
     )

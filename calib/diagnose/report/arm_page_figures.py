@@ -1,4 +1,4 @@
-"""What an arm's page draws: the arm, each finding turned back into its joint, held-out errors pose by pose."""
+"""Figures of an arm's diagnosis page: its outline, each finding at its joint, held-out errors."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +11,7 @@ from calib.diagnose.report.arm_outline import arm_outline_figures
 from calib.diagnose.report.arm_report import SAME_ANGLE, residual_statistics
 from calib.diagnose.report.diagnosis_json import FindingEntry
 from calib.diagnose.report.residual_figures import residual_scatter_figure
-from calib.report.scene_3d import mechanism_stage
+from calib.report.pose_figures import mechanism_scene
 from calib.samples.effect_playback import FACTORS
 from rig.model import mechanisms
 from rig.report.pages.html_elements import heading, note, paragraph, table
@@ -88,7 +88,7 @@ class ArmView:
                         np.multiply.outer(FACTORS, once),
                     )
                 )
-        return view_3d_html(mechanism_stage(d.arm, d.arms.frame, d.arms.q, tuple(effects)))
+        return view_3d_html(mechanism_scene(d.arm, d.arms.frame, d.arms.q, tuple(effects)))
 
     def remaining(self, unknown: list[FindingEntry]) -> list[str]:
         """Held-out errors, before and after, pose by pose and in a table."""

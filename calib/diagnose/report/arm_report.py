@@ -1,6 +1,4 @@
-"""An arm's diagnosis as a Report, with intervals that allow for how residuals scatter, and what it takes to draw the
-recording anew.
-"""
+"""Report of an arm's diagnosis, with intervals that allow for the residuals' scatter."""
 
 import json
 from dataclasses import replace
@@ -15,7 +13,7 @@ from calib.diagnose.engine.cross_validation import CrossValidation
 from calib.diagnose.engine.term_selection import Finding
 from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis, HeldOutPoses
 from calib.diagnose.problems.arm.joint_candidates import SPAN, Form
-from calib.diagnose.problems.arm.nonlinear_parameters import joint_parameter_covariance, onset_time_interval
+from calib.diagnose.problems.arm.nonlinear_parameters import onset_time_interval, term_parameter_covariance
 from calib.diagnose.problems.arm.pose_fit import Term
 from calib.diagnose.report import finding_contributions
 from calib.diagnose.report.diagnosis_json import (
@@ -36,7 +34,7 @@ from calib.diagnose.report.diagnosis_json import (
     suggestion_entries,
 )
 from calib.diagnose.report.diagnosis_report import Report
-from calib.diagnose.report.diagnosis_verdict import write
+from calib.diagnose.report.diagnosis_verdict import write_diagnosis_json
 from calib.diagnose.report.platform_report import (
     copy_recording,
     largest_unexplained,
@@ -55,62 +53,65 @@ SAME_ANGLE = 0.02  # rad; nearer angles than that share a joint's profile
 SMALL = 1e-4  # step of an order, for its derivative
 
 
-def arm_report(d: ArmDiagnosis) -> Report:
-    """Report of an ArmDiagnosis."""
-    found = [_finding(d, f, proof) for f, proof in zip(d.findings, d.cross_validations)]
+def arm_report(diagnosis: ArmDiagnosis) -> Report:
+    """Report of an arm's diagnosis."""
+    found = [_finding(diagnosis, f, proof) for f, proof in zip(diagnosis.findings, diagnosis.cross_validations)]
     fit = FitEntry(
-        mean_position_error(d.held[0].before), mean_position_error(d.held[0].after), position_error_floor(d), "m"
+        _mean_position_error(diagnosis.held[0].before),
+        _mean_position_error(diagnosis.held[0].after),
+        _position_error_floor(diagnosis),
+        "m",
     )
     held = [
         {
             "stretches": h.stretches,
             "before": residual_statistics(h.before),
             "after": residual_statistics(h.after),
-            **extrapolation_figures(h),
+            **_extrapolation_figures(h),
             "chosen": [list(n) for n in h.names],
         }
-        for h in d.held
+        for h in diagnosis.held
     ]
     again = (
         None
-        if d.repeats is None
+        if diagnosis.repeats is None
         else {
-            "pairs": d.repeats.pairs,
-            "mean_m": d.repeats.mean,
-            "rms_m": d.repeats.rms,
-            "mean_rad": d.repeats.mean_rad,
-            "remainder_that_repeats": d.repeats.recurring_share,
+            "pairs": diagnosis.repeats.pairs,
+            "mean_m": diagnosis.repeats.mean,
+            "rms_m": diagnosis.repeats.rms,
+            "mean_rad": diagnosis.repeats.mean_rad,
+            "remainder_that_repeats": diagnosis.repeats.recurring_share,
         }
     )
     return Report(
-        d.recording,
-        d.origin.shown(0.0),
-        instrument_noise(d),
-        (*found, *unnamed_finding_entries(d.left)),
-        largest_unexplained(d.left) or excess_position_scatter(d),
+        diagnosis.recording,
+        diagnosis.origin.shown(0.0),
+        _instrument_noise(diagnosis),
+        (*found, *unnamed_finding_entries(diagnosis.left)),
+        largest_unexplained(diagnosis.left) or _excess_position_scatter(diagnosis),
         {"poses": fit},
         fit,
-        tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked),
-        covariates=covariate_entries(d.covariates),
-        said=d.said,
-        recordings=recording_entries(d.parts),
-        own_effects=effects_files(d.own),
-        suggestions=suggestion_entries(d.suggestions),
+        tuple(NotAskedEntry(s.effect, s.reason) for s in diagnosis.not_asked),
+        covariates=covariate_entries(diagnosis.covariates),
+        said=diagnosis.said,
+        recordings=recording_entries(diagnosis.parts),
+        own_effects=effects_files(diagnosis.own),
+        suggestions=suggestion_entries(diagnosis.suggestions),
         more={
-            "scatter_beyond_stated_m": float(np.sqrt(3) * d.fit.scatter[0]),
+            "scatter_beyond_stated_m": float(np.sqrt(3) * diagnosis.fit.scatter[0]),
             "held_out": held,
-            "held_out_by_region": held_out_region_gains(d),
+            "held_out_by_region": _held_out_region_gains(diagnosis),
             "repeats": again,
-            "set_aside": d.arms.frame[d.fit.aside].tolist(),
+            "set_aside": diagnosis.arms.frame[diagnosis.fit.aside].tolist(),
         },
-        confounds=d.confounds,
-        noise_from=ASSUMED_NOISE if d.arms.assumed else STATED,
-        left_out=d.left_out,
-        crowd=d.crowd,
+        confounds=diagnosis.confounds,
+        noise_from=ASSUMED_NOISE if diagnosis.arms.assumed else STATED,
+        left_out=diagnosis.left_out,
+        crowd=diagnosis.crowd,
     )
 
 
-def excess_position_scatter(d: ArmDiagnosis) -> Unexplained | None:
+def _excess_position_scatter(d: ArmDiagnosis) -> Unexplained | None:
     """What positions scatter beyond what is stated for them, by length, where that and what is stated exceed the stated
     UNSTATED times.
     """
@@ -118,7 +119,7 @@ def excess_position_scatter(d: ArmDiagnosis) -> Unexplained | None:
     return Unexplained("rig", beyond, "m", ()) if np.hypot(beyond, stated) > UNSTATED * stated else None
 
 
-def held_out_region_gains(d: ArmDiagnosis) -> list[dict[str, Any]]:
+def _held_out_region_gains(d: ArmDiagnosis) -> list[dict[str, Any]]:
     """For each joint, what each finding brings where whole regions of its travel are held out: misfit before and after,
     m, and standard errors.
     """
@@ -133,14 +134,14 @@ def held_out_region_gains(d: ArmDiagnosis) -> list[dict[str, Any]]:
     ]
 
 
-def position_error_floor(d: ArmDiagnosis) -> float:
+def _position_error_floor(d: ArmDiagnosis) -> float:
     """m, mean position error that no model can be below: that of commands given twice or, without any, the instrument's
     own.
     """
     return _by_length(d.arms.own, slice(0, 3)) if d.repeats is None else d.repeats.mean
 
 
-def mean_position_error(left: np.ndarray) -> float:
+def _mean_position_error(left: np.ndarray) -> float:
     """m, mean position error of residuals (n, k)."""
     return float(np.linalg.norm(left[:, :3], axis=1).mean())
 
@@ -158,7 +159,7 @@ def residual_statistics(left: np.ndarray) -> dict[str, float]:
     return out | ({"mean_rad": float(np.linalg.norm(left[:, 3:], axis=1).mean())} if left.shape[1] == 6 else {})
 
 
-def extrapolation_figures(held: HeldOutPoses) -> dict[str, Any]:
+def _extrapolation_figures(held: HeldOutPoses) -> dict[str, Any]:
     """{after_at_fitted_angles, after_beyond}: figures of held-out poses all of whose joints stood within SAME_ANGLE of
     an angle that they were fitted at, and of the rest; None where there are none. No data tell a profile where its
     joint never stood."""
@@ -169,7 +170,7 @@ def extrapolation_figures(held: HeldOutPoses) -> dict[str, Any]:
     }
 
 
-def instrument_noise(d: ArmDiagnosis) -> dict[str, float | None]:
+def _instrument_noise(d: ArmDiagnosis) -> dict[str, float | None]:
     """{corner_px, pose_m, pose_rad, strut_m}: the instrument's own standard uncertainty of a position and rotation, by
     length.
     """
@@ -187,21 +188,21 @@ def _by_length(own: np.ndarray, part: slice) -> float:
     return float(np.sqrt(np.trace(own[:, part, part], axis1=1, axis2=2).mean()))
 
 
-def finding_parameters(d: ArmDiagnosis, finding: Finding) -> dict[str, Value]:
+def _finding_parameters(d: ArmDiagnosis, finding: Finding) -> dict[str, Value]:
     """{name: Value} of a finding; intervals allow for the dispersion seen."""
     fit, number = d.fit, finding.number
     one, theta = fit.terms[number], fit.theta[fit.slices[number]]
     candidate = one.candidate
     if candidate.form is Form.SINUSOID:
         return _cycle(d, finding, theta)
-    joint = joint_parameter_covariance(fit, number)
+    joint = term_parameter_covariance(fit, number)
     covariance = joint.covariance[: len(theta), : len(theta)] * finding.score.dispersion
     bounds = {p.name: p.bounds for p in candidate.kind.parameters_at(candidate.place)}
     units = {p.name: p.unit for p in candidate.kind.parameters_at(candidate.place)}
     sigma = Z95 * np.sqrt(np.diag(covariance))
     effect = candidate.effect(one.node, theta)
     spec = next(s for s in candidate.specs if len(s.linear) == len(theta) or not s.linear)
-    unit = unit_at(d, candidate.joint)
+    unit = _unit_at(d, candidate.joint)
     if len(theta) > 1:  # a curve, or a load's moments: what it comes to first, then the numbers
         name = spec.linear[0].name
         level = theta - theta.mean() if candidate.form is Form.PROFILE else theta
@@ -233,7 +234,7 @@ def finding_parameters(d: ArmDiagnosis, finding: Finding) -> dict[str, Value]:
     }
 
 
-def unit_at(d: ArmDiagnosis, joint: int | None) -> str:
+def _unit_at(d: ArmDiagnosis, joint: int | None) -> str:
     """Unit, "m" or "rad", of the travel of a joint, by its index; of no one joint's "rad"."""
     return "rad" if joint is None else mechanisms.axis_units(d.arm)[joint]
 
@@ -269,7 +270,7 @@ def _cycle(d: ArmDiagnosis, finding: Finding, theta: np.ndarray) -> dict[str, Va
     return {
         key: Value(float(v), unit, [float(v - Z95 * s), float(v + Z95 * s)])
         for key, v, s, unit in zip(
-            ("amplitude", "phase", name), values, sigma, (unit_at(d, candidate.joint), "rad", "")
+            ("amplitude", "phase", name), values, sigma, (_unit_at(d, candidate.joint), "rad", "")
         )
     }
 
@@ -295,7 +296,7 @@ def _finding(d: ArmDiagnosis, finding: Finding, proof: CrossValidation) -> Findi
         proof.unit,
         proof.gain,
     )
-    found = finding_parameters(d, finding)
+    found = _finding_parameters(d, finding)
     return FindingEntry(
         candidate.name,
         candidate.place,
@@ -308,12 +309,12 @@ def _finding(d: ArmDiagnosis, finding: Finding, proof: CrossValidation) -> Findi
     )
 
 
-def write_arm_diagnosis(folder: Path, d: ArmDiagnosis, recording: Recording, report: Report) -> None:
+def write_arm_diagnosis(folder: Path, diagnosis: ArmDiagnosis, recording: Recording, report: Report) -> None:
     """Write diagnosis.json into a folder, and what it takes to simulate the arm as found: machine.json and the
     recording's own rig.toml, commands, frames and sensors.
     report : Report of d"""
-    write(folder, report)
-    found = replace(recording.design, mechanism=d.arm)
-    write_text(folder / "machine.json", json.dumps(machine_json.machine_dict(found, d.effects)) + "\n")
+    write_diagnosis_json(folder, report)
+    found = replace(recording.design, mechanism=diagnosis.arm)
+    write_text(folder / "machine.json", json.dumps(machine_json.machine_dict(found, diagnosis.effects)) + "\n")
     copy_recording(folder, recording)
-    finding_contributions.write_contributions(folder / "contributions.csv", d)
+    finding_contributions.write_contributions(folder / "contributions.csv", diagnosis)

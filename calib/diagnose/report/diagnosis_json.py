@@ -1,11 +1,11 @@
-"""diagnosis.json (schema "diagnosis/1") as dataclasses: what a diagnosis of any machine says, in m, rad, px and s."""
+"""Entries of diagnosis.json (schema diagnosis/1) as dataclasses, for any machine, in SI units and px."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
-from calib.diagnose.engine.covariate_ranking import Covariate
-from calib.diagnose.engine.stated_terms import Given
+from calib.diagnose.engine.lack_of_fit import Covariate
+from calib.diagnose.engine.selection_inputs import StatedTerms
 from calib.diagnose.problems.formula_suggestion import Suggestion
 from rig.effects.texts.formula_effect_file import Written
 from rig.effects.texts.user_effect_files import Plugin
@@ -258,17 +258,17 @@ def recording_entries(parts: tuple[Part, ...]) -> tuple[RecordingEntry, ...]:
     return tuple(RecordingEntry(part.recording.name, part.frames, part.t) for part in parts)
 
 
-def plain(value: Any) -> Any:
-    """Trees of dicts and lists; of dataclasses, what is None or empty optional is left out."""
+def json_tree(value: Any) -> Any:
+    """JSON tree of dicts and lists; of dataclasses, optional fields that are None or empty are left out."""
     if is_dataclass(value):
         items = {f.name: getattr(value, f.name) for f in fields(value)}
-        return {name: plain(v) for name, v in items.items() if v is not None}
+        return {name: json_tree(v) for name, v in items.items() if v is not None}
     if isinstance(value, dict):
-        return {name: plain(v) for name, v in value.items()}
-    return [plain(v) for v in value] if isinstance(value, (list, tuple)) else value
+        return {name: json_tree(v) for name, v in value.items()}
+    return [json_tree(v) for v in value] if isinstance(value, (list, tuple)) else value
 
 
-def stated_beforehand(given: Given, effect: str, place: str) -> str | None:
-    """What was said beforehand of an effect at a place."""
+def stated_beforehand(given: StatedTerms, effect: str, place: str) -> str | None:
+    r"""What was stated beforehand of an effect at a place: \"assumed\", \"before\", or nothing."""
     site = (effect, place)
     return ASSUMED if site in given.assumed else SEEN_BEFORE if site in given.before else None

@@ -1,6 +1,4 @@
-"""A diagnosis as a page that an owner can act on: verdict, where, what it looks like, how sure, what to do, what else,
-what remains.
-"""
+"""The HTML page of a diagnosis: verdict, findings with place, size and evidence, actions, figures."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +10,7 @@ from calib.diagnose.report.diagnosis_report import Report
 from calib.diagnose.report.diagnosis_verdict import diagnosis_verdict
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.report.pages.html_elements import folding_section, heading, note, paragraph, table
-from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.page_and_svg_templates import Link, Page, write_page
 from rig.report.pages.plots import panel_row
 from rig.report.pages.view_3d import view_scripts
 from vision.effect_sketches import effect_sketch
@@ -48,7 +46,7 @@ class View(Protocol):
 
 
 def diagnosis_page(path: Path, report: Report, view: View, links: Sequence[Link] = ()) -> None:
-    """Write the page of a Report: offline, one file, figures in micrometres, microradians and pixels."""
+    """Write the diagnosis page of a Report: one offline HTML file."""
     parts = [paragraph(report_sentences.held_out_sentence(report.fit, bool(report.named)))]
     main = report.mattering or report.named
     slight = [f for f in report.named if not any(f is m for m in main)]

@@ -1,6 +1,4 @@
-"""What a diagnosis of any machine says, as one Report: the tree of diagnosis.json, and what it comes to in a
-sentence.
-"""
+"""Report of a diagnosis: its content as data, its summary, its verdict, and diagnosis.json written."""
 
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -22,7 +20,7 @@ from calib.diagnose.report.diagnosis_json import (
     RemarkEntry,
     SuggestionEntry,
     Unexplained,
-    plain,
+    json_tree,
 )
 from calib.diagnose.report.report_sentences import (
     as_sentence,
@@ -33,7 +31,7 @@ from calib.diagnose.report.report_sentences import (
     value_text,
 )
 from calib.samples.confounded_conditions import Confounds
-from rig.report.notebook_display import result_html
+from rig.report.pages.html_elements import result_html
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +76,7 @@ class Report:
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
         rows = [(finding_title(f), finding_size_text(f).removeprefix(", "), f.action or "") for f in self.findings]
-        return result_html(summary(self), [], [("what", "size", "what to do"), *rows] if rows else [])
+        return result_html(summary_sentence(self), [], [("what", "size", "what to do"), *rows] if rows else [])
 
     @property
     def named(self) -> list[FindingEntry]:
@@ -98,19 +96,19 @@ class Report:
     def tree(self) -> dict[str, Any]:
         """The tree of diagnosis.json, without the verdict."""
         apart = ("more", "confounds", "calibrations", *(() if self.recordings else ("recordings",)))
-        own = {f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name not in apart}
+        own = {f.name: json_tree(getattr(self, f.name)) for f in fields(self) if f.name not in apart}
         return {
             "schema": SCHEMA,
             **own,
-            "unexplained": plain(self.unexplained),
+            "unexplained": json_tree(self.unexplained),
             **self.more,
-            "crowd": plain(self.crowd),
+            "crowd": json_tree(self.crowd),
             "confounds": self.confounds and self.confounds.tree(),
         }
 
 
-def summary(report: Report) -> str:
-    """What was found, the biggest first; what is only significant is counted, not named."""
+def summary_sentence(report: Report) -> str:
+    """Summary sentence of a Report: the findings, the biggest first, and what is unexplained."""
     worst, left = report.unexplained, ""
     if worst is not None:
         left = (
@@ -119,7 +117,7 @@ def summary(report: Report) -> str:
         )
         left += f", going with {' and '.join(worst.depends_on)}" if worst.depends_on else ""
     if not report.named:
-        return f"There is {left}." if left else all_clear(report)
+        return f"There is {left}." if left else _all_clear_sentence(report)
     main = report.mattering or report.named
     said = [f"{finding_title(f)}{finding_size_text(f)}{stated_beforehand_text(f)}" for f in main]
     fewer = len(report.named) - len(main)
@@ -135,7 +133,7 @@ def summary(report: Report) -> str:
     return as_sentence(text)
 
 
-def all_clear(report: Report) -> str:
+def _all_clear_sentence(report: Report) -> str:
     """What it is worth that nothing was found: nothing, where nobody states the noise."""
     if report.crowd is not None:
         return f"Nothing in the catalogue was found, and {many_outliers_sentence(report.crowd)}."

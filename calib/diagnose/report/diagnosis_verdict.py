@@ -7,7 +7,7 @@ from pathlib import Path
 from calib.certify.calibration_evidence import confound_sentences
 from calib.diagnose.report import report_sentences
 from calib.diagnose.report.diagnosis_json import ASSUMED_NOISE, UNKNOWN
-from calib.diagnose.report.diagnosis_report import Report, summary
+from calib.diagnose.report.diagnosis_report import Report, summary_sentence
 from rig.formats.output_files import write_text
 from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
 
@@ -19,13 +19,13 @@ def diagnosis_verdict(report: Report) -> Verdict:
     """The verdict of a Report: check where something that matters is left out of the model or has no name, or where a
     calibration made from the recording leaves something unexplained; bad where the recording refutes such a
     calibration."""
-    left, rest, steps = unexplained(report), doubts(report), recommended_actions(report)
+    left, rest, steps = unexplained_sentences(report), doubts(report), recommended_actions(report)
     besides = tuple(
         Missing(text, TAKE_IN)
         for text in report.calibrations.unexplained
         if text not in (*left, *(one.text for one in rest))
     )
-    said = summary(report).removesuffix(".")
+    said = summary_sentence(report).removesuffix(".")
     return judge_evidence(
         Evidence(
             said[0].lower() + said[1:],
@@ -40,21 +40,23 @@ def diagnosis_verdict(report: Report) -> Verdict:
     )
 
 
-def unexplained(report: Report, known: Collection[tuple[str, str]] = ()) -> tuple[str, ...]:
-    """What a Report says is left out of the model, a sentence each. known : (effect, place) of findings that are not
-    left out
-    """
+def unexplained_sentences(report: Report, known_physics: Collection[tuple[str, str]] = ()) -> tuple[str, ...]:
+    """Sentences on what a Report leaves unexplained by the model. known_physics : (effect, place) already modelled"""
     named = [
         f"the model leaves out {report_sentences.finding_title(f)}"
         for f in report.mattering
-        if (f.effect, f.place) not in known
+        if (f.effect, f.place) not in known_physics
     ]
     unknown = [
         f"nothing in the catalogue explains what is at {f.place}"
         for f in report.unknown
-        if (f.effect, f.place) not in known
+        if (f.effect, f.place) not in known_physics
     ]
-    if not report.unknown and report.unexplained is not None and (UNKNOWN, report.unexplained.place) not in known:
+    if (
+        not report.unknown
+        and report.unexplained is not None
+        and (UNKNOWN, report.unexplained.place) not in known_physics
+    ):
         unknown = [f"nothing in the catalogue explains what is at {report.unexplained.place}"]
     if report.crowd is not None:
         unknown.append("too many rows agree with no others for any to be left out")
@@ -62,7 +64,7 @@ def unexplained(report: Report, known: Collection[tuple[str, str]] = ()) -> tupl
 
 
 def doubts(report: Report) -> tuple[Missing, ...]:
-    """What a Report rests on that nobody has shown."""
+    """Doubts of a Report: what it assumes and nobody has shown."""
     missing = []
     if report.noise_from == ASSUMED_NOISE:
         missing.append(Missing("nobody states the noise of the poses, against which anything left out would show"))
@@ -73,7 +75,7 @@ def doubts(report: Report) -> tuple[Missing, ...]:
     return tuple(missing)
 
 
-def write(folder: Path, report: Report) -> None:
+def write_diagnosis_json(folder: Path, report: Report) -> None:
     """Write diagnosis.json into a folder: the Report's tree, its verdict after its schema."""
     tree = report.tree()
     write_text(
@@ -83,7 +85,7 @@ def write(folder: Path, report: Report) -> None:
 
 
 def recommended_actions(report: Report) -> list[str]:
-    """What an owner does next with a Report."""
+    """Recommended actions of a Report: what an owner does next."""
     actions = [
         f"{report_sentences.finding_title(f)[0].upper()}{report_sentences.finding_title(f)[1:]}: "
         f"{f.action}".removesuffix(".")

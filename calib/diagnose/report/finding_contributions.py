@@ -1,4 +1,4 @@
-"""What each finding does in each pose: a file with all of them, and a picture of the poses that suffer most."""
+"""Contribution of each finding to each pose's error: a table of all, a figure of the worst."""
 
 from pathlib import Path
 
@@ -7,14 +7,14 @@ import numpy as np
 from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis
 from rig.recording.recording_tables import write_table
 from rig.report.pages.plots import COLOURS
-from rig.report.pages.svg_elements import svg, text, tooltip
+from rig.report.pages.svg_elements import svg_figure, svg_text, tooltip
 
 WORST = 24  # poses that are drawn
 LEFT = "what remains"
 ROW, START, END = 16.0, 60.0, 392.0  # units of a figure: of a pose; where bars begin and end
 
 
-def finding_contributions(d: ArmDiagnosis) -> tuple[list[str], np.ndarray]:
+def _finding_contributions(d: ArmDiagnosis) -> tuple[list[str], np.ndarray]:
     """("effect place" .., "what remains"; (n, findings + 1) m) by how much each finding displaces the target in each
     pose, alone, and what they leave; in the order of the diagnosis."""
     names, sizes = [], []
@@ -28,9 +28,9 @@ def finding_contributions(d: ArmDiagnosis) -> tuple[list[str], np.ndarray]:
     return [*names, LEFT], np.stack([*sizes, np.linalg.norm(d.fit.left[:, :3], axis=1)], axis=1)
 
 
-def write_contributions(path: Path, d: ArmDiagnosis) -> None:
-    """Write a table with a row for each pose and a column, m, for each finding and for what remains."""
-    names, sizes = finding_contributions(d)
+def write_contributions(path: Path, diagnosis: ArmDiagnosis) -> None:
+    """Write a table of contributions: a row for each pose, a column (m) for each finding and for the rest."""
+    names, sizes = _finding_contributions(diagnosis)
     columns = [name.replace(" ", "_") for name in names]
     columns = [
         f"{name}_{columns[:i].count(name) + 1}" if name in columns[:i] else name for i, name in enumerate(columns)
@@ -38,21 +38,19 @@ def write_contributions(path: Path, d: ArmDiagnosis) -> None:
     write_table(
         path,
         ("frame", *columns),
-        [",".join([str(frame), *(f"{v:.9f}" for v in row)]) for frame, row in zip(d.arms.frame, sizes)],
+        [",".join([str(frame), *(f"{v:.9f}" for v in row)]) for frame, row in zip(diagnosis.arms.frame, sizes)],
     )
 
 
-def contribution_figure(d: ArmDiagnosis) -> str:
-    """Figure of the poses that suffer most: for each a bar, made of one for each finding, the biggest first, and of
-    what remains.
-    """
-    names, sizes = finding_contributions(d)
+def contribution_figure(diagnosis: ArmDiagnosis) -> str:
+    """Figure of contributions at the worst poses, a stacked bar for each."""
+    names, sizes = _finding_contributions(diagnosis)
     worst = np.argsort(-sizes[:, :-1].sum(axis=1))[:WORST]
     scale = (END - START) / float(sizes[worst].sum(axis=1).max())
-    parts = [text(4, 14, "by frame, µm one beside the other", style="name")]
+    parts = [svg_text(4, 14, "by frame, µm one beside the other", style="name")]
     for row, pose in enumerate(worst):
         at, y = START, 22 + ROW * row
-        parts.append(text(START - 6, y + 12, str(d.arms.frame[pose]), "end"))
+        parts.append(svg_text(START - 6, y + 12, str(diagnosis.arms.frame[pose]), "end"))
         for which in [*np.argsort(-sizes[pose, :-1]).tolist(), len(names) - 1]:
             wide = float(sizes[pose, which]) * scale
             said = f"{names[which].replace('_', ' ')}: {sizes[pose, which] * 1e6:.1f} µm"
@@ -66,9 +64,11 @@ def contribution_figure(d: ArmDiagnosis) -> str:
         y = 30 + ROW * (len(worst) + k)
         parts += [
             f'<rect class="fill {_colour(k, len(names))}" x="{START:g}" y="{y:.1f}" width="10" height="10"/>',
-            text(START + 16, y + 10, name.replace("_", " ")),
+            svg_text(START + 16, y + 10, name.replace("_", " ")),
         ]
-    return svg(int(40 + ROW * (len(worst) + len(names))), "what each finding does to the poses that suffer most", parts)
+    return svg_figure(
+        int(40 + ROW * (len(worst) + len(names))), "what each finding does to the poses that suffer most", parts
+    )
 
 
 def _colour(which: int, count: int) -> str:

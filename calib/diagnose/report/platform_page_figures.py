@@ -1,6 +1,4 @@
-"""What a platform's page draws: the rig, each finding against what gives it away, what is left of struts and
-cameras.
-"""
+"""Figures of a platform's diagnosis page: its outline, each finding's residuals, what is unexplained."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,13 +10,13 @@ from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosi
 from calib.diagnose.report.diagnosis_json import FindingEntry
 from calib.diagnose.report.residual_figures import residuals_in_time_figure
 from calib.diagnose.report.residual_plots import (
-    diagnostic_plot,
+    effect_residual_figures,
+    image_residual_figures,
     model_residuals,
-    residual_map,
     residuals_without_effects,
 )
 from calib.diagnose.report.rig_outline import rig_outline_figure
-from calib.report.scene_3d import rig_stage
+from calib.report.pose_figures import rig_scene
 from calib.samples.effect_playback import effect_displacements
 from rig.effects.framework.effect import Effect
 from rig.model.mechanism_geometry import Free
@@ -55,7 +53,7 @@ class PlatformView:
         if finding.evidence.delta_bic is None:
             return None
         number = next(f.number for f, e in zip(d.selection.findings, d.effects) if _same(finding, e, d.origin))
-        return diagnostic_plot(d.selection.fit.refined, number)
+        return effect_residual_figures(d.selection.fit.refined, number)
 
     def in_space(self) -> list[str]:
         """The rig's poses, with what each finding that moves the platform does at sizes of it."""
@@ -67,7 +65,7 @@ class PlatformView:
                 for which in range(min(len(k.effects), PLAYED))
             ]
             effects, values = tuple(one for one in tried if one is not None), k.motion(()).lengths
-        return view_3d_html(rig_stage(k.design, k.frames, k.T, values, effects=effects))
+        return view_3d_html(rig_scene(k.design, k.frames, k.T, values, effects=effects))
 
     def remaining(self, unknown: list[FindingEntry]) -> list[str]:
         """Figure of the levels, then of what is unknown."""
@@ -81,7 +79,7 @@ class PlatformView:
                 parts.append(residuals_in_time_figure(f.place, k.t, struts[:, int(name) - 1] * 1e6, "strut, µm"))
             elif kind == "camera":
                 own = np.flatnonzero(k.observed.observations.camera == [c.name for c in k.design.cameras].index(name))
-                parts.append(residual_map(k, own, (corners,), ("what is left",)))
+                parts.append(image_residual_figures(k, own, (corners,), ("what is left",)))
         return parts
 
     def measurement(self) -> list[tuple[str, Any]]:

@@ -1,4 +1,4 @@
-"""A platform's diagnosis as a Report, and what it takes to draw the recording anew as it was found."""
+"""Report of a platform's diagnosis, and the files that simulate the platform as diagnosed."""
 
 import json
 from dataclasses import asdict
@@ -34,7 +34,7 @@ from calib.diagnose.report.diagnosis_json import (
     suggestion_entries,
 )
 from calib.diagnose.report.diagnosis_report import Report
-from calib.diagnose.report.diagnosis_verdict import write
+from calib.diagnose.report.diagnosis_verdict import write_diagnosis_json
 from rig.effects.catalogue.face_misplacement import FaceMisplacement
 from rig.effects.catalogue.marker_swap import MarkerSwap
 from rig.effects.framework.effect import Effect
@@ -46,34 +46,36 @@ from rig.recording.time_origin import Origin
 from vision.bundle.marker_displacements import Move
 
 
-def platform_report(d: PlatformDiagnosis) -> Report:
-    """Report of a PlatformDiagnosis."""
-    found = [_swapped(effect) for effect in d.swapped] + [_moved(move) for move in d.moved]
-    found += [_finding(d, f, proof) for f, proof in zip(d.selection.findings, d.cross_validations)]
-    fits = {name: fit_entry(fit) for name, fit in d.fits.items()}
+def platform_report(diagnosis: PlatformDiagnosis) -> Report:
+    """Report of a platform's diagnosis."""
+    found = [_swapped(effect) for effect in diagnosis.swapped] + [_moved(move) for move in diagnosis.moved]
+    found += [
+        _finding(diagnosis, f, proof) for f, proof in zip(diagnosis.selection.findings, diagnosis.cross_validations)
+    ]
+    fits = {name: _fit_entry(fit) for name, fit in diagnosis.fits.items()}
     return Report(
-        d.recording,
-        d.origin.shown(0.0),
-        noise_entry(asdict(d.noise)),
-        (*found, *unnamed_finding_entries(d.left)),
-        largest_unexplained(d.left),
+        diagnosis.recording,
+        diagnosis.origin.shown(0.0),
+        _noise_entry(asdict(diagnosis.noise)),
+        (*found, *unnamed_finding_entries(diagnosis.left)),
+        largest_unexplained(diagnosis.left),
         fits,
-        fit_entry(d.fit),
-        tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked),
-        tuple(remark_entries(d)),
-        covariate_entries(d.covariates),
-        d.said,
-        recording_entries(d.parts),
-        effects_files(d.own),
-        suggestion_entries(d.suggestions),
-        confounds=d.confounds,
-        noise_from=noise_source(d),
-        left_out=d.wild.left_out,
-        crowd=d.wild.crowd,
+        _fit_entry(diagnosis.fit),
+        tuple(NotAskedEntry(s.effect, s.reason) for s in diagnosis.not_asked),
+        tuple(_remark_entries(diagnosis)),
+        covariate_entries(diagnosis.covariates),
+        diagnosis.said,
+        recording_entries(diagnosis.parts),
+        effects_files(diagnosis.own),
+        suggestion_entries(diagnosis.suggestions),
+        confounds=diagnosis.confounds,
+        noise_from=_noise_source(diagnosis),
+        left_out=diagnosis.wild.left_out,
+        crowd=diagnosis.wild.crowd,
     )
 
 
-def noise_source(d: PlatformDiagnosis) -> str:
+def _noise_source(d: PlatformDiagnosis) -> str:
     """Whence the noise comes that all is judged by."""
     k = d.selection.fit.refined.point
     if k.seen is None:
@@ -81,7 +83,7 @@ def noise_source(d: PlatformDiagnosis) -> str:
     return RESIDUALS if k.seen.stated is None else STATED
 
 
-def remark_entries(d: PlatformDiagnosis) -> list[RemarkEntry]:
+def _remark_entries(d: PlatformDiagnosis) -> list[RemarkEntry]:
     """What is there beyond chance and does not matter: what was fitted, what was left, what tolerances were seen to
     be.
     """
@@ -93,18 +95,18 @@ def remark_entries(d: PlatformDiagnosis) -> list[RemarkEntry]:
                 effect.name,
                 effect.place,
                 _parameters(refined, f.number, effect, d.origin),
-                tolerance_reason_sentence(reason),
+                _tolerance_reason_sentence(reason),
                 min(1.0, f.score.p_value * d.selection.asked),
             )
         )
     out += [
-        RemarkEntry(UNKNOWN, u.place, _size_of(u), tolerance_reason_sentence(reason), u.p_value)
+        RemarkEntry(UNKNOWN, u.place, _size_of(u), _tolerance_reason_sentence(reason), u.p_value)
         for u, reason in d.remarks.left
     ]
     return out + [_within(s) for s in d.remarks.sites]
 
 
-def tolerance_reason_sentence(reason: str) -> str:
+def _tolerance_reason_sentence(reason: str) -> str:
     """A remark's reason in a sentence."""
     return f"No more than {reason}."
 
@@ -121,23 +123,23 @@ def _within(slight: SignificantTolerance) -> RemarkEntry:
         slight.site.effect,
         slight.site.place,
         parameters,
-        tolerance_reason_sentence(slight.site.tolerance.reason),
+        _tolerance_reason_sentence(slight.site.tolerance.reason),
         slight.p_value,
     )
 
 
-def noise_entry(figures: dict[str, float | None]) -> dict[str, float | None]:
+def _noise_entry(figures: dict[str, float | None]) -> dict[str, float | None]:
     """The noise as diagnosis.json has it: a strut's alone is left out where there is none."""
     return {name: value for name, value in figures.items() if value is not None or name != "strut_m"}
 
 
 def largest_unexplained(left: list[LackOfFit]) -> Unexplained | None:
-    """The most convincing of what is left, or None."""
+    """The largest, most significant unexplained deviation, or None."""
     return Unexplained(left[0].place, left[0].magnitude, left[0].unit, left[0].depends_on) if left else None
 
 
 def unnamed_finding_entries(left: list[LackOfFit]) -> list[FindingEntry]:
-    """What is left as findings without a name, one for each place."""
+    """Entries of unnamed findings, one for each place at which something is unexplained."""
     return [
         FindingEntry(UNKNOWN, u.place, _size_of(u), Evidence(p_value=u.p_value, delta_chi2=u.delta_chi2))
         for u in first_of_each_place(left)
@@ -148,19 +150,19 @@ def _size_of(left: LackOfFit) -> dict[str, Value]:
     return {"magnitude": Value(left.magnitude, left.unit), "depends_on": Value(list(left.depends_on), "")}
 
 
-def fit_entry(fit: CrossValidation) -> FitEntry:
+def _fit_entry(fit: CrossValidation) -> FitEntry:
     """FitEntry of the cross-validation of all findings together."""
     return FitEntry(fit.before, fit.after, fit.floor, fit.unit)
 
 
 def separating_experiment_text(*sites: tuple[type[Effect], str]) -> str:
-    """What would tell two hypotheses, an effect at a place each, apart, in words."""
+    """Text of the experiment that would separate two hypotheses, an effect at a place each."""
     names, shown = [kind.name for kind, _ in sites], [kind.experiment_at(place) for kind, place in sites]
     return shown[0] if names[0] == names[1] else "; ".join(f"{name}: {text}" for name, text in zip(names, shown))
 
 
 def unusual_size_reason(kind: type[Effect], place: str, parameters: dict[str, Value]) -> str | None:
-    """Why the size of an effect at a place is hard to believe, or None."""
+    """Reason why the size of an effect at a place is unusual, or None."""
     return kind.unusual(place, {key: value.value for key, value in parameters.items()})
 
 
@@ -228,7 +230,7 @@ def _parameters(refined: Refined, number: int, effect: Effect, origin: Origin) -
 
 
 def moment_text(t: np.ndarray, value: float, origin: Origin, likely: tuple[float, float] | None = None) -> Value:
-    """A moment (s from the recording's start) by the owner's clock, and the frames, at t (n,) s, between which it lies.
+    """Value of a moment (s from the start) as text, by the owner's clock, with the frames between which it lies.
 
     likely : (earliest, latest) s, where it may lie between other frames as well
     """
@@ -236,21 +238,21 @@ def moment_text(t: np.ndarray, value: float, origin: Origin, likely: tuple[float
     return Value(origin.shown(value), "s", [origin.shown(t[low - 1]), origin.shown(t[high])])
 
 
-def write_platform_diagnosis(folder: Path, d: PlatformDiagnosis, recording: Recording, report: Report) -> None:
+def write_platform_diagnosis(folder: Path, diagnosis: PlatformDiagnosis, recording: Recording, report: Report) -> None:
     """Write diagnosis.json into a folder and, where a machine was commanded, what it takes to simulate it as found:
     machine.json and the recording's own rig.toml, commands, frames and sensors.
     report : Report of d"""
-    write(folder, report)
-    k = d.selection.fit.refined.point
+    write_diagnosis_json(folder, report)
+    k = diagnosis.selection.fit.refined.point
     if not k.axes:
         return
-    tree = machine_json.machine_dict(k.design, (*d.swapped, *d.effects))
+    tree = machine_json.machine_dict(k.design, (*diagnosis.swapped, *diagnosis.effects))
     write_text(folder / "machine.json", json.dumps(tree) + "\n")
     copy_recording(folder, recording)
 
 
 def copy_recording(folder: Path, recording: Recording) -> None:
-    """Copy a recording's own rig.toml, commands, frames and sensors into a folder; of several, the first one's."""
+    """Copy a recording's rig.toml, commands, frames and sensors into a folder; of several, the first's."""
     recording = recording.apart[0].recording
     for name in ("rig.toml", "commands.csv", "frames.csv", "sensors.csv"):
         if remote_folders.exists(recording.folder / name):

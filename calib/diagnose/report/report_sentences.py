@@ -1,4 +1,4 @@
-"""A Report in words and figures for people: micrometres, microradians, pixels; what was found, how sure, what to do."""
+"""Sentences and table rows of a Report for people, in micrometres, microradians and pixels."""
 
 from collections.abc import Sequence
 
@@ -38,7 +38,7 @@ def value_text(value: float, unit: str, with_unit: bool = True, digits: int = 3)
     return f"{text} {name}".strip() if with_unit else text
 
 
-def interval_text(low: float, high: float, unit: str, with_unit: bool = True) -> str:
+def _interval_text(low: float, high: float, unit: str, with_unit: bool = True) -> str:
     """Text such as "39.1 to 41.2 µm", to as many digits as tell its ends apart."""
     digits = separating_digits(low, high)
     return f"{value_text(low, unit, False, digits)} to {value_text(high, unit, with_unit, digits)}"
@@ -49,7 +49,7 @@ def _ends(p: Value, with_unit: bool = True) -> str:
     if p.ci95 is None or p.open == "both":
         return NOT_DETERMINED
     low, high = (value_text(end, p.unit, with_unit) for end in p.ci95)
-    between = interval_text(p.ci95[0], p.ci95[1], p.unit, with_unit)
+    between = _interval_text(p.ci95[0], p.ci95[1], p.unit, with_unit)
     return f"{low} or more" if p.open == "above" else f"{high} or less" if p.open == "below" else between
 
 
@@ -88,12 +88,12 @@ def stated_beforehand_text(finding: FindingEntry) -> str:
 
 
 def as_sentence(text: str) -> str:
-    """With a capital and a full stop."""
+    """A text as a sentence: with a capital and a full stop."""
     return text[0].upper() + text[1:] + "."
 
 
 def excluded_row_texts(one: LeftOut) -> tuple[str, str, str, str]:
-    """(frame, where, how far off, why) of a row that was left out."""
+    """Texts (frame, place, how far off, reason) of an excluded row."""
     return (
         str(one.frame),
         one.place,
@@ -103,12 +103,12 @@ def excluded_row_texts(one: LeftOut) -> tuple[str, str, str, str]:
 
 
 def row_count_text(count: int) -> str:
-    """How many rows are off, as the beginning of a sentence."""
+    """Text of a count of rows that are off, as the beginning of a sentence."""
     return "1 row is" if count == 1 else f"{count} rows are"
 
 
 def many_outliers_sentence(found: Crowd) -> str:
-    """Why rows that are far off were not left out."""
+    """Sentence on why so many outliers were not excluded."""
     return (
         f"{found.count} of {found.of} {found.what} are far off all others: too many to be mistakes of their "
         "own, so they were not left out, and "
@@ -117,7 +117,7 @@ def many_outliers_sentence(found: Crowd) -> str:
 
 
 def held_out_sentence(fit: FitEntry, named: bool) -> str:
-    """What is left over on stretches that the fit had not seen."""
+    """Sentence on the held-out error, on stretches that the fit had not seen."""
     before, after, floor = (
         value_text(value, fit.unit) for value in (fit.heldout_before, fit.heldout_after, fit.noise_floor)
     )
@@ -131,7 +131,7 @@ def held_out_sentence(fit: FitEntry, named: bool) -> str:
 
 
 def probability_text(p: float | None) -> str:
-    """A probability in words."""
+    """Text of a probability, in words."""
     if p is None:
         return "not known"
     return "below 1 in a million" if p < CERTAIN else f"1 in {1 / p:.0f}"
@@ -244,7 +244,7 @@ def parameter_rows(finding: FindingEntry) -> list[tuple[str, str, str]]:
                 (
                     f"{name} {i + 1}",
                     value_text(p.value[i], own),
-                    interval_text(p.ci95[0][i], p.ci95[1][i], own) if p.ci95 else "",
+                    _interval_text(p.ci95[0][i], p.ci95[1][i], own) if p.ci95 else "",
                 )
             )
     return rows

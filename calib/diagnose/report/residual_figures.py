@@ -1,4 +1,4 @@
-"""Figures of residuals: before and after against a covariate, and along time."""
+"""Figures of residuals: against covariates, along time and over images, without an effect and with it."""
 
 import numpy as np
 

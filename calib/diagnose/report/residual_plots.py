@@ -2,27 +2,26 @@
 
 import numpy as np
 
-from calib.diagnose.problems.platform.effect_candidates import seen_alone
-from calib.diagnose.problems.platform.held_out_validation import change
+from calib.diagnose.problems.platform.effect_candidates import affects_images_only
+from calib.diagnose.problems.platform.held_out_validation import residual_change_column
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined
 from calib.diagnose.report.residual_figures import AFTER, BEFORE, residual_scatter_figure
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
-from rig.report.pages.image_plane_figures import Arrows, image_plane, patch_means
+from rig.report.pages.image_plane_figures import Arrows, image_plane_figure, patch_means
 from rig.report.pages.plots import bar_chart, panel_row
 
 CELLS = 14  # of a residual map, across the image
 
 
 def residuals_without_effects(refined: Refined, without: tuple[int, ...] = ()) -> tuple[np.ndarray, np.ndarray]:
-    """(closures (F, axes) m, corners (n, 2) px in the observations' order) that are left where some admitted effects
-    (numbers) are taken away and cameras, geometry and poses make up for it as far as they can."""
+    """(closures (F, axes) m, corners (n, 2) px) residuals without some admitted effects."""
     model, k = refined.model, refined.point
     kept = [e for i, e in enumerate(k.effects) if i not in set(without)]
     if len(kept) == len(k.effects):
         return model_residuals(model)
-    done = change(model, kept)
+    done = residual_change_column(model, kept)
     taken = model.linear.project(done).onto
     grown = [
         (0 if part is None else part[:, 0]) - (basis @ taken)[:, 0]
@@ -34,7 +33,7 @@ def residuals_without_effects(refined: Refined, without: tuple[int, ...] = ()) -
 
 
 def model_residuals(model: LinearisedModel) -> tuple[np.ndarray, np.ndarray]:
-    """(closures (F, axes) m, corners (n, 2) px) that a model as it is leaves."""
+    """(closures (F, axes) m, corners (n, 2) px) residuals of a model as it is."""
     return _in_metres(model, model.closure_residual), _in_pixels(model, model.corner_residual)
 
 
@@ -55,19 +54,19 @@ def _in_pixels(model: LinearisedModel, image: np.ndarray) -> np.ndarray:
     return out
 
 
-def diagnostic_plot(refined: Refined, number: int) -> str:
-    """Figures of admitted effect number `number`: left without it, right with it, all else as admitted."""
+def effect_residual_figures(refined: Refined, number: int) -> str:
+    """Figures of the residuals of one admitted effect, without it and with it."""
     k, effect = refined.point, refined.point.effects[number]
     (struts_before, image_before), (struts_after, image_after) = (
         residuals_without_effects(refined, (number,)),
         residuals_without_effects(refined),
     )
-    if not seen_alone(effect):
+    if not affects_images_only(effect):
         x, label, y = _strut_view(effect, k, struts_before, struts_after)
         return residual_scatter_figure(x, label, [v * 1e6 for v in y], "strut, µm")
     own = _own(effect, k)
     draw = {
-        "map": lambda: residual_map(k, own, (image_before, image_after)),
+        "map": lambda: image_residual_figures(k, own, (image_before, image_after)),
         "time": lambda: _along_time(k, own, image_before, image_after),
         "scale": lambda: _focal(k, own, image_before, image_after),
         "outward": lambda: _outward(k, own, image_before, image_after),
@@ -192,13 +191,13 @@ def _bars(effect: Effect, k: OperatingPoint, before: np.ndarray, after: np.ndarr
     )
 
 
-def residual_map(
+def image_residual_figures(
     k: OperatingPoint,
     own: np.ndarray,
     both: tuple[np.ndarray, ...],
     titles: tuple[str, ...] = ("without it", "with it"),
 ) -> str:
-    """Mean residuals over patches of one camera's image, one figure for each of `both` (n, 2) px."""
+    """Figures of mean residuals over one camera's image, one for each of several residuals (n, 2) px."""
     o = k.observed.observations
     camera = k.design.cameras[o.camera[own[0]]]
     cell = camera.width / CELLS
@@ -206,7 +205,7 @@ def residual_map(
     longest = max(float(np.linalg.norm(drawn[0][1], axis=1).max(initial=0)), 1e-9)
     return panel_row(
         *(
-            image_plane(
+            image_plane_figure(
                 f"{camera.name}, {title}",
                 f"longest arrow of both {longest:.3g} px",
                 (camera.width, camera.height),

@@ -7,10 +7,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
-from calib.report.scene_3d import closed_outline
+from calib.report.pose_figures import closed_outline
 from rig.model.design import Camera, Hexapod, Planar2
 from rig.model.pose import transform_points
-from rig.report.pages.svg_elements import WIDTH, svg, text, tooltip
+from rig.report.pages.svg_elements import WIDTH, svg_figure, svg_text, tooltip
 from vision.targets import marker_map
 
 AZIMUTH, ELEVATION = np.radians(-65), np.radians(24)  # from where the rig is looked at
@@ -31,15 +31,15 @@ class Outline:
 
     def line(self, points: Any, colour: int, said: str = "") -> None:
         """A line through points (n, 3) m. colour : of a finding, or PLAIN; said : what it is"""
-        self._shapes.append((oblique_projection(np.asarray(points, float)), "outline", colour, said))
+        self._shapes.append((_oblique_projection(np.asarray(points, float)), "outline", colour, said))
 
     def patch(self, points: np.ndarray, style: str, colour: int = PLAIN) -> None:
         """A filled polygon of points (n, 3) m. style : plate or patch"""
-        self._shapes.append((oblique_projection(points), style, colour, ""))
+        self._shapes.append((_oblique_projection(points), style, colour, ""))
 
     def label(self, point: Any, words: str, colour: int) -> None:
         """Words at a point (3,) m."""
-        self._words.append((oblique_projection(np.asarray(point, float)), words, colour))
+        self._words.append((_oblique_projection(np.asarray(point, float)), words, colour))
 
     def figure(self, title: str, more: list[tuple[str, int]]) -> str:
         """SVG of all of it. more : words with their colours, in a corner"""
@@ -63,15 +63,17 @@ class Outline:
             parts.append(f'<path class="{style}{marked}" d="{d}">{tooltip(said) if said else ""}</path>')
         for point, words, colour in self._words:
             x, y = placed(point).tolist()
-            parts.append(text(x, y + 4, words, "middle", f"said over c{colour}" if colour != PLAIN else "small over"))
-        parts += [text(6, 16 + 17 * n, words, "start", f"said c{colour}") for n, (words, colour) in enumerate(more)]
-        return svg(int(tall + 2 * MARGIN), title, parts)
+            parts.append(
+                svg_text(x, y + 4, words, "middle", f"said over c{colour}" if colour != PLAIN else "small over")
+            )
+        parts += [svg_text(6, 16 + 17 * n, words, "start", f"said c{colour}") for n, (words, colour) in enumerate(more)]
+        return svg_figure(int(tall + 2 * MARGIN), title, parts)
 
 
 def rig_outline_figure(point: OperatingPoint, places: list[str]) -> str:
-    """Figure of the rig at the middle of its poses. point : OperatingPoint; places : of the findings, in their order"""
+    """Figure of the rig's outline at the middle of its poses, places of findings marked."""
     k, drawn = point, Outline()
-    T, colour = k.T.mean(), part_colours(places)
+    T, colour = k.T.mean(), _part_colours(places)
     m = k.design.mechanism
     if isinstance(m, Hexapod):
         _hexapod(drawn, m, T, colour)
@@ -89,7 +91,7 @@ def rig_outline_figure(point: OperatingPoint, places: list[str]) -> str:
     return drawn.figure(f"the rig in outline, marked: {', '.join(places) or 'nothing'}", whole)
 
 
-def part_colours(places: list[str]) -> Colour:
+def _part_colours(places: list[str]) -> Colour:
     """A function from a part's place (and what takes it in) to its colour, PLAIN where nothing is the matter."""
 
     def colour(*names: str) -> int:
@@ -98,7 +100,7 @@ def part_colours(places: list[str]) -> Colour:
     return colour
 
 
-def oblique_projection(points: np.ndarray) -> np.ndarray:
+def _oblique_projection(points: np.ndarray) -> np.ndarray:
     """(..., 2) m of points (..., 3) m seen from far away."""
     right = np.array([-np.sin(AZIMUTH), np.cos(AZIMUTH), 0])
     up = np.array([-np.sin(ELEVATION) * np.cos(AZIMUTH), -np.sin(ELEVATION) * np.sin(AZIMUTH), np.cos(ELEVATION)])

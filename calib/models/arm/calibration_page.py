@@ -7,38 +7,40 @@ import numpy as np
 
 from calib.certify.calibration import Calibration
 from calib.certify.calibration_evidence import calibration_verdict
-from calib.certify.held_out_errors import Figures, errors_before_and_after
+from calib.certify.held_out_errors import Figures, errors_before_and_after_correction
 from calib.models.arm import error_model
 from calib.models.arm.certification import Certified
 from calib.report.calibration_page import evidence_html, provenance_html, view_3d_html
 from calib.report.pose_figures import correction_error_figures, pose_coverage_figures
 from calib.samples.pose_samples import Samples
-from calib.workspace.workspace_figures import workspace_section_html
+from calib.workspace.workspace_page import workspace_section_html
 from rig.effects.framework.covariate import DRAWN
 from rig.model import mechanisms
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_elements import folding_section, heading, note, paragraph, table
-from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.page_and_svg_templates import Link, Page, write_page
 from rig.report.pages.plots import Series, panel_row, plot_panel
 from rig.report.pages.view_3d import view_scripts
 
 
-def calibration_page(
+def write_arm_calibration_page(
     path: Path | str,
     recording: Recording,
     calibration: Calibration,
     samples: Samples,
-    done: Certified,
+    certified: Certified,
     links: Sequence[Link] = (),
 ) -> None:
-    """Write the page. recording : Recording; calibration : Calibration; samples : Samples; done : Certified."""
+    """Write the HTML page of an arm's calibration. certified : Certified.
+    recording : Recording; calibration : Calibration; samples : Samples; certified : Certified.
+    """
     went = np.concatenate([samples.T_base_platform.translation, samples.T_base_platform.rotation.as_rotvec()], axis=1)
     parts = [
         *evidence_html(calibration),
-        *_held(done),
+        *_held(certified),
         heading("Before and after, pose by pose"),
         note("All poses; the fit has seen these."),
-        correction_error_figures(*errors_before_and_after(calibration.correction, samples), samples.frame),
+        correction_error_figures(*errors_before_and_after_correction(calibration.correction, samples), samples.frame),
         *view_3d_html(recording, calibration, samples),
         heading("What each joint is corrected by"),
         note("Beyond its offset, along the configurations visited."),
@@ -47,8 +49,8 @@ def calibration_page(
         pose_coverage_figures(went),
         *workspace_section_html(calibration.workspace, "rad"),
         heading("Parameters"),
-        *(paragraph(f"{line}.") for line in done.found.rank.report()),
-        folding_section("Every parameter's change", _parameters(calibration)),
+        *(paragraph(f"{line}.") for line in certified.found.rank.report()),
+        folding_section("Every parameter's change", _arm_parameters(calibration)),
         heading("Where this came from"),
         folding_section("Recording, versions, arguments", provenance_html(calibration)),
     ]
@@ -109,7 +111,7 @@ def _profiles(calibration: Calibration, samples: Samples) -> str:
     )
 
 
-def _parameters(calibration: Calibration) -> str:
+def _arm_parameters(calibration: Calibration) -> str:
     fitted, nominal = calibration.correction.fitted, calibration.correction.nominal
     sigma = np.sqrt(np.diag(calibration.covariance))[6:-6].reshape(-1, 5)
     change = fitted.rows - nominal.rows
@@ -117,6 +119,6 @@ def _parameters(calibration: Calibration) -> str:
     rows = [(f"row {i + 1}", *(cell(c, s) for c, s in zip(change[i], sigma[i]))) for i in range(len(change))]
     units = [
         f"{name}, {'mm' if unit == 'm' else 'mrad'}"
-        for name, unit in zip(error_model.ROW, error_model.units(fitted)[6:11])
+        for name, unit in zip(error_model.ROW, error_model.parameter_units(fitted)[6:11])
     ]
     return table(("change from nominal (k = 2)", *units), rows)

@@ -1,6 +1,4 @@
-"""What an arm's calibration promises: fitted on all samples, its figures from whole stretches that were held out in
-turn.
-"""
+"""Certification of an arm's calibration: fit to all samples, errors from stretches held out in turn."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -16,7 +14,12 @@ from calib.certify.distinct_configurations import (
     mean_sample_per_configuration,
 )
 from calib.certify.held_out_error_statistics import HeldErrors, held_out_error_statistics
-from calib.certify.held_out_errors import HeldOut, compare_errors, errors_before_and_after, is_significant_gain
+from calib.certify.held_out_errors import (
+    HeldOut,
+    compare_errors,
+    errors_before_and_after_correction,
+    is_significant_gain,
+)
 from calib.certify.platform_certification import Progress, silent_progress
 from calib.certify.workspace_claim import (
     DRAWS,
@@ -27,17 +30,28 @@ from calib.certify.workspace_claim import (
     claim_of_drawn_machines,
     claim_of_too_few_configurations,
     draw_variance_ratio,
-    extension_scatter,
+    extension_error_squares,
 )
 from calib.identify.robust_fit import CONSISTENT, MOST, outlier_rows
 from calib.models.arm import error_model, joint_profiles
 from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.held_out_scatter import as_held_out, beyond_geometry, by_parameters, unexplained
-from calib.models.arm.identification import GATE, Identified, identify, needed, parameters
-from calib.models.arm.instrument_observations import KINDS, Observations, of_samples
+from calib.models.arm.held_out_scatter import (
+    held_out_arm_parameter_error_squares,
+    held_out_geometry_errors,
+    identification_with_held_out_scatter,
+    unexplained_scatter_sentences,
+)
+from calib.models.arm.identification import (
+    GATE,
+    Identified,
+    identify_arm,
+    independent_arm_parameters,
+    require_enough_observations,
+)
+from calib.models.arm.independent_parameters import PLAUSIBLE
+from calib.models.arm.instrument_observations import KINDS, Observations, sample_observations
 from calib.models.arm.instrument_placement import place_arm
 from calib.models.arm.joint_physics_fit import JointFit
-from calib.models.arm.parameter_rank import PLAUSIBLE
 from calib.samples.pose_samples import Samples
 from rig.model.design import Arm, Instrument
 from rig.model.pose import pose_difference
@@ -78,7 +92,7 @@ class _Way(NamedTuple):
     profiles: bool
 
 
-def certify(
+def certify_arm(
     samples: Samples,
     nominal: Arm,
     instrument: Instrument | None,
@@ -86,7 +100,7 @@ def certify(
     progress: Progress | None = None,
     physics: JointFit | None = None,
 ) -> Certified:
-    """Certified : geometry and joint profiles of an arm, the profiles only where they pay on held-out stretches.
+    """Certified arm: geometry, and joint profiles only where they improve held-out errors.
 
     samples : Samples as measured; nominal : Arm as its owner believes it; instrument : Instrument or None (poses in the
         rig's own frames)
@@ -99,9 +113,11 @@ def certify(
     parts = _parts(label)
     said("fitting the geometry", 0, 1)
     _enough_for_any(samples, nominal)
-    start = start_of(of_samples(samples), nominal, instrument)  # a basin, not a fit: the folds' own fits forget it
+    start = start_arm(
+        sample_observations(samples), nominal, instrument
+    )  # a basin, not a fit: the folds' own fits forget it
     known = samples if physics is None else physics.samples
-    correction, found = calibrate(known, nominal, instrument, False, start)
+    correction, found = calibrate_arm(known, nominal, instrument, False, start)
     said("fitting the geometry", 1, 1)
     if not _enough(samples, found, label, parts):
         return Certified(correction, found, label, None, None, None)
@@ -137,12 +153,22 @@ def certify(
     if (
         whole and not profiled and physics is None
     ):  # few numbers, fitted to all: what they took into themselves is known
-        left = beyond_geometry(found, correction, agreed, label[found.inliers])
+        left = held_out_geometry_errors(found, correction, agreed, label[found.inliers])
     else:
-        own = by_parameters(found, correction, agreed, parts[found.inliers]) if whole else np.zeros(2)
-        left = held_out_error_statistics(best[1] - shared_errors(kept, found.shared), kept, of_kept, 0.0, own)
+        own = (
+            held_out_arm_parameter_error_squares(found, correction, agreed, parts[found.inliers])
+            if whole
+            else np.zeros(2)
+        )
+        left = held_out_error_statistics(best[1] - _shared_errors(kept, found.shared), kept, of_kept, 0.0, own)
     return Certified(
-        correction, _as_stated(as_held_out(found, left, rng), samples.measured), label, held, drawn, bare, left
+        correction,
+        _as_stated(identification_with_held_out_scatter(found, left, rng), samples.measured),
+        label,
+        held,
+        drawn,
+        bare,
+        left,
     )
 
 
@@ -150,14 +176,14 @@ def _counted(found: Identified, samples: Samples) -> np.ndarray:
     """(n,) bool, samples that count where they are held out: all but those that agree with no geometry and no
     neighbour, where these are few.
     """
-    sigma = np.sqrt(np.einsum("mkk->mk", of_samples(samples).covariance) + found.scatter**2)
+    sigma = np.sqrt(np.einsum("mkk->mk", sample_observations(samples).covariance) + found.scatter**2)
     relative = found.residuals / sigma
     relative = relative / np.maximum(1.0, CONSISTENT * np.median(np.abs(relative), axis=0))
     wild = ~found.inliers & outlier_rows(relative, samples.t, samples.commanded, GATE)
     return ~wild if wild.mean() <= MOST else np.ones(len(samples), bool)
 
 
-def shared_errors(samples: Samples, shared: np.ndarray) -> np.ndarray:
+def _shared_errors(samples: Samples, shared: np.ndarray) -> np.ndarray:
     """(n, 6) m and rad by which what all poses share moves each. shared : (j,) draw of it, as a fit has it"""
     return (
         np.einsum("nik,k->ni", samples.common, shared)
@@ -172,9 +198,9 @@ def _as_stated(found: Identified, measured: str) -> Identified:
     """
     if measured not in UNPLACED:
         return found
-    untold = parameters(found.arm, "pose") & ~found.rank.free
+    untold = independent_arm_parameters(found.arm, "pose") & ~found.rank.free
     covariance = found.covariance + np.diag(
-        np.where(untold, [PLAUSIBLE[unit] ** 2 for unit in error_model.units(found.arm)], 0.0)
+        np.where(untold, [PLAUSIBLE[unit] ** 2 for unit in error_model.parameter_units(found.arm)], 0.0)
     )
     scatter = np.r_[np.zeros(3), found.scatter] if measured == "orientation" else np.repeat(found.scatter, 3)
     return replace(found, covariance=covariance, scatter=scatter)
@@ -190,8 +216,8 @@ def _parts(label: np.ndarray) -> np.ndarray:
 
 def _enough_for_any(samples: Samples, nominal: Arm) -> None:
     """Raises NotEnoughData, with how many it takes, for samples too few to fit the arm at all."""
-    kind = of_samples(samples).kind
-    needed(len(samples), KINDS[kind], int(parameters(nominal, kind).sum()))
+    kind = sample_observations(samples).kind
+    require_enough_observations(len(samples), KINDS[kind], int(independent_arm_parameters(nominal, kind).sum()))
 
 
 def _enough(samples: Samples, found: Identified, label: np.ndarray, parts: np.ndarray) -> bool:
@@ -200,12 +226,12 @@ def _enough(samples: Samples, found: Identified, label: np.ndarray, parts: np.nd
     return label.max() + 1 >= LEAST and left * found.residuals.shape[1] > found.rank.asked
 
 
-def calibrate(
+def calibrate_arm(
     samples: Samples, nominal: Arm, instrument: Instrument | None, profiles: bool, start: Arm | None = None
 ) -> tuple[ArmCorrection, Identified]:
-    """(ArmCorrection, Identified) of samples; profiles : whether joint profiles are fitted on top of the geometry.
+    """(ArmCorrection, Identified) of an arm calibrated on samples; profiles : whether joint profiles are fitted.
 
-    start : Arm, as `start_of` has it where None. Raises what `identify` raises
+    start : Arm, as `start_arm` has it where None. Raises what `identify` raises
     """
     plain = _geometry(samples, nominal, instrument, start)
     return _profiled(samples, *plain) if profiles else plain
@@ -215,54 +241,53 @@ def _geometry(
     samples: Samples, nominal: Arm, instrument: Instrument | None, start: Arm | None
 ) -> tuple[ArmCorrection, Identified]:
     """The same by the geometry alone."""
-    observations = of_samples(samples)
-    start = start_of(observations, nominal, instrument) if start is None else start
-    found = identify(observations, start)
-    owners = owners_model(
-        of_samples(replace(samples, known=None)), nominal, instrument, start
+    observations = sample_observations(samples)
+    start = start_arm(observations, nominal, instrument) if start is None else start
+    found = identify_arm(observations, start)
+    owners = placed_nominal_arm(
+        sample_observations(replace(samples, known=None)), nominal, instrument, start
     )  # it knows of no physics
     return ArmCorrection(owners, found.arm, (None,) * len(nominal.joints), samples.commanded), found
 
 
 def _profiled(samples: Samples, correction: ArmCorrection, found: Identified) -> tuple[ArmCorrection, Identified]:
     """The same with joint profiles on top of what `_geometry` found, geometry and profiles in turn."""
-    observations, parts = of_samples(samples), correction.remainder
+    observations, parts = sample_observations(samples), correction.remainder
     for _ in range(ROUNDS):
         left = observations.residuals(found.arm) - np.einsum("mkj,j->mk", observations.common, found.shared)
         parts = joint_profiles.fit_joint_profiles(observations, replace(found, residuals=left))
         if not any(parts):
             break
         effective = observations.q - replace(correction, remainder=parts).rho(observations.q)
-        found = identify(
-            replace(observations, q=effective), found.arm, parameters(correction.nominal, observations.kind)
+        found = identify_arm(
+            replace(observations, q=effective),
+            found.arm,
+            independent_arm_parameters(correction.nominal, observations.kind),
         )
     return replace(correction, fitted=found.arm, remainder=parts), found
 
 
-def start_of(observations: Observations, nominal: Arm, instrument: Instrument | None) -> Arm:
-    """The Arm from which a fit starts: nominal, with the instrument's free places as the observations have them, and
-    zeros moved along.
-    """
+def start_arm(observations: Observations, nominal: Arm, instrument: Instrument | None) -> Arm:
+    """Arm at which a fit starts: nominal, with base and tool as placed by the observations."""
     if instrument is None:
         return nominal
     return place_arm(observations, nominal, instrument.base == "free", instrument.tool == "free")
 
 
-def owners_model(observations: Observations, nominal: Arm, instrument: Instrument | None, start: Arm) -> Arm:
-    """The nominal Arm, standing and holding its target where the instrument's free places put it; nothing else is
-    fitted.
+def placed_nominal_arm(observations: Observations, nominal: Arm, instrument: Instrument | None, start: Arm) -> Arm:
+    """Nominal arm placed in the instrument's frame; nothing else is fitted. start : Arm of `start_arm`
 
-    start : Arm of `start_of`"""
+    start : Arm of `start_arm`
+    """
     if instrument is None or "free" not in (instrument.base, instrument.tool):
         return nominal
     free = np.zeros(12 + 5 * len(nominal.joints), bool)
     free[:6], free[-6:] = instrument.base == "free", instrument.tool == "free"
-    return identify(observations, replace(nominal, base=start.base, tool=start.tool), free, np.inf).arm
+    return identify_arm(observations, replace(nominal, base=start.base, tool=start.tool), free, np.inf).arm
 
 
-def model_covariance(calibration: Calibration, commands: np.ndarray) -> np.ndarray:
-    """(m, 6, 6) covariance of the corrected arm's pose at commands (m, joints) rad: the parameters', what the model
-    leaves and what an extension may be off.
+def arm_pose_covariance(calibration: Calibration, commands: np.ndarray) -> np.ndarray:
+    """Covariance (m, 6, 6) of the corrected arm's pose at commands (m, joints) rad.
 
     docs/mathematics.md (21)
     """
@@ -301,8 +326,8 @@ def _held_out(
             correction, found = plain[asked]
             if profiled:
                 correction, _ = _profiled(told[asked].take(part != k), correction, found)
-            before[part == k], _ = errors_before_and_after(correction, samples.take(part == k))
-            _, after[part == k] = errors_before_and_after(correction, told[asked].take(part == k))
+            before[part == k], _ = errors_before_and_after_correction(correction, samples.take(part == k))
+            _, after[part == k] = errors_before_and_after_correction(correction, told[asked].take(part == k))
         said(
             "holding configurations out" + (", joints corrected" if any(way.profiles for way in ways) else ""),
             int(k) + 1,
@@ -316,16 +341,14 @@ def _spread(errors: np.ndarray) -> np.ndarray:
     return np.repeat([np.median(np.abs(errors[:, part])) for part in (slice(0, 3), slice(3, 6))], 3) + 1e-15
 
 
-def workspace_claim_of(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
-    """Claim of a certified arm for its joints' angles between the least and the greatest recorded, each configuration
-    once.
-    """
-    found, correction = done.found, done.correction
+def arm_workspace_claim(samples: Samples, certified: Certified, rng: np.random.Generator) -> Claim:
+    """Claim of a certified arm over its workspace of recorded joint angles, each configuration once."""
+    found, correction = certified.found, certified.correction
     good = found.inliers
     if samples.measured in UNPLACED:
         fitted = int(found.rank.free.sum())
         return Claim(
-            int(done.label.max()) + 1,
+            int(certified.label.max()) + 1,
             fitted,
             fitted,
             found.rank.asked,
@@ -337,7 +360,7 @@ def workspace_claim_of(samples: Samples, done: Certified, rng: np.random.Generat
             None,
             UNPLACED[samples.measured],
         )
-    label = np.unique(done.label[good], return_inverse=True)[1]
+    label = np.unique(certified.label[good], return_inverse=True)[1]
     kept = samples.take(good)
     each = mean_sample_per_configuration(kept, label, error_model.joint_jacobian(kept.commanded, found.arm))
     words = f"the middle {FILL * 100:.0f} % of the angles recorded, all joints free of each other"
@@ -345,24 +368,24 @@ def workspace_claim_of(samples: Samples, done: Certified, rng: np.random.Generat
     told = ConfigurationInformation(
         len(each), fitted, fitted, found.rank.asked, "what is told at all is fitted without one"
     )
-    if done.held_out is None:
+    if certified.held_out is None:
         return claim_of_too_few_configurations(told, words)
     seen = np.stack([each.commanded.min(axis=0), each.commanded.max(axis=0)], axis=1)
     q = low_discrepancy(seen, PLACES, FILL)
     T = correction.predict(q)
-    stated = extension_scatter(correction, q, error_model.joint_jacobian(q, found.arm))
-    own = done.left.own_draws(float(stated[0]), DRAWS, rng) if done.left is not None else stated
+    stated = extension_error_squares(correction, q, error_model.joint_jacobian(q, found.arm))
+    own = certified.left.own_draws(float(stated[0]), DRAWS, rng) if certified.left is not None else stated
     workspace = Workspace(
         error_model.parameter_jacobian(q, correction.fitted),
-        pose_difference(error_model.predicted(q, correction.nominal), T),
+        pose_difference(error_model.predicted_target_poses(q, correction.nominal), T),
         own,
         words,
     )
-    observed = of_samples(each)
-    free = parameters(
+    observed = sample_observations(each)
+    free = independent_arm_parameters(
         correction.nominal, observed.kind
     )  # of the figures stated: axes found a little off parallel tell no more
-    again = identify(replace(observed, q=observed.q - correction.rho(observed.q)), correction.fitted, free)
+    again = identify_arm(replace(observed, q=observed.q - correction.rho(observed.q)), correction.fitted, free)
     whitened = np.linalg.solve(
         np.linalg.cholesky(observed.covariance + np.diag(again.scatter**2)), again.residuals[..., None]
     )[again.inliers]
@@ -371,5 +394,5 @@ def workspace_claim_of(samples: Samples, done: Certified, rng: np.random.Generat
     draws *= np.sqrt(draw_variance_ratio(float((whitened**2).sum()), freedom, DRAWS, rng))[:, None]
     return replace(
         claim_of_drawn_machines(workspace, draws, each, told, rng),
-        unexplained=unexplained(again.scatter, observed.covariance),
+        unexplained=unexplained_scatter_sentences(again.scatter, observed.covariance),
     )

@@ -1,9 +1,4 @@
-"""The corrected arm: what a command will really give, and what to command for a wanted pose.
-
-Source: lecture on the manipulator Jacobian, compensation by the differential error transform (steps (1), (2) and on),
-and the configuration-space patent for the summands on top. To make up for any error takes six joints: with fewer the
-hand is brought as near as it comes, see rig.model.mechanisms.deficient_arm, and what is left is for `rest` to say.
-"""
+"""Correction of an arm: commands for wanted poses on the joint solution nearest those visited."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,12 +9,40 @@ from scipy.spatial.transform import RigidTransform
 from calib.correct.correction import Correction, Responses
 from calib.models.arm import error_model
 from calib.models.arm.joint_profiles import Profile
-from calib.models.arm.solution_branch import solution_from_start
 from rig.errors import Unreachable
 from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import deficient_arm as deficient
-from rig.model.pose import pose_difference
+from rig.model.pose import exp, pose_difference
+
+BRANCH_STEP = (0.05, 0.1)  # m, rad; of the hand
+MOST = 60  # steps of a way
+REPEATS = 2  # corrections of the joints at each
+DAMPING = 0.03  # m or rad, against singular values of a Jacobian
+
+
+def _solution_from_start(T_base_platform: RigidTransform, arm: Arm, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(q (m, n) rad or m, left (m,) m or rad): joint values of poses (m,) to which the joints come from starts (m, n);
+    left as `arm.solve`.
+    """
+    q = np.array(start, float)
+    begin = mechanism.forward(q, arm)
+    way = pose_difference(begin, T_base_platform)
+    length = np.stack(
+        [np.linalg.norm(way[:, part], axis=1) / size for part, size in zip((slice(0, 3), slice(3, 6)), BRANCH_STEP)]
+    )
+    steps = np.clip(np.ceil(length.max(axis=0)), 1, MOST)
+    for k in range(1, int(steps.max(initial=0)) + 1):
+        going = np.flatnonzero(steps >= k)
+        at = begin[going] * exp((k / steps[going])[:, None] * way[going])
+        for _ in range(REPEATS):
+            J = mechanism.jacobian(q[going], arm)
+            error = pose_difference(mechanism.forward(q[going], arm), at)
+            Jt = np.swapaxes(J, 1, 2)
+            q[going] += (Jt @ np.linalg.solve(J @ Jt + DAMPING**2 * np.eye(6), error[..., None]))[..., 0]
+    q, left = mechanism.solve(T_base_platform, arm, q, starts=0)
+    return mechanism.nearest_turn(q, arm, start), left
+
 
 STARTS = 4  # visited configurations tried as a start before any other
 ITERATIONS = 40
@@ -163,7 +186,7 @@ class ArmCorrection(Correction[Arm, Profile]):
                 break
             start = starts[todo, min(k, starts.shape[1] - 1)]
             q, reached = (
-                solution_from_start(T[todo], self.fitted, start)
+                _solution_from_start(T[todo], self.fitted, start)
                 if k < starts.shape[1]
                 else mechanism.solve(T[todo], self.fitted, start)
             )
@@ -179,7 +202,7 @@ class ArmCorrection(Correction[Arm, Profile]):
         if self.deficient:
             q, good, _ = self._led(T_base_platform, guess, self.fitted, self.rho)
             return np.where(good[:, None], q, np.nan)
-        q, reached = solution_from_start(T_base_platform, self.fitted, guess)
+        q, reached = _solution_from_start(T_base_platform, self.fitted, guess)
         commands, left = self._compensate(T_base_platform, np.where((reached < NEAR)[:, None], q, guess))
         return np.where((left <= TOLERANCE)[:, None], commands, np.nan)
 

@@ -1,4 +1,4 @@
-"""The error model of an arm: what every geometric parameter and every joint does to the measured pose, in closed form.
+"""Error model of an arm: Jacobians of the measured pose by geometric parameters and by joints.
 
 Parameters stand in one vector of 12 + 5 n: the base (where the arm stands in the instrument's frame; tangent x y z rx
 ry rz on the right, m and rad), then theta, d, a, alpha, beta of every row (rad, m, m, rad, rad), then the tool (where
@@ -21,17 +21,17 @@ ROW = ("theta", "d", "a", "alpha", "beta")
 TANGENT = ("x", "y", "z", "rx", "ry", "rz")
 
 
-def zeros(arm: Arm) -> np.ndarray:
-    """(n,) rad, of slides m: what stands with a joint's own value in its row, theta or d."""
+def joint_zeros(arm: Arm) -> np.ndarray:
+    """Joint zeros (n,) rad, m for slides: the offset of each joint's value in its row, theta or d."""
     return np.where(arm.slides, arm.rows[:, 1], arm.rows[:, 0])
 
 
-def zero_columns(arm: Arm) -> np.ndarray:
-    """(n,) index of each joint's zero among the parameters."""
+def joint_zero_indices(arm: Arm) -> np.ndarray:
+    """Index (n,) of each joint's zero among the parameters."""
     return 6 + 5 * np.arange(len(arm.joints)) + arm.slides
 
 
-def names(arm: Arm) -> tuple[str, ...]:
+def parameter_names(arm: Arm) -> tuple[str, ...]:
     """Names of the parameters, in order: base x .. base rz, theta 1, d 1, a 1, alpha 1, beta 1, theta 2 .., tool x ..
     tool rz.
     """
@@ -39,41 +39,35 @@ def names(arm: Arm) -> tuple[str, ...]:
     return tuple([f"base {name}" for name in TANGENT] + rows + [f"tool {name}" for name in TANGENT])
 
 
-def units(arm: Arm) -> tuple[str, ...]:
+def parameter_units(arm: Arm) -> tuple[str, ...]:
     """Unit of each parameter, "m" or "rad"."""
     ends = ["m"] * 3 + ["rad"] * 3
     return tuple(ends + ["rad", "m", "m", "rad", "rad"] * len(arm.joints) + ends)
 
 
-def moved(arm: Arm, step: np.ndarray) -> Arm:
-    """The Arm with its parameters moved by step (12 + 5 n,)."""
+def arm_with_parameter_step(arm: Arm, step: np.ndarray) -> Arm:
+    """Arm with its parameters changed by a step (12 + 5 n,)."""
     rows = arm.rows + np.reshape(step[6:-6], (-1, 5))
     return replace(arm, base=arm.base * exp(step[:6]), joints=rows, tool=arm.tool * exp(step[-6:]))
 
 
-def predicted(q: np.ndarray, arm: Arm) -> RigidTransform:
-    """T_base_platform (...) of the instrument's target in the instrument's frame, at joint values q (..., n) rad or
-    m.
-    """
+def predicted_target_poses(q: np.ndarray, arm: Arm) -> RigidTransform:
+    """Predicted poses (...) of the instrument's target in the instrument's frame, at joint values q (..., n)."""
     return mechanism.forward(q, arm)
 
 
-def residuals(q: np.ndarray, T_measured: RigidTransform, arm: Arm) -> np.ndarray:
-    """(..., 6) m, rad: measured against predicted pose, position and rotation vector apart, in the predicted target
-    frame.
-    """
-    return pose_difference(predicted(q, arm), T_measured)
+def pose_residuals(q: np.ndarray, T_measured: RigidTransform, arm: Arm) -> np.ndarray:
+    """Pose residuals (..., 6) m, rad: measured against predicted, in the predicted target frame."""
+    return pose_difference(predicted_target_poses(q, arm), T_measured)
 
 
 def joint_jacobian(q: np.ndarray, arm: Arm) -> np.ndarray:
-    """(..., 6, n) change of the target's pose (tangent on the right, m and rad) with the joint values q (..., n) rad or
-    m.
-    """
+    """Joint Jacobian (..., 6, n): change of the target's pose (m, rad) with joint values q (..., n)."""
     return mechanism.jacobian(q, arm)
 
 
 def parameter_jacobian(q: np.ndarray, arm: Arm) -> np.ndarray:
-    """(..., 6, 12 + 5 n) change of the target's pose (tangent on the right, m and rad) with the parameters.
+    """Parameter Jacobian (..., 6, 12 + 5 n): change of the target's pose (m, rad) with the parameters.
 
     q : (..., n) rad or m. At the tool the columns are the identity; all others are axis x lever over axis, seen in the
         target.

@@ -1,5 +1,4 @@
-"""The method in its own terms for arms: what a model leaves of each sample's joint values, extended over the joint
-space, and what that promises.
+"""Certification of an arm's correction extended over the joint space, on held-out configurations.
 
 KSF_PM(x) = x - IK(GDK(x)), IK of the owner's model or of the fitted geometry, as near x as may be; KSF_KR is its Field
 over the joint space, by the same ways as of machines on struts. Source: configuration-space patent, [0026] to [0030],
@@ -22,7 +21,7 @@ from calib.certify.extension_certification import (
     Asked,
     Stand,
     Tried,
-    certify_extension_of,
+    certify_interpolation_method,
     claim_without_held_out_data,
 )
 from calib.certify.held_out_error_statistics import draw_common_error_squares
@@ -35,17 +34,21 @@ from calib.certify.workspace_claim import (
     Workspace,
     claim_of_drawn_machines,
     claim_of_too_few_configurations,
-    extension_scatter,
+    extension_error_squares,
 )
 from calib.correct.correction_tables import Summands
 from calib.correct.interpolation.field import Field, Known
 from calib.models.arm import error_model
-from calib.models.arm.certification import UNPLACED, Certified, calibrate, owners_model, start_of
+from calib.models.arm.certification import UNPLACED, Certified, calibrate_arm, placed_nominal_arm, start_arm
 from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.held_out_scatter import as_held_out, beyond_geometry, by_parameters
-from calib.models.arm.identification import Identified, identify, parameters
-from calib.models.arm.instrument_observations import of_samples
-from calib.models.arm.parameter_rank import PLAUSIBLE, Rank
+from calib.models.arm.held_out_scatter import (
+    held_out_arm_parameter_error_squares,
+    held_out_geometry_errors,
+    identification_with_held_out_scatter,
+)
+from calib.models.arm.identification import Identified, identify_arm, independent_arm_parameters
+from calib.models.arm.independent_parameters import PLAUSIBLE, Rank
+from calib.models.arm.instrument_observations import sample_observations
 from calib.samples.pose_samples import Samples
 from rig.errors import RigError
 from rig.model.design import Arm, Instrument
@@ -62,24 +65,22 @@ PLACES = 256  # at which a single step is held against the fixed point, and what
 Geometry = Callable[[Samples], tuple[ArmCorrection, Identified]]  # what an extension stands on, by some samples
 
 
-def left(samples: Samples, arm: Arm, shared: np.ndarray) -> Known:
-    """`summands` of samples over the joint space, rad or m. shared : (j,) draw of the poses' common errors, taken out.
-    Raises RigError as they do
-    """
-    found = summands(samples, arm, shared)
+def joint_space_summands(samples: Samples, arm: Arm, shared: np.ndarray) -> Known:
+    """Joint-space summands of samples, rad or m, common errors removed. shared : (j,) draw of these"""
+    found = joint_summands(samples, arm, shared)
     return Known(samples.commanded, found.values, np.einsum("mii->mi", found.covariance), mechanism.travel(arm))
 
 
 def stated_model_summands(samples: Samples, placed: Arm) -> Summands:
-    """Summands by the owner's model, placed where the instrument sees it stand; covariance : what all poses share
-    included. Raises RigError as `summands`"""
+    """Summands by the stated model, placed as the instrument sees it; covariance : shared errors included.
+    covariance : what all poses share included. Raises RigError as `summands`
+    """
     whole = replace(samples, covariance=samples.total_covariance(), common=samples.common[..., :0])
-    return summands(whole, placed, np.zeros(0))
+    return joint_summands(whole, placed, np.zeros(0))
 
 
-def summands(samples: Samples, arm: Arm, shared: np.ndarray) -> Summands:
-    """KSF_PM of samples: their joint values less those nearest to them at which a model takes the measured pose, rad or
-    m.
+def joint_summands(samples: Samples, arm: Arm, shared: np.ndarray) -> Summands:
+    """Joint summands (KSF_PM): joint values less the nearest ones that give the measured pose, rad or m.
 
     arm : the model; shared : (j,) draw of the poses' common errors, taken out
     A joint has one only as far as its pose tells it (see LOOSE) and the model is near; what too few joints, or
@@ -87,7 +88,7 @@ def summands(samples: Samples, arm: Arm, shared: np.ndarray) -> Summands:
     those of the worst that is.
     Raises RigError naming a frame whose pose the model does not come to
     """
-    o = of_samples(samples)
+    o = sample_observations(samples)
     W = np.linalg.inv(np.linalg.cholesky(o.covariance))
     U, s, Vt = np.linalg.svd(W @ o.joint_jacobian(arm))
     worst = 1 / np.maximum(s[:, min(U.shape[1], Vt.shape[1]) - 1], 1e-300)
@@ -119,16 +120,15 @@ def summands(samples: Samples, arm: Arm, shared: np.ndarray) -> Summands:
     return Summands(o.q - q, (V * variances[:, None]) @ np.swapaxes(V, 1, 2))
 
 
-def certify_extended(
+def certify_extended_arm(
     samples: Samples,
     nominal: Arm,
     instrument: Instrument | None,
-    asked: Asked,
+    request: Asked,
     rng: np.random.Generator,
     progress: Progress | None = None,
 ) -> tuple[Certified, tuple[Tried, ...]]:
-    """(Certified, what was tried): an arm calibrated on all samples, and what was left at configurations held out, as
-    for struts.
+    """(Certified, methods tried) of an arm's correction extended over the joint space, on held-out configurations.
 
     Raises RigError where the way asked for does not take these samples, or where too little of their poses was
         measured; NotEnoughData
@@ -141,13 +141,13 @@ def certify_extended(
     said = progress or silent_progress
     label = configuration_numbers(samples.commanded, axis_ranges(nominal))
     said("fitting the geometry", 0, 1)
-    start = start_of(of_samples(samples), nominal, instrument)
+    start = start_arm(sample_observations(samples), nominal, instrument)
 
     def geometry(some: Samples) -> tuple[ArmCorrection, Identified]:
         return (
-            owners(some, nominal, instrument, start)
-            if asked.alone
-            else calibrate(some, nominal, instrument, False, start)
+            nominal_arm_correction(some, nominal, instrument, start)
+            if request.alone
+            else calibrate_arm(some, nominal, instrument, False, start)
         )
 
     whole = geometry(samples)
@@ -157,38 +157,38 @@ def certify_extended(
     def stand(some: Samples) -> Stand:
         plain, by = whole if some is samples else geometry(some)
         return Stand(
-            left(some, plain.fitted, by.shared),
+            joint_space_summands(some, plain.fitted, by.shared),
             lambda field: replace(plain, extension=field),
             lambda field, at: _said(field, at, plain.fitted),
         )
 
-    done, tried = certify_extension_of(samples, (correction.nominal, label, found), stand, asked.kind, rng, said)
+    done, tried = certify_interpolation_method(
+        samples, (correction.nominal, label, found), stand, request.kind, rng, said
+    )
     corrected = replace(correction, extension=done.correction.extension)
     bare = next((one.held_out for one in tried if one.kind == NONE), None)
-    found, held = _without(samples, corrected, found, asked.alone), done.left
-    if held is not None and not asked.alone and len(found.scatter) == 6:
+    found, held = _without(samples, corrected, found, request.alone), done.left
+    if held is not None and not request.alone and len(found.scatter) == 6:
         agreed, of_agreed = samples.take(found.inliers), label[found.inliers]
         if corrected.extension is None:  # the geometry as it is, of which more is known
-            held = beyond_geometry(found, corrected, agreed, of_agreed)
+            held = held_out_geometry_errors(found, corrected, agreed, of_agreed)
         else:
             held = replace(
                 held,
-                parameters=by_parameters(
+                parameters=held_out_arm_parameter_error_squares(
                     found, corrected, agreed, configuration_folds(of_agreed, min(FOLDS, len(agreed)))
                 ),
             )
-        found = as_held_out(found, held, rng)
+        found = identification_with_held_out_scatter(found, held, rng)
     return Certified(corrected, found, label, done.held_out, None, bare, held), tried
 
 
-def owners(
+def nominal_arm_correction(
     samples: Samples, nominal: Arm, instrument: Instrument | None, start: Arm
 ) -> tuple[ArmCorrection, Identified]:
-    """(ArmCorrection, Identified) of the owner's model alone: nothing sought but where the instrument stands, where
-    that is not known.
-    """
-    o = of_samples(samples)
-    arm = owners_model(o, nominal, instrument, start)
+    """(ArmCorrection, Identified) of the nominal arm: nothing fitted but the instrument's placement."""
+    o = sample_observations(samples)
+    arm = placed_nominal_arm(o, nominal, instrument, start)
     p, k = 12 + 5 * len(arm.joints), o.common.shape[1]
     rank = Rank(np.zeros(p, bool), (), 1.0, 0)
     found = Identified(
@@ -213,23 +213,21 @@ def _said(field: Field, samples: Samples, arm: Arm) -> float:
 
 def _without(samples: Samples, correction: ArmCorrection, found: Identified, alone: bool) -> Identified:
     """The Identified once the extension is taken off: what that corrects is no scatter and widens no parameter."""
-    o = of_samples(samples)
+    o = sample_observations(samples)
     effective = replace(o, q=o.q - correction.rho(o.q))
     if alone or correction.extension is None:
         return replace(
             found, residuals=effective.residuals(correction.fitted) - np.einsum("mkj,j->mk", o.common, found.shared)
         )
-    again = identify(effective, correction.fitted, parameters(correction.nominal, effective.kind))
+    again = identify_arm(effective, correction.fitted, independent_arm_parameters(correction.nominal, effective.kind))
     return replace(again, arm=found.arm, rank=found.rank)
 
 
-def claim_without_geometry(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
-    """Claim of a correction that stands on the owner's model alone, for the middle of the angles recorded: by its
-    field's error estimate.
-    """
-    correction = done.correction
+def claim_without_geometry(samples: Samples, certified: Certified, rng: np.random.Generator) -> Claim:
+    """Claim of an arm's correction without fitted geometry: its field's error estimate at the middle angles."""
+    correction = certified.correction
     each = mean_sample_per_configuration(
-        samples, done.label, error_model.joint_jacobian(samples.commanded, correction.fitted)
+        samples, certified.label, error_model.joint_jacobian(samples.commanded, correction.fitted)
     )
     way = "nothing at all" if correction.extension is None else correction.extension.kind
     told = ConfigurationInformation(
@@ -240,12 +238,12 @@ def claim_without_geometry(samples: Samples, done: Certified, rng: np.random.Gen
         return claim_of_too_few_configurations(told, middle)
     q = _places(correction)
     T = correction.predict(q)
-    if done.left is None:
+    if certified.left is None:
         return claim_without_held_out_data(told, middle)
-    stated = float(extension_scatter(correction, q, error_model.joint_jacobian(q, correction.fitted))[0])
-    own = done.left.own_draws(stated, DRAWS, rng) + draw_common_error_squares(samples, DRAWS, rng)
-    offset = pose_difference(error_model.predicted(q, correction.nominal), T)
-    known = done.found.covariance
+    stated = float(extension_error_squares(correction, q, error_model.joint_jacobian(q, correction.fitted))[0])
+    own = certified.left.own_draws(stated, DRAWS, rng) + draw_common_error_squares(samples, DRAWS, rng)
+    offset = pose_difference(error_model.predicted_target_poses(q, correction.nominal), T)
+    known = certified.found.covariance
     return claim_of_drawn_machines(
         Workspace(error_model.parameter_jacobian(q, correction.fitted), offset, own, middle),
         np.zeros((DRAWS, len(known))),
@@ -256,8 +254,7 @@ def claim_without_geometry(samples: Samples, done: Certified, rng: np.random.Gen
 
 
 def single_step_errors(correction: ArmCorrection) -> tuple[float, float]:
-    """(RMS, greatest) rad or m by which X + KSF(X) misses the fixed point's commands, over the middle of the values
-    visited.
+    """Errors (RMS, greatest) rad or m of the single step X + KSF(X) against the fixed point's commands.
 
     Source: configuration-space patent, [0030], [0091]
     """

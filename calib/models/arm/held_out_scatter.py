@@ -1,6 +1,4 @@
-"""How far an arm's poses scatter beyond its geometry and beyond what is stated for them, judged on configurations that
-were held out.
-"""
+"""Scatter of an arm's held-out poses beyond its geometry and its instrument's stated covariance."""
 
 from dataclasses import replace
 
@@ -9,51 +7,58 @@ import numpy as np
 from calib.certify.held_out_error_statistics import (
     HeldErrors,
     held_out_error_statistics,
-    parameter_squares_without,
+    held_out_parameter_error_squares,
     standardised_residuals,
 )
 from calib.models.arm import error_model
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.identification import Identified
-from calib.models.arm.instrument_observations import of_samples
+from calib.models.arm.instrument_observations import sample_observations
 from calib.samples.pose_samples import Samples
 
 UNSTATED = 1.2  # times what is stated, from which a scatter is unexplained
 
 
-def beyond_geometry(found: Identified, correction: ArmCorrection, agreed: Samples, label: np.ndarray) -> HeldErrors:
-    """HeldErrors of an arm's geometry at each configuration. agreed : Samples that it was fitted to; label : (m,)
-    configuration of each
+def held_out_geometry_errors(
+    identified: Identified, correction: ArmCorrection, fitted_samples: Samples, label: np.ndarray
+) -> HeldErrors:
+    """Held-out errors (HeldErrors) of an arm's geometry at each configuration. label : (m,) configuration of each
+    fitted_samples : Samples that it was fitted to; label : (m,) configuration of each
     """
-    freed = standardised_residuals(found.residuals[found.inliers], *_fitted(found, correction, agreed), label)
-    return held_out_error_statistics(freed, agreed, label)
+    freed = standardised_residuals(
+        identified.residuals[identified.inliers], *_fitted(identified, correction, fitted_samples), label
+    )
+    return held_out_error_statistics(freed, fitted_samples, label)
 
 
-def by_parameters(found: Identified, correction: ArmCorrection, agreed: Samples, parts: np.ndarray) -> np.ndarray:
-    """(2,) m^2 and rad^2, mean square of errors at samples held out that comes of the parameters. parts : (m,) which
-    are held out together
+def held_out_arm_parameter_error_squares(
+    identified: Identified, correction: ArmCorrection, fitted_samples: Samples, folds: np.ndarray
+) -> np.ndarray:
+    """Mean squares (2,) of held-out errors caused by the parameters, m^2 and rad^2.
+    folds : (m,) which are held out together
     """
-    return parameter_squares_without(*_fitted(found, correction, agreed), parts)
+    return held_out_parameter_error_squares(*_fitted(identified, correction, fitted_samples), folds)
 
 
 def _fitted(found: Identified, correction: ArmCorrection, agreed: Samples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(jacobian (m, 6, p), covariance (p, p), noise (m, 6, 6)) of a fit."""
     J = error_model.parameter_jacobian(agreed.commanded, correction.fitted)
-    return J, found.covariance, of_samples(agreed).covariance + np.diag(found.scatter**2)
+    return J, found.covariance, sample_observations(agreed).covariance + np.diag(found.scatter**2)
 
 
-def as_held_out(found: Identified, left: HeldErrors, rng: np.random.Generator) -> Identified:
-    """The Identified, its scatter no less than poses held out show beyond the parameters' errors: what a model lacks a
-    fit takes into itself.
-    """
-    if len(found.scatter) != 6:
-        return found
-    return replace(found, scatter=np.maximum(found.scatter, np.sqrt(np.repeat(left.shown(rng) / 3, 3))))
+def identification_with_held_out_scatter(
+    identified: Identified, held_out_errors: HeldErrors, rng: np.random.Generator
+) -> Identified:
+    """Identification with its scatter raised to that of held-out poses beyond the parameters' errors."""
+    if len(identified.scatter) != 6:
+        return identified
+    return replace(
+        identified, scatter=np.maximum(identified.scatter, np.sqrt(np.repeat(held_out_errors.shown(rng) / 3, 3)))
+    )
 
 
-def unexplained(scatter: np.ndarray, covariance: np.ndarray) -> tuple[str, ...]:
-    """A sentence for positions, and one for rotations, that scatter beyond what their instrument states by more than a
-    fifth of that.
+def unexplained_scatter_sentences(scatter: np.ndarray, covariance: np.ndarray) -> tuple[str, ...]:
+    """Sentences on scatter unexplained by the instrument's statement, one for positions and one for rotations.
 
     scatter : (k,) m and rad beyond; covariance : (n, k, k) as stated
     """

@@ -1,5 +1,4 @@
-"""An arm's parameters from what an instrument saw: Hayati's model by iterated, robust least squares, with a rank
-report.
+"""Identification of an arm's parameters: Hayati's model by robust least squares, with a rank report.
 
 The six steps of the source: start from the nominal figures; linearise (rows B x = b, eq. 4.65); least squares; correct
 the figures; repeat until the step is small; the errors are what was changed. Around that, weights: scatter beyond the
@@ -12,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calib.identify.robust_fit import excess_scatter
 from calib.models.arm import error_model, independent_parameters
-from calib.models.arm.excess_scatter import beyond
+from calib.models.arm.independent_parameters import Rank
+from calib.models.arm.independent_parameters import parameter_rank as independent
 from calib.models.arm.instrument_observations import Observations
-from calib.models.arm.parameter_rank import Rank
-from calib.models.arm.parameter_rank import independent_parameters as independent
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Arm
 
@@ -50,7 +49,7 @@ class Identified:
     iterations: int
 
 
-def parameters(arm: Arm, kind: str) -> np.ndarray:
+def independent_arm_parameters(arm: Arm, kind: str) -> np.ndarray:
     """(p,) bool: the independent parameters of an arm's structure, 4 n + 6 for poses, 4 n + 3 for positions, 4 n for
     distances, 2 n + 3 for orientations; a slide, of which the direction counts and not the place, has two fewer (see
     calib.models.arm.independent_parameters).
@@ -60,10 +59,10 @@ def parameters(arm: Arm, kind: str) -> np.ndarray:
     is undefined.
     """
     if arm.slides.any() or kind == "orientation":
-        return independent_parameters.independent(arm, kind)
+        return independent_parameters.generally_independent_parameters(arm, kind)
     n = len(arm.joints)
     free = np.ones((n, 5), bool)
-    parallel = independent_parameters.parallel_rows(arm)
+    parallel = independent_parameters.near_parallel_axis_rows(arm)
     free[:, 1], free[:, 4] = ~parallel, parallel
     free[0, :2] = False
     free[-1] = False
@@ -77,10 +76,10 @@ def parameters(arm: Arm, kind: str) -> np.ndarray:
     return np.concatenate([base, free.ravel(), tool])
 
 
-def identify(
+def identify_arm(
     observations: Observations, nominal: Arm, free: np.ndarray | None = None, farthest: float = FARTHEST
 ) -> Identified:
-    """Identified : the parameters that explain the observations.
+    """Identified arm: the parameters that explain the observations.
 
     observations : Observations; nominal : Arm, where the fit starts, its base and tool included (see
         calib.models.arm.instrument_placement)
@@ -89,9 +88,9 @@ def identify(
     Raises NotEnoughData for fewer equations than parameters, RigError where nominal is far off or the fit does not
         settle
     """
-    free = parameters(nominal, observations.kind) if free is None else np.asarray(free, bool)
+    free = independent_arm_parameters(nominal, observations.kind) if free is None else np.asarray(free, bool)
     k = observations.residuals(nominal).shape[1]
-    needed(len(observations), k, int(free.sum()))
+    require_enough_observations(len(observations), k, int(free.sum()))
     far = np.median(np.linalg.norm(observations.residuals(nominal)[:, :3], axis=1))
     if far > farthest:
         unit = "mrad" if observations.kind == "orientation" else "mm"
@@ -119,15 +118,14 @@ def identify(
     return Identified(arm, covariance, rank.free, rank, fit.shared, fit.left, scatter, inliers, total)
 
 
-def needed(count: int, k: int, free: int) -> None:
-    """Raises NotEnoughData, with how many it takes, where `count` observations of k numbers each are too few for `free`
-    parameters.
-    """
-    if k * count <= free:
+def require_enough_observations(count: int, numbers_each: int, parameter_count: int) -> None:
+    """Raise NotEnoughData where `count` observations are not enough for the parameters, with how many it takes."""
+    if numbers_each * count <= parameter_count:
         raise NotEnoughData(
-            f"{count} observations give {k * count} equations, too few for {free} parameters; it takes "
-            f"{free // k + 1} different "
-            f"poses at the least, better {3 * (free // k + 1)}"
+            f"{count} observations give {numbers_each * count} equations, too few for {parameter_count} "
+            "parameters; it takes "
+            f"{parameter_count // numbers_each + 1} different "
+            f"poses at the least, better {3 * (parameter_count // numbers_each + 1)}"
         )
 
 
@@ -155,13 +153,15 @@ def _settle(
     W = np.linalg.inv(np.linalg.cholesky(observations.covariance + np.diag(scatter**2)))[inliers]
     J = observations.jacobian(arm)
     B = W @ J[inliers]
-    rank = independent(B.reshape(-1, B.shape[-1]), free, error_model.names(arm), error_model.units(arm))
+    rank = independent(
+        B.reshape(-1, B.shape[-1]), free, error_model.parameter_names(arm), error_model.parameter_units(arm)
+    )
     for iteration in range(MAX_ITERATIONS):
         J = observations.jacobian(arm) if iteration else J
         fit = _solve(observations.residuals(arm), J[..., rank.free], observations.common, W, inliers)
         step = np.zeros(len(free))
         step[rank.free] = fit.step / max(1.0, np.abs(fit.step).max() / LONGEST_STEP)
-        arm = error_model.moved(arm, step)
+        arm = error_model.arm_with_parameter_step(arm, step)
         if np.abs(step).max() < CONVERGED:
             return _Settled(arm, rank, fit, iteration + 1)
     raise RigError(
@@ -189,7 +189,9 @@ def _solve(r: np.ndarray, J: np.ndarray, common: np.ndarray, W: np.ndarray, inli
 
 def _scatter(left: np.ndarray, observations: Observations, inliers: np.ndarray, fitted: int) -> np.ndarray:
     """(k,) scatter beyond the instrument's own: one figure for the three positions, one for the three rotations."""
-    return beyond(left[inliers], observations.covariance[inliers], min(fitted / (inliers.sum() * left.shape[1]), 0.9))
+    return excess_scatter(
+        left[inliers], observations.covariance[inliers], min(fitted / (inliers.sum() * left.shape[1]), 0.9)
+    )
 
 
 def _inliers(left: np.ndarray, observations: Observations, scatter: np.ndarray) -> np.ndarray:

@@ -1,6 +1,4 @@
-"""What an instrument says about an arm's target: whole poses, positions, orientations or one distance, as rows for
-least squares.
-"""
+"""Observations of an arm by an instrument (poses, positions, orientations, distances) and their Jacobians."""
 
 from dataclasses import dataclass
 
@@ -55,79 +53,76 @@ class Observations:
     def residuals(self, arm: Arm) -> np.ndarray:
         """(m, k): observed less predicted."""
         if self.kind in ("pose", "orientation"):
-            left = error_model.residuals(self.q, self.value, arm)
+            left = error_model.pose_residuals(self.q, self.value, arm)
             return left if self.kind == "pose" else left[:, 3:]
-        position = error_model.predicted(self.q, arm).translation
+        position = error_model.predicted_target_poses(self.q, arm).translation
         if self.kind == "position":
             return self.value - position
         return (self.value - np.linalg.norm(position, axis=-1))[:, None]
 
     def jacobian(self, arm: Arm) -> np.ndarray:
         """(m, k, 12 + 5 n) change of what is predicted with the parameters."""
-        return rows(self.kind, error_model.parameter_jacobian(self.q, arm), self.q, arm)
+        return observation_jacobian(self.kind, error_model.parameter_jacobian(self.q, arm), self.q, arm)
 
     def joint_jacobian(self, arm: Arm) -> np.ndarray:
         """(m, k, n) change of what is predicted with the joint angles."""
-        return rows(self.kind, error_model.joint_jacobian(self.q, arm), self.q, arm)
+        return observation_jacobian(self.kind, error_model.joint_jacobian(self.q, arm), self.q, arm)
 
 
-def rows(kind: str, J: np.ndarray, q: np.ndarray, arm: Arm) -> np.ndarray:
-    """(m, k, p) change of what observations of a kind see, by that of the target's pose J (m, 6, p), m and rad, at
-    joint values q (m, n).
-    """
+def observation_jacobian(kind: str, pose_jacobian: np.ndarray, q: np.ndarray, arm: Arm) -> np.ndarray:
+    """Jacobian (m, k, p) of observations of a kind, from that of the target's pose (m, 6, p)."""
     if kind == "pose":
-        return J
+        return pose_jacobian
     if kind == "orientation":
-        return J[:, 3:]
-    T = error_model.predicted(q, arm)
-    J = T.rotation.as_matrix() @ J[:, :3]
+        return pose_jacobian[:, 3:]
+    T = error_model.predicted_target_poses(q, arm)
+    pose_jacobian = T.rotation.as_matrix() @ pose_jacobian[:, :3]
     if kind == "position":
-        return J
+        return pose_jacobian
     u = T.translation / np.linalg.norm(T.translation, axis=-1, keepdims=True)
-    return u[:, None, :] @ J
+    return u[:, None, :] @ pose_jacobian
 
 
-def of_samples(samples: Samples) -> Observations:
-    """Observations of Samples: whole poses, or what of them was measured (the variance of the rest is infinite), at
-    what commands became by the physics that is known."""
+def sample_observations(samples: Samples) -> Observations:
+    """Observations of Samples: whole poses, or the part of them that was measured."""
     if samples.measured == "pose":
-        return of_poses(samples)
+        return pose_observations(samples)
     if samples.measured == "orientation":
-        return of_orientations(samples.effective, samples.T_base_platform, np.sqrt(samples.covariance[:, 3, 3]))
+        return orientation_observations(
+            samples.effective, samples.T_base_platform, np.sqrt(samples.covariance[:, 3, 3])
+        )
     if samples.measured == "distance":
-        return of_distances(
+        return distance_observations(
             samples.effective, samples.T_base_platform.translation[:, 0], np.sqrt(samples.covariance[:, 0, 0])
         )
-    return of_positions(samples.effective, samples.T_base_platform.translation, np.sqrt(samples.covariance[:, 0, 0]))
+    return position_observations(
+        samples.effective, samples.T_base_platform.translation, np.sqrt(samples.covariance[:, 0, 0])
+    )
 
 
-def of_poses(samples: Samples) -> Observations:
-    """Observations of Samples: whole poses, with their covariance and their common errors."""
+def pose_observations(samples: Samples) -> Observations:
+    """Pose observations of Samples: whole poses, with their covariance and common errors."""
     return Observations("pose", samples.effective, samples.T_base_platform, samples.covariance, samples.common)
 
 
-def of_positions(q: np.ndarray, positions: np.ndarray, sigma: float | np.ndarray) -> Observations:
-    """Observations of target positions (m, 3) m at joint angles q (m, n), standard deviation sigma (m, one or m) per
-    axis.
-    """
+def position_observations(q: np.ndarray, positions: np.ndarray, sigma: float | np.ndarray) -> Observations:
+    """Position observations: the target's positions (m, 3) m at joint angles q (m, n)."""
     variance = np.broadcast_to(np.square(sigma), len(q))[:, None, None]
     return Observations(
         "position", np.asarray(q, float), np.asarray(positions, float), variance * np.eye(3), np.zeros((len(q), 3, 0))
     )
 
 
-def of_orientations(q: np.ndarray, turned: RigidTransform, sigma: float | np.ndarray) -> Observations:
-    """Observations of target orientations, the rotations of (m,) transforms, at joint angles q (m, n); sigma (rad, one
-    or m) about each axis.
-    """
+def orientation_observations(q: np.ndarray, orientations: RigidTransform, sigma: float | np.ndarray) -> Observations:
+    """Orientation observations: rotations (m,) of the target at joint angles q (m, n); sigma (rad) about each axis."""
     variance = np.broadcast_to(np.square(sigma), len(q))[:, None, None]
-    return Observations("orientation", np.asarray(q, float), turned, variance * np.eye(3), np.zeros((len(q), 3, 0)))
+    return Observations(
+        "orientation", np.asarray(q, float), orientations, variance * np.eye(3), np.zeros((len(q), 3, 0))
+    )
 
 
-def of_distances(q: np.ndarray, distances: np.ndarray, sigma: float | np.ndarray) -> Observations:
-    """Observations of a drawn wire's lengths (m,) m at joint angles q (m, n), standard deviation sigma (m, one or
-    m).
-    """
+def distance_observations(q: np.ndarray, distances: np.ndarray, sigma: float | np.ndarray) -> Observations:
+    """Distance observations: a drawn wire's lengths (m,) m at joint angles q (m, n)."""
     variance = np.broadcast_to(np.square(sigma), len(q))[:, None, None]
     return Observations(
         "distance", np.asarray(q, float), np.asarray(distances, float), np.array(variance), np.zeros((len(q), 1, 0))

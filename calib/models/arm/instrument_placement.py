@@ -1,4 +1,4 @@
-"""Where an arm stands in an instrument's frame, and where the target sits on its hand, before anything else is known.
+"""Placement of an arm in an instrument's frame, and of the target on its hand, before identification.
 
 For given rotation X of the base, what positions say of the target z on the hand and of the base's place t is linear,
 and what is then left is a quadratic function of X alone: p = X (F z + f) + t, so X'p - f = F z + X't,
@@ -55,8 +55,7 @@ class Placement:
 
 
 def place_arm(observations: Observations, arm: Arm, base: bool, tool: bool) -> Arm:
-    """The Arm with base and tool as the observations place them, and zeros moved along; base, tool : whether they are
-    unknown.
+    """Arm placed by observations: base and tool solved for; base, tool : whether they are unknown.
 
     Good to what the arm's own errors leave; least squares goes on from there. With distances, what cannot be told in
     closed form stays as stated. Raises NotEnoughData for too few observations, RigError where no placement fits or two
@@ -193,7 +192,7 @@ def _refined(
     free, prior = np.zeros(12 + 5 * n, bool), np.zeros(12 + 5 * n)
     free[:6], free[-6:] = unknown
     free[-3:] &= posed
-    zeros = error_model.zero_columns(arm)[1:]  # all but the first, which is the base's
+    zeros = error_model.joint_zero_indices(arm)[1:]  # all but the first, which is the base's
     prior[:6], prior[-6:] = 1 / np.repeat([AWAY, TURN], 3), 1 / np.repeat([REACH, TURN], 3)
     free[zeros], prior[zeros] = True, 1 / ZERO
     start = arm
@@ -208,7 +207,7 @@ def _refined(
         step = np.zeros(len(free))
         while damping < 1e8:
             step[free] = np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-9), g)
-            trial = error_model.moved(arm, step)
+            trial = error_model.arm_with_parameter_step(arm, step)
             new = _Misfit.of(observations, trial, start, rows, prior, posed)
             if new.cost(at.scale) <= at.cost(at.scale):
                 break
@@ -310,7 +309,7 @@ def _from_orientations(observations: Observations, arm: Arm, base: bool, tool: b
 
 
 def solve_rotation_placement(M: np.ndarray, F: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """(X, Z, how well they are told) of M = X F Z, rotations M and F (m, 3, 3): the null vector of M Z' = X F.
+    """Solution (X, Z, how well determined) of M = X F Z, rotations M and F (m, 3, 3).
 
     The third is the second least eigenvalue over the greatest, 0 where a family of answers fits. Source: Shah, J.
     Mechanisms Robotics 5, 2013
@@ -350,5 +349,5 @@ def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
 
 
 def rigid_transform(R: np.ndarray, t: np.ndarray) -> RigidTransform:
-    """RigidTransform of a rotation (3, 3) and a translation (3,) m."""
+    """Rigid transform of a rotation (3, 3) and a translation (3,) m."""
     return RigidTransform.from_components(t, Rotation.from_matrix(R))

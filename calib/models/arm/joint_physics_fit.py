@@ -1,4 +1,4 @@
-"""An arm's geometry and the effects at its joints, fitted together to what was measured, and how sure both then are.
+"""Joint fit of an arm's geometry and of physical effects at its joints, with their covariance.
 
 Gauss-Newton on the effects' coordinates, all that the geometry can make up for taken out of them: what a joint's own
 effect and a length explain alike goes to the length. A held-out figure is of effects refitted without what is held out.
@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calib.correct.physics import samples_with_effects
-from calib.identify.bounded_step import bounded_step
+from calib.correct.physics_compensation import samples_with_effects
+from calib.identify.least_squares import bounded_least_squares_step
 from calib.models.arm import error_model
-from calib.models.arm.identification import Identified, identify, parameters
-from calib.models.arm.instrument_observations import of_samples, rows
+from calib.models.arm.identification import Identified, identify_arm, independent_arm_parameters
+from calib.models.arm.instrument_observations import observation_jacobian, sample_observations
 from calib.samples.pose_samples import Samples
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_validity import check_effect
@@ -45,8 +45,10 @@ class History:
 
     def identified(self, samples: Samples, start: Arm) -> Identified:
         """Identified geometry of samples that were told, by the parameters that the arm as stated has."""
-        observations = of_samples(samples)
-        return identify(observations, start, parameters(arm_of(self.design.mechanism), observations.kind))
+        observations = sample_observations(samples)
+        return identify_arm(
+            observations, start, independent_arm_parameters(arm_of(self.design.mechanism), observations.kind)
+        )
 
     def moved(self, samples: Samples, effects: tuple[Effect, ...], arm: Arm) -> tuple[np.ndarray, np.ndarray]:
         """(joints (n, joints), hand (n, 6)) that commands become under effects, as `machine.reached`."""
@@ -124,9 +126,7 @@ class JointFit:
 def fit_geometry_and_effects(
     measured: Samples, history: History, start: Arm, effects: tuple[Effect, ...], before: Prior | None = None
 ) -> JointFit:
-    """JointFit of effects, from where their parameters stand, and of the geometry from an Arm on. Raises as
-    `identify`
-    """
+    """Joint fit (JointFit) of an arm's geometry and effects. Raises as `identify_arm`"""
     arm, columns = start, None
     for _ in range(ROUNDS):
         arm = history.identified(history.told(measured, effects, arm), arm).arm
@@ -153,7 +153,7 @@ class _Seen:
 
     @staticmethod
     def of(samples: Samples, found: Identified) -> "_Seen":
-        o, shared = of_samples(samples), samples.common.shape[2]
+        o, shared = sample_observations(samples), samples.common.shape[2]
         W = np.linalg.inv(np.linalg.cholesky(o.covariance + np.diag(found.scatter**2)))[found.inliers]
         J = np.concatenate([o.jacobian(found.arm)[..., found.free], o.common], axis=2)[found.inliers]
         stacked = np.concatenate([(W @ J).reshape(-1, J.shape[2]), np.eye(J.shape[2])[J.shape[2] - shared :]])
@@ -170,14 +170,14 @@ class _Seen:
     def whitened(self, columns: Columns) -> np.ndarray:
         """(m k + j, c) of Columns (n, ..)."""
         moved = error_model.joint_jacobian(self.q, self.arm) @ columns.joints + columns.hand
-        seen = self.W @ rows(self.kind, moved, self.q, self.arm)[self.inliers]
+        seen = self.W @ observation_jacobian(self.kind, moved, self.q, self.arm)[self.inliers]
         return self._padded(seen.reshape(seen.shape[0] * seen.shape[1], seen.shape[2]))
 
     def left(self, samples: Samples) -> np.ndarray:
         """(m k + j,) whitened residuals of samples, all that the nuisances explain taken out."""
-        r = self._padded((self.W @ of_samples(samples).residuals(self.arm)[self.inliers][..., None]).reshape(-1, 1))[
-            :, 0
-        ]
+        r = self._padded(
+            (self.W @ sample_observations(samples).residuals(self.arm)[self.inliers][..., None]).reshape(-1, 1)
+        )[:, 0]
         return r - self.basis @ (self.basis.T @ r)
 
     def _padded(self, seen: np.ndarray) -> np.ndarray:
@@ -223,7 +223,7 @@ def _refined(
     for _ in range(ITERATIONS if coordinates else 0):
         C = seen.whitened(columns)
         C -= seen.basis @ (seen.basis.T @ C)
-        step, own = bounded_step(
+        step, own = bounded_least_squares_step(
             C.T @ left + prior.weight * (prior.values - values),
             C.T @ C + np.diag(prior.weight),
             values,

@@ -1,5 +1,4 @@
-"""What the geometry leaves, as a correction over the configuration space: every joint's own profile, as a Fourier
-series.
+"""Profile of each joint's error as a Fourier series, fitted to what an arm's geometry leaves.
 
 Of a slide a metre stands for a radian, and 2 pi metres for a turn.
 A joint's real angle differs from its command by gears, encoder and the load that its posture brings. The summand
@@ -50,25 +49,25 @@ class Profile:
         )
 
 
-def fit_joint_profiles(observations: Observations, found: Identified) -> tuple[Profile | None, ...]:
-    """A Profile or None per joint, of what an Identified arm leaves in observations of whole poses.
+def fit_joint_profiles(observations: Observations, identified: Identified) -> tuple[Profile | None, ...]:
+    """Joint profiles fitted to residuals of an Identified arm: a Profile or None per joint.
 
     The geometry's own freedoms are solved for beside the profiles and thrown away, so that neither takes the other's
     part.
     """
-    good = found.inliers
+    good = identified.inliers
     q, n = observations.q[good], observations.q.shape[1]
-    W = np.linalg.inv(np.linalg.cholesky(observations.covariance[good] + np.diag(found.scatter**2)))
-    y = (W @ found.residuals[good][..., None]).ravel()
+    W = np.linalg.inv(np.linalg.cholesky(observations.covariance[good] + np.diag(identified.scatter**2)))
+    y = (W @ identified.residuals[good][..., None]).ravel()
     orders = [_orders(q[:, j], SHARE * len(y) / n) for j in range(n)]
     features = [-_features(q, j, orders[j]) for j in range(n)]
-    J = W @ observations.joint_jacobian(found.arm)[good]
+    J = W @ observations.joint_jacobian(identified.arm)[good]
     A = np.concatenate([(J[..., j : j + 1] * features[j][:, None, :]).reshape(len(y), -1) for j in range(n)], axis=1)
     kinds = len(OCTAVES) + 1
     group = np.concatenate(
         [j * kinds + np.r_[np.tile(np.digitize(orders[j], OCTAVES), 2), np.zeros(2 * (n - 1), int)] for j in range(n)]
     )
-    B = (W @ observations.jacobian(found.arm)[good][..., found.free]).reshape(len(y), -1)
+    B = (W @ observations.jacobian(identified.arm)[good][..., identified.free]).reshape(len(y), -1)
     Q = np.linalg.qr(B)[0]
     A, y = A - Q @ (Q.T @ A), y - Q @ (Q.T @ y)
     weights = _evidence(A, y, np.unique(group, return_inverse=True)[1])

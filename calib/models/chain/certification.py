@@ -1,6 +1,4 @@
-"""What a chain's calibration promises: fitted on all samples, its figures from whole stretches that were held out in
-turn.
-"""
+"""Certification of a chain's calibration: fit to all samples, errors from stretches held out in turn."""
 
 from dataclasses import dataclass, replace
 
@@ -9,7 +7,7 @@ import numpy as np
 from calib.certify.calibration import Calibration
 from calib.certify.distinct_configurations import LEAST, configuration_numbers, mean_sample_per_configuration
 from calib.certify.held_out_error_statistics import HeldErrors, held_out_error_statistics, standardised_residuals
-from calib.certify.held_out_errors import HeldOut, compare_errors, errors_before_and_after
+from calib.certify.held_out_errors import HeldOut, compare_errors, errors_before_and_after_correction
 from calib.certify.platform_certification import Progress, held_out_errors_by_fold, silent_progress
 from calib.certify.workspace_claim import (
     DRAWS,
@@ -21,9 +19,9 @@ from calib.certify.workspace_claim import (
     claim_of_too_few_configurations,
 )
 from calib.correct.correction import Correction, commands_with_pose
-from calib.models.arm.held_out_scatter import unexplained
+from calib.models.arm.held_out_scatter import unexplained_scatter_sentences
 from calib.models.chain import error_model
-from calib.models.chain.identification import Identified, identify
+from calib.models.chain.identification import Identified, identify_chain
 from calib.samples.pose_samples import Samples
 from rig.model.design import Chain
 from rig.model.mechanisms import chain as mechanism
@@ -45,29 +43,30 @@ class Certified:
     left: HeldErrors | None = None
 
 
-def certify(samples: Samples, nominal: Chain, rng: np.random.Generator, progress: Progress | None = None) -> Certified:
-    """Certified : all stages of a chain together. rng : numpy Generator, for the bootstrap; progress : called with
-    (label, done, of)
+def certify_chain(
+    samples: Samples, nominal: Chain, rng: np.random.Generator, progress: Progress | None = None
+) -> Certified:
+    """Certified chain: all stages together. rng : numpy Generator, for the bootstrap
 
     Raises what `identify` raises
     """
     said = progress or silent_progress
     label = configuration_numbers(samples.commanded, mechanism.travel(nominal))
     said("fitting the geometry", 0, 1)
-    found = identify(samples, nominal)
+    found = identify_chain(samples, nominal)
     correction = _corrected(nominal, found)
     said("fitting the geometry", 1, 1)
     if label.max() + 1 < LEAST:
         return Certified(correction, found, label, None)
     before, after = held_out_errors_by_fold(
-        samples, label, lambda some: [_corrected(nominal, identify(some, nominal))], said
+        samples, label, lambda some: [_corrected(nominal, identify_chain(some, nominal))], said
     )
     good = found.inliers
     agreed = samples.take(good)
     J = error_model.parameter_jacobian(agreed.commanded, found.chain)
     noise = agreed.covariance + np.diag(found.scatter**2)
     freed = standardised_residuals(
-        errors_before_and_after(correction, agreed)[1], J, found.covariance, noise, label[good]
+        errors_before_and_after_correction(correction, agreed)[1], J, found.covariance, noise, label[good]
     )
     left = held_out_error_statistics(freed, agreed, label[good])
     scatter = np.maximum(
@@ -87,22 +86,20 @@ def _corrected(nominal: Chain, found: Identified) -> Correction:
     return Correction(nominal, found.chain, parts)
 
 
-def model_covariance(calibration: Calibration, commands: np.ndarray) -> np.ndarray:
-    """(n, 6, 6) covariance of the corrected chain's pose at commands (n, axes) m or rad: the parameters' and what the
-    model leaves.
-    """
+def chain_pose_covariance(calibration: Calibration, commands: np.ndarray) -> np.ndarray:
+    """Covariance (n, 6, 6) of the corrected chain's pose at commands (n, axes) m or rad."""
     J = error_model.parameter_jacobian(commands, calibration.correction.fitted)
     return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(calibration.scatter**2)
 
 
-def workspace_claim_of(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
-    """Claim of a certified chain all over its axes' travels, each configuration once."""
-    found, nominal = done.found, done.correction.nominal
+def chain_workspace_claim(samples: Samples, certified: Certified, rng: np.random.Generator) -> Claim:
+    """Claim of a certified chain over its workspace, each configuration once."""
+    found, nominal = certified.found, certified.correction.nominal
     kept = samples.take(found.inliers)
-    label = np.unique(done.label[found.inliers], return_inverse=True)[1]
+    label = np.unique(certified.label[found.inliers], return_inverse=True)[1]
     each = mean_sample_per_configuration(kept, label, mechanism.jacobian(kept.commanded, nominal))
     words = f"the middle {FILL * 100:.0f} % of every travel, all axes free of each other"
-    asked = int((error_model.prior(nominal) > 0).sum())
+    asked = int((error_model.parameter_tolerances(nominal) > 0).sum())
     told = ConfigurationInformation(
         len(each),
         asked - len(found.undetermined),
@@ -112,8 +109,12 @@ def workspace_claim_of(samples: Samples, done: Certified, rng: np.random.Generat
     )
     if len(each) < LEAST:
         return claim_of_too_few_configurations(told, words)
-    values, T = commands_with_pose(low_discrepancy(mechanism.travel(nominal), PLACES, FILL), done.correction)
-    own = (found.scatter**2).reshape(2, 3).sum(axis=1) if done.left is None else done.left.own_draws(0.0, DRAWS, rng)
+    values, T = commands_with_pose(low_discrepancy(mechanism.travel(nominal), PLACES, FILL), certified.correction)
+    own = (
+        (found.scatter**2).reshape(2, 3).sum(axis=1)
+        if certified.left is None
+        else certified.left.own_draws(0.0, DRAWS, rng)
+    )
     workspace = Workspace(
         error_model.parameter_jacobian(values, found.chain),
         pose_difference(mechanism.forward(values, nominal), T),
@@ -123,5 +124,5 @@ def workspace_claim_of(samples: Samples, done: Certified, rng: np.random.Generat
     draws = rng.multivariate_normal(np.zeros(len(found.covariance)), found.covariance, DRAWS, method="eigh")
     return replace(
         claim_of_drawn_machines(workspace, draws, each, told, rng),
-        unexplained=unexplained(found.scatter, each.covariance),
+        unexplained=unexplained_scatter_sentences(found.scatter, each.covariance),
     )

@@ -1,5 +1,4 @@
-"""A chain's parameters, all stages together, from the poses of its last platform and of stages below it that were
-measured; and which of their combinations no pose tells apart.
+"""Identification of a chain's parameters, all stages together, from measured poses.
 
 What one stage does the next may undo: where a gantry's carriage holds the hexapod and where the hexapod's base joints
 stand on it are one and the same to the last platform, until the carriage itself is measured. Combinations without
@@ -10,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.identify.least_squares import Linear, fit
+from calib.identify.least_squares import Linear, fit_least_squares
 from calib.identify.robust_fit import MOST as FEW
 from calib.identify.robust_fit import robust_fit
 from calib.models.chain import error_model
-from calib.models.chain.stage_equations import bodies, leverage
+from calib.models.chain.error_model import measured_stages, noise_leverage
 from calib.samples.pose_samples import Samples
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Chain
@@ -90,20 +89,20 @@ class Identified:
         return lines + [f"  {one}" for one in rest]
 
 
-def identify(samples: Samples, nominal: Chain) -> Identified:
-    """Identified : the parameters that explain the poses, as near to the owner's as these allow.
+def identify_chain(samples: Samples, nominal: Chain) -> Identified:
+    """Identified chain: the parameters that explain the poses, as near to the stated ones as these allow.
 
     samples : Samples of the last platform, and of stages below it
     nominal : where the fit starts and where its prior holds what the poses do not tell
     Raises NotEnoughData for fewer than 3 poses, RigError where the fit does not settle
     """
-    sigma = error_model.prior(nominal)
+    sigma = error_model.parameter_tolerances(nominal)
     free = sigma > 0
     if len(samples) < 3:
         raise NotEnoughData(
             f"{len(samples)} poses say nothing of a chain; it takes 3 at the least, better {int(free.sum())}"
         )
-    measured = bodies(samples)
+    measured = measured_stages(samples)
     rows = np.split(
         np.arange(sum(len(one.values) for one in measured)), np.cumsum([len(one.values) for one in measured])[:-1]
     )
@@ -116,18 +115,21 @@ def identify(samples: Samples, nominal: Chain) -> Identified:
         def linearise(p: np.ndarray, white: list[np.ndarray] = white) -> Linear:
             step = np.zeros(len(sigma))
             step[free] = p
-            parts = [one.linear(error_model.moved(nominal, step), W, free) for one, W in zip(measured, white)]
+            parts = [
+                one.linear(error_model.chain_with_parameter_step(nominal, step), W, free)
+                for one, W in zip(measured, white)
+            ]
             return Linear(*(np.concatenate(column) for column in zip(*parts)))
 
         start = np.zeros(free.sum())
         try:
-            found = fit(linearise, start, start, sigma[free], robust=True)
+            found = fit_least_squares(linearise, start, start, sigma[free], robust=True)
         except RigError:  # wild poses may lead where no stage closes
             inliers = _agreeing(linearise(start), rows)
             if inliers.all():
                 raise
-            found = fit(linearise, start, start, sigma[free], inliers=inliers, robust=True)
-        hat = leverage(linearise(found.parameters), found.inliers, sigma[free])
+            found = fit_least_squares(linearise, start, start, sigma[free], inliers=inliers, robust=True)
+        hat = noise_leverage(linearise(found.parameters), found.inliers, sigma[free])
         again = np.array(
             [
                 one.scatter(W, found.residual[own], found.inliers[own], hat[own])
@@ -145,7 +147,7 @@ def identify(samples: Samples, nominal: Chain) -> Identified:
         if one.stage is not None
     )
     return Identified(
-        error_model.moved(nominal, step),
+        error_model.chain_with_parameter_step(nominal, step),
         step,
         covariance,
         _told(covariance, sigma, nominal),
@@ -173,7 +175,7 @@ def _agreeing(linear: Linear, rows: list[np.ndarray]) -> np.ndarray:
 def _told(covariance: np.ndarray, sigma: np.ndarray, chain: Chain) -> tuple[tuple[int, int], ...]:
     """(told, asked) combinations of each stage: those left with less than half of what is plausible."""
     out = []
-    for part in error_model.parts(chain):
+    for part in error_model.stage_parameter_slices(chain):
         own = np.flatnonzero(sigma[part] > 0) + part.start
         left = np.linalg.eigvalsh(covariance[np.ix_(own, own)] / np.outer(sigma[own], sigma[own]))
         out.append((int((left < TOLD).sum()), len(own)))
@@ -184,10 +186,10 @@ def _untold(covariance: np.ndarray, sigma: np.ndarray, chain: Chain) -> tuple[Un
     """The combinations of all parameters that keep more than half of what is plausible, the least told first."""
     free = np.flatnonzero(sigma > 0)
     values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free]))
-    names, out = error_model.names(chain), []
-    stage = np.concatenate([np.full(part.stop - part.start, k + 1) for k, part in enumerate(error_model.parts(chain))])[
-        free
-    ]
+    names, out = error_model.parameter_names(chain), []
+    stage = np.concatenate(
+        [np.full(part.stop - part.start, k + 1) for k, part in enumerate(error_model.stage_parameter_slices(chain))]
+    )[free]
     for i in np.argsort(-values):
         if values[i] <= TOLD:
             break
@@ -210,10 +212,11 @@ def _stands(direction: np.ndarray, sigma: np.ndarray, chain: Chain, spans: tuple
     """
     if len(spans) != 2 or spans[1] != spans[0] + 1:
         return None
-    upper = error_model.parts(chain)[spans[1] - 1]
+    upper = error_model.stage_parameter_slices(chain)[spans[1] - 1]
     own = direction[upper]
     motions = (
-        error_model.base_motions(chain.stages[spans[1] - 1]) / np.where(sigma[upper] > 0, sigma[upper], np.inf)[:, None]
+        error_model.stage_base_motion_columns(chain.stages[spans[1] - 1])
+        / np.where(sigma[upper] > 0, sigma[upper], np.inf)[:, None]
     )
     left = own - motions @ np.linalg.lstsq(motions, own)[0]
     return (spans[1], spans[0]) if np.linalg.norm(left) < ALIKE * np.linalg.norm(own) else None

@@ -1,11 +1,10 @@
-"""The geometry of a machine on struts from measured poses: joint positions and strut zeros, by least squares on the
-poses they predict.
+"""Identification of a platform's geometry, joint positions and strut zeros, from measured poses.
 
 Each strut closes a vector loop: commanded length + zero = |R a + t - b|. The measured pose less the one that the loops
 predict is weighted by the poses' covariance; the errors that all poses share (cameras and lenses) are solved for
 together with the parameters, so that the struts' known lengths steady the cameras. Source: Masory, Wang and Zhuang, On
 the accuracy of a Stewart platform, ICRA 1993 (the loop); the shared errors as nuisance parameters are the linear form
-of one solve of cameras, lenses and geometry (calib/models/platform/joint_camera_fit.py). A hexapod has 42 parameters,
+of one solve of cameras, lenses and geometry (calib/correct/joint_camera_fit.py). A hexapod has 42 parameters,
 two struts in a plane have 6.
 """
 
@@ -16,9 +15,9 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from calib.identify.least_squares import Fit, Linear, fit
+from calib.identify.least_squares import Fit, Linear, fit_least_squares
 from calib.identify.robust_fit import MOST, robust_fit
-from calib.models.platform import closed_loop_kernels, two_strut_loop
+from calib.models.platform import closed_loop_equations
 from calib.samples.pose_samples import Samples
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms
@@ -72,13 +71,13 @@ class Identified:
     cost: float
 
 
-def parameters(mechanism: Struts) -> np.ndarray:
-    """(p,) m, joints and zeros in the order of NAMES."""
+def geometric_parameters(mechanism: Struts) -> np.ndarray:
+    """Geometric parameters (p,) m: joints and zeros in the order of NAMES."""
     platform = mechanism.platform_joints.ravel() if isinstance(mechanism, Hexapod) else np.zeros(0)
     return np.concatenate([mechanism.base_joints.ravel(), platform, mechanism.strut_zeros])
 
 
-def with_parameters(mechanism: S, p: np.ndarray) -> S:
+def mechanism_with_parameters(mechanism: S, p: np.ndarray) -> S:
     """The mechanism with parameters p (p,) m."""
     if isinstance(mechanism, Hexapod):
         return replace(
@@ -87,15 +86,14 @@ def with_parameters(mechanism: S, p: np.ndarray) -> S:
     return replace(mechanism, base_joints=p[:4].reshape(2, 2), strut_zeros=p[4:])
 
 
-def identify(
+def identify_platform(
     samples: Samples,
     nominal: Struts,
     offset: np.ndarray | None = None,
     prior: np.ndarray | None = None,
     near: Identified | None = None,
 ) -> Identified:
-    """Joint positions and strut zeros that explain the measured poses, as near to the owner's as these allow,
-    docs/mathematics.md (7).
+    """Identified platform: joint positions and strut zeros that explain the poses, docs/mathematics.md (7).
 
     samples : Samples; nominal : where the fit starts and where its prior holds what the poses do not tell
     near : Identified of nearly the same, to start from instead: the same optimum in fewer steps
@@ -105,7 +103,7 @@ def identify(
     Returns Identified. Raises NotEnoughData where too few poses agree, RigError where the fit does not settle.
     """
     lengths = samples.effective - (0 if offset is None else offset)
-    p = parameters(nominal if near is None else near.mechanism)
+    p = geometric_parameters(nominal if near is None else near.mechanism)
     prior = np.full(len(p), PRIOR) if prior is None else np.asarray(prior, float)
     loops = Loops(samples, lengths, nominal, prior)
     inliers, spent = np.ones(len(samples), bool), len(p) // len(nominal.axes)
@@ -129,7 +127,7 @@ def identify(
             break
         inliers, scatter = new_inliers, new_scatter
     return Identified(
-        with_parameters(nominal, p),
+        mechanism_with_parameters(nominal, p),
         found.covariance,
         found.shared,
         found.root,
@@ -158,7 +156,7 @@ class Loops:
             nominal,
         )
         measured = samples.T_base_platform.as_matrix()
-        self.measured = closed_loop_kernels.Measured(
+        self.measured = closed_loop_equations.Measured(
             *(
                 np.ascontiguousarray(part, float)
                 for part in (measured[:, :3, :3], measured[:, :3, 3], samples.covariance)
@@ -169,7 +167,9 @@ class Loops:
 
     def fit(self, start: np.ndarray, inliers: np.ndarray, scatter: np.ndarray) -> Fit:
         """least_squares.Fit from parameters start (p,). inliers : (n,) bool; scatter : (axes,) m"""
-        return fit(lambda p: self.linearise(p, scatter), start, parameters(self.nominal), self.prior, inliers=inliers)
+        return fit_least_squares(
+            lambda p: self.linearise(p, scatter), start, geometric_parameters(self.nominal), self.prior, inliers=inliers
+        )
 
     def linearise(self, p: np.ndarray, scatter: np.ndarray) -> Linear:
         """least_squares.Linear at parameters p (p,). Raises RigError naming the first pose that has no solution
@@ -177,10 +177,14 @@ class Loops:
         """
         common = self.samples.common
         if isinstance(self.nominal, Planar2):
-            return two_strut_loop.linear(self.samples, self.lengths, with_parameters(self.nominal, p), scatter)
+            return closed_loop_equations.linearised_hinge_equations(
+                self.samples, self.lengths, mechanism_with_parameters(self.nominal, p), scatter
+            )
         right, J = np.empty((len(self.lengths), 6, 1 + common.shape[2])), np.zeros((len(self.lengths), 6, 42))
         right[..., 1:] = common
-        bad = closed_loop_kernels.rows(self.lengths, self.R, self.t, p, self.measured, scatter**2, right, J)
+        bad = closed_loop_equations.whitened_pose_rows(
+            self.lengths, self.R, self.t, p, self.measured, scatter**2, right, J
+        )
         if bad >= 0:
             raise RigError(
                 f"frame {self.samples.frame[bad]}: the commanded lengths "
@@ -196,11 +200,11 @@ class Loops:
         closes."""
         T, geometry, every = (
             self.samples.T_base_platform,
-            with_parameters(self.nominal, p),
+            mechanism_with_parameters(self.nominal, p),
             np.ones(len(self.lengths), bool),
         )
         commanded = mechanisms.kinematics_of(geometry).forward(self.lengths, geometry)
-        A, loops = strut_jacobian(commanded, geometry), loop_jacobian(commanded, geometry)
+        A, loops = strut_length_jacobian(commanded, geometry), loop_closure_jacobian(commanded, geometry)
         left = self.lengths - mechanisms.kinematics_of(geometry).inverse(T, geometry)
         sigma = np.sqrt(np.einsum("nij,njk,nik->ni", A, self.samples.covariance, A))
         own = [loops[:, i, loops[:, i].any(axis=0)] for i in range(left.shape[1])]
@@ -219,8 +223,8 @@ class Loops:
         """(n, axes) m what each strut's loop leaves at the fit, shared errors taken out, and its covariance (n, axes,
         axes) m^2 from the poses'.
         """
-        T, geometry = self.samples.T_base_platform, with_parameters(self.nominal, found.parameters)
-        A = strut_jacobian(T, geometry)
+        T, geometry = self.samples.T_base_platform, mechanism_with_parameters(self.nominal, found.parameters)
+        A = strut_length_jacobian(T, geometry)
         left = (
             self.lengths
             - mechanisms.kinematics_of(geometry).inverse(T, geometry)
@@ -229,27 +233,23 @@ class Loops:
         return left, A @ self.samples.covariance @ np.swapaxes(A, 1, 2)
 
 
-def strut_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndarray:
-    """(..., axes, 6) m/m and m/rad, change of the struts' lengths with the poses' tangents on the right."""
+def strut_length_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndarray:
+    """Strut length Jacobian (..., axes, 6), m/m and m/rad, by the poses' tangents on the right."""
     if isinstance(mechanism, Hexapod):
         return hexapod.jacobian(T_base_platform, mechanism)
     return two_strut_plane.jacobian(T_base_platform, mechanism)
 
 
-def inverse_strut_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndarray:
-    """(..., 6, axes) change of the pose's tangent (m, rad, on the right) with the struts' lengths, at poses
-    RigidTransform (...).
-    """
-    A = strut_jacobian(T_base_platform, mechanism)
+def inverse_strut_length_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndarray:
+    """Inverse strut length Jacobian (..., 6, axes): change of the pose's tangent with strut lengths."""
+    A = strut_length_jacobian(T_base_platform, mechanism)
     return np.linalg.inv(A) if A.shape[-2] == 6 else np.linalg.pinv(A)
 
 
-def loop_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndarray:
-    """(..., axes, p) change of the struts' closure, zero - length, with the parameters (m/m), at poses RigidTransform
-    (...).
-    """
+def loop_closure_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndarray:
+    """Loop closure Jacobian (..., axes, p): change of zero - length with the parameters, at poses (...)."""
     if isinstance(mechanism, Planar2):
-        return two_strut_loop.loop_jacobian(T_base_platform, mechanism)
+        return closed_loop_equations.two_strut_loop_jacobian(T_base_platform, mechanism)
     matrix = T_base_platform.as_matrix()
     R = matrix[..., :3, :3]
     struts = mechanism.platform_joints @ np.swapaxes(R, -1, -2) + matrix[..., None, :3, 3] - mechanism.base_joints
@@ -263,15 +263,19 @@ def loop_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndar
     return D
 
 
-def pose_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndarray:
-    """J_p (..., 6, p): change of the pose's tangent (m, rad, on the right) with the parameters (m) at constant command.
+def pose_parameter_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndarray:
+    """Pose Jacobian J_p (..., 6, p) by the parameters (m), at constant command.
 
     delta_e = J_p delta_x, docs/mathematics.md (7); source: the on-line learning patent for Stewart platforms, eq. 1
     [0024]
     """
     if isinstance(mechanism, Planar2):
-        return inverse_strut_jacobian(T_base_platform, mechanism) @ loop_jacobian(T_base_platform, mechanism)
-    return np.linalg.solve(hexapod.jacobian(T_base_platform, mechanism), loop_jacobian(T_base_platform, mechanism))
+        return inverse_strut_length_jacobian(T_base_platform, mechanism) @ loop_closure_jacobian(
+            T_base_platform, mechanism
+        )
+    return np.linalg.solve(
+        hexapod.jacobian(T_base_platform, mechanism), loop_closure_jacobian(T_base_platform, mechanism)
+    )
 
 
 def _scatter(left: np.ndarray, S: np.ndarray, inliers: np.ndarray, spent: int) -> np.ndarray:

@@ -1,6 +1,4 @@
-"""The parser of the command line: help that says when it cannot be printed, and the likeliest word for a mistyped
-one.
-"""
+"""Argument parser of the command line, which suggests the nearest word for a mistyped option or command."""
 
 import re
 from argparse import ArgumentParser
@@ -29,9 +27,7 @@ NEGATIVE = re.compile(r"-\.?\d[^,]*,")  # figures joined by commas, of which the
 
 
 def join_negative_numbers(words: Iterable[str]) -> list[str]:
-    """A command line on which `--pose -0.1,0,0` is `--pose=-0.1,0,0`, as argparse takes what begins with a dash for an
-    option.
-    """
+    """Join options with negative numbers: `--pose -0.1,0,0` becomes `--pose=-0.1,0,0`, as argparse needs it."""
     joined: list[str] = []
     for word in words:
         if NEGATIVE.match(word) and joined and re.fullmatch(r"--[a-z][a-z-]*", joined[-1]):
@@ -83,9 +79,7 @@ class Parser(ArgumentParser):
 
 
 def nearest_word(word: str, known: Iterable[str]) -> str | None:
-    """The known word most like a mistyped one; None for a known one, one that starts a known one, and where none is
-    like it.
-    """
+    """Nearest known word to a mistyped one; None where none is near, or the word is known or an abbreviation."""
     found = list(known)
     if word in found or any(word.startswith("--") and name.startswith(word) for name in found):
         return None
@@ -95,17 +89,17 @@ def nearest_word(word: str, known: Iterable[str]) -> str | None:
 
 
 def suggestion_text(word: str, known: Iterable[str]) -> str:
-    """What is said after a mistyped word: which of the known ones was probably meant, "" where none is like it."""
+    r"""Suggestion after a mistyped word: \"; did you mean ..?\", \"\" where no known word is near."""
     near = nearest_word(word, known)
     return f"; did you mean {near}?" if near else ""
 
 
-def add_common(parser: ArgumentParser, command: str) -> None:
-    """Add the options that all commands take, and those of commands whose work is shared out."""
+def add_common_options(parser: ArgumentParser, command: str) -> None:
+    """Add the common options of all commands (--quiet, --progress), and worker options where the command uses them."""
     if command in SHARED:
-        from rig.cli.shared.worker_options import add_workers
+        from rig.cli.shared.worker_options import add_worker_options
 
-        add_workers(parser)
+        add_worker_options(parser)
     if command in PRINTED:
         return
     parser.add_argument(

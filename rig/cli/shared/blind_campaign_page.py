@@ -1,4 +1,4 @@
-"""The score of a campaign of blind cases, as a tree for JSON and as a page."""
+"""Page of a blind campaign: score, verdict, confusion matrix and wrong answers; the same as a dict for JSON."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rig.report.pages.html_elements import heading, note, paragraph, table
-from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.page_and_svg_templates import Link, Page, write_page
 from rig.report.pages.plots import Series, plot_panel
 from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
 from synthetic import diagnosis_score
@@ -24,10 +24,10 @@ LINKS = 12  # to diagnoses that were not right
 OUTCOMES = ("named and placed", "named", "allowed", "taken for another", "unknown", "nothing")
 
 
-def tree(cases: list[Case]) -> dict:
-    """{verdict, figures, medians, by_effect, by_strength, confusion, cases} of Cases."""
+def campaign_dict(cases: list[Case]) -> dict:
+    """Dict of a campaign for JSON: verdict, figures, medians, by_effect, by_strength, confusion, cases."""
     return {
-        "verdict": judged(diagnosis_score.campaign_figures(cases)).tree(),
+        "verdict": campaign_verdict(diagnosis_score.campaign_figures(cases)).tree(),
         "figures": [asdict(f) for f in diagnosis_score.campaign_figures(cases)],
         "medians": {
             name: None if math.isnan(value) else value
@@ -46,7 +46,7 @@ def tree(cases: list[Case]) -> dict:
                 "ratio": None if math.isnan(c.ratio) else c.ratio,
                 "unexplained": c.unexplained,
                 "hidden": [
-                    {"effect": h.effect, "place": h.place, "strength": h.strength, "outcome": outcome(c, h)}
+                    {"effect": h.effect, "place": h.place, "strength": h.strength, "outcome": _outcome(c, h)}
                     for h in c.hidden
                 ],
                 "found": [
@@ -59,7 +59,7 @@ def tree(cases: list[Case]) -> dict:
     }
 
 
-def outcome(case: Case, hidden: Hidden) -> str:
+def _outcome(case: Case, hidden: Hidden) -> str:
     """What became of a hidden effect: one of OUTCOMES."""
     found = case.match(hidden)
     if found is None:
@@ -70,10 +70,8 @@ def outcome(case: Case, hidden: Hidden) -> str:
     return "named and placed" if found.place == hidden.place else "named"
 
 
-def campaign_page(path: Path, settings: dict, cases: list[Case]) -> None:
-    """Write the page of a campaign: figures with their intervals, by effect, by strength, the confusion matrix, and
-    every wrong answer.
-    """
+def write_campaign_page(path: Path, settings: dict, cases: list[Case]) -> None:
+    """Write the page of a campaign: figures with intervals, by effect, by strength, confusion, wrong answers."""
     said = ", ".join(
         f"{name} {', '.join(map(str, value)) if isinstance(value, list) else value}"
         for name, value in settings.items()
@@ -117,7 +115,7 @@ def campaign_page(path: Path, settings: dict, cases: list[Case]) -> None:
         for c in cases
         if c.failed is None and not _right(c)
     ][:LINKS]
-    verdict = judged(diagnosis_score.campaign_figures(cases))
+    verdict = campaign_verdict(diagnosis_score.campaign_figures(cases))
     write_page(
         path,
         Page(
@@ -131,8 +129,8 @@ def campaign_page(path: Path, settings: dict, cases: list[Case]) -> None:
     )
 
 
-def judged(figures: list[Figure]) -> Verdict:
-    """The verdict on a campaign: which of its figures reach what they are to reach, and which surely do not."""
+def campaign_verdict(figures: list[Figure]) -> Verdict:
+    """Verdict on a campaign: which figures reach their goal, and which certainly do not."""
     asked = [f for f in figures if f.goal is not None and f.trials]
     missed = [f for f in asked if f.hits < (f.goal or 0) * f.trials]
     if not asked:
@@ -195,7 +193,7 @@ def _grouped(groups: list, heading: str) -> str:
 
 def _strengths(cases: list[Case]) -> str:
     """What became of every hidden effect, by its strength: a row for each outcome."""
-    told = [(max(h.strength, 0.1), OUTCOMES.index(outcome(c, h))) for c in cases if c.failed is None for h in c.hidden]
+    told = [(max(h.strength, 0.1), OUTCOMES.index(_outcome(c, h))) for c in cases if c.failed is None for h in c.hidden]
     strength, became = (np.array(column, float) for column in zip(*told)) if told else (np.zeros(0), np.zeros(0))
     series = [
         Series(np.log10(strength[became == k]), np.full((became == k).sum(), len(OUTCOMES) - float(k)), name, colour=k)
@@ -239,5 +237,5 @@ def _right(c: Case) -> bool:
         "foreign": c.unexplained and not c.named,
     }
     return bool(
-        known.get(c.kind, all(outcome(c, h) == OUTCOMES[0] for h in c.hidden) and len(c.named) == len(c.hidden))
+        known.get(c.kind, all(_outcome(c, h) == OUTCOMES[0] for h in c.hidden) and len(c.named) == len(c.hidden))
     )

@@ -1,6 +1,4 @@
-"""What `rig calibrate` says of a calibration: the verdict, which poses agree, a promise kept or not, what becomes of
-the workspace.
-"""
+"""Summary of a calibration that `rig calibrate` prints: verdict, poses used, promise, workspace, physics."""
 
 from __future__ import annotations
 
@@ -14,22 +12,22 @@ if TYPE_CHECKING:
 
     from calib.certify.platform_certification import Certified as PlatformCertified
     from calib.certify.workspace_claim import Claim
-    from calib.correct.physics import Physics
+    from calib.correct.physics_compensation import Physics
     from calib.files.calibration_file import Calibration
     from calib.models.arm.certification import Certified
     from calib.models.chain.certification import Certified as ChainCertified
     from calib.samples.recording_samples import Sampled
-    from rig.cli.shared.progress_bars import Progress
+    from rig.cli.shared.terminal_output import Progress
 
 MOST_NAMED = 10  # frames
 
 
-def show_calibration(
+def draw_page_and_print_verdict(
     page: Path | None, draw: Callable[[Path], None], calibration: Calibration, progress: Progress
 ) -> None:
-    """Draw the page, where there is one, and print the verdict, first of all."""
+    """Draw the page of a calibration, where one is requested, and print the verdict."""
+    from calib.certify.calibration import claim_lines
     from calib.certify.calibration_evidence import calibration_verdict
-    from calib.certify.calibration_verdict import claim_lines
 
     if page:
         progress("drawing the page", 0, 1)
@@ -47,10 +45,8 @@ def show_calibration(
     )
 
 
-def tell(arguments: Namespace, calibration: Calibration, poses: int) -> None:
-    """Say what a calibration of so many poses is worth, and leave for --json its held-out figures and claim, as
-    calibration.json has them.
-    """
+def print_calibration_summary(arguments: Namespace, calibration: Calibration, pose_count: int) -> None:
+    """Print the summary of a calibration; its held-out errors and claim are left in arguments.result for --json."""
     from calib.certify.calibration_evidence import calibration_verdict
 
     held, claim = calibration.held_out, calibration.claim
@@ -58,17 +54,17 @@ def tell(arguments: Namespace, calibration: Calibration, poses: int) -> None:
         "schema": "calibrated/1",
         "held_out": held and asdict(held),
         "claim": claim and asdict(claim),
-        "poses": poses,
+        "poses": pose_count,
         "confounds": calibration.confounds and calibration.confounds.tree(),
         "verdict": calibration_verdict(calibration).tree(),
     }
     if calibration.confounds is not None:
         print(calibration.confounds.line())
-    _say_promise(arguments.promise, claim)
-    _say_workspace(calibration)
+    _print_promise(arguments.promise, claim)
+    _print_workspace_change(calibration)
 
 
-def _say_promise(promise: float | None, claim: Claim | None) -> None:
+def _print_promise(promise: float | None, claim: Claim | None) -> None:
     """Print whether a promise (m) is kept by the upper end of what is claimed; nothing where none was made."""
     if promise is None or claim is None:
         return
@@ -87,17 +83,17 @@ def _say_promise(promise: float | None, claim: Claim | None) -> None:
     )
 
 
-def _say_workspace(calibration: Calibration) -> None:
+def _print_workspace_change(calibration: Calibration) -> None:
     """Print what a calibration does to the workspace; nothing where that was not worked out."""
-    from calib.workspace.workspace_sentences import workspace_lines
+    from calib.workspace.workspace_page import workspace_lines
     from rig.model import mechanisms
 
     if calibration.workspace is not None:
         print(workspace_lines(calibration.workspace, mechanisms.travel_unit(calibration.correction.nominal))[0])
 
 
-def say_joints(done: Certified, physics: Physics | None) -> None:
-    """Print what an arm's correction does beyond its geometry, and what that is worth on the held-out poses."""
+def print_arm_correction(done: Certified, physics: Physics | None) -> None:
+    """Print what an arm's correction does beyond its geometry, and its held-out errors."""
     if done.held_out and done.geometry and done.scattered:
         kept = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
         beyond = [
@@ -129,11 +125,11 @@ def say_joints(done: Certified, physics: Physics | None) -> None:
             f"the same with single rows held out at random, which flatters: {mean * 1e3:.4f} {unit} mean, "
             f"{rms * 1e3:.4f} RMS"
         )
-    say_physics(physics)
+    print_compensated_physics(physics)
 
 
-def say_physics(physics: Physics | None) -> None:
-    """Print which of the physics that a calibration knows its commands undo; nothing where it knows none."""
+def print_compensated_physics(physics: Physics | None) -> None:
+    """Print which physics of a calibration the commands compensate; nothing where it has none."""
     if physics is None:
         return
     again, known = physics.compensable_effects(), [f"{e.label()} at {e.place}" for e in physics.compensable_effects()]
@@ -153,9 +149,7 @@ def say_physics(physics: Physics | None) -> None:
 
 
 def print_pose_counts(sampled: Sampled, done: PlatformCertified | Certified | ChainCertified) -> None:
-    """Print how many poses of how many configurations there are, how many agree with one geometry, and which frames do
-    not.
-    """
+    """Print the counts of poses and configurations, how many agree with one geometry, and the frames that do not."""
     odd = [str(frame) for frame in sampled.samples.frame[~done.found.inliers]]
     named = (
         f"; not frame {', '.join(odd[:MOST_NAMED])}"

@@ -1,4 +1,4 @@
-"""What the commands that move struts share: the controller opened once, what it said, lengths and poses in words."""
+"""Controller session of commands that move struts: open the driver, wait until settled, print the status."""
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -18,9 +18,7 @@ from rig.model.design import Design
 
 
 def design_with_controller(path: Path, port: str | None) -> Design:
-    """The design of a rig.toml with a controller, at another port where that is asked for. Raises RigError for one
-    without.
-    """
+    """Design of a rig.toml with a controller, its port replaced where one is given. Raises RigError for one without."""
     design = design_file.load(path)
     if design.controller is None:
         raise RigError(f"{path} has no [controller], so there is nothing to drive: state its protocol and port there")
@@ -51,19 +49,18 @@ def open_driver(
         yield driver
 
 
-def settled_status(driver: Driver, clock: Clock, patience: float = 60.0, every: float = 0.05) -> Status:
-    """Status once the axes stand: what another process began is let come to its end, and its end is where the struts
-    were left.
+def settled_status(driver: Driver, clock: Clock, timeout: float = 60.0, poll_interval: float = 0.05) -> Status:
+    """Status once the axes have settled: a move that another process began is awaited.
 
     Raises RigError where they still move after so long.
     """
-    status, end = driver.status(), clock.now() + patience
+    status, end = driver.status(), clock.now() + timeout
     moved = status.activity == "moving"
     while status.activity == "moving":
         if clock.now() > end:
             driver.stop()
-            raise RigError(f"the struts still moved {patience:g} s after connecting; they were told to stop")
-        clock.sleep(every)
+            raise RigError(f"the struts still moved {timeout:g} s after connecting; they were told to stop")
+        clock.sleep(poll_interval)
         status = driver.status()
     if moved and status.known and status.activity == "idle" and not status.fault:
         driver.trust()  # it counted all the way, and nobody else commands it
@@ -76,7 +73,7 @@ def lengths_text(lengths: np.ndarray) -> str:
 
 
 def print_status(status: Status, design: Design) -> None:
-    """A Status in words, with the pose that the lengths give by the owner's model."""
+    """Print a Status, with the pose that its lengths give by the nominal model."""
     from rig.driving.operator_advice import advice
     from rig.errors import NotConverged
     from rig.model import mechanisms

@@ -1,4 +1,4 @@
-"""What this computer has of what rig needs, looked at without opening a camera or a port: for `rig doctor`."""
+"""Inventory of the installation for `rig doctor`: packages, OpenGL, cameras, serial ports, disk space, threads."""
 
 import os
 import platform
@@ -37,7 +37,7 @@ class InventoryItem:
 
 
 def installation_inventory() -> list[InventoryItem]:
-    """All that was found, versions first."""
+    """Inventory of the installation, versions first."""
     system = f"Python {platform.python_version()} on {platform.system()} {platform.release()}, {platform.machine()}"
     return [
         InventoryItem("rig", "ok", f"{metadata.version('rig')}, {Path(__file__).parents[3]}"),
@@ -53,7 +53,7 @@ def installation_inventory() -> list[InventoryItem]:
 
 
 def installed_packages() -> Iterator[InventoryItem]:
-    """The packages that rig names: those of a plain installation must be there."""
+    """Installed packages, each with its version, against what rig requires."""
     for need in metadata.requires("rig") or ():
         name, least, extra = parse_requirement(need)
         if extra == "test":
@@ -78,7 +78,7 @@ def installed_packages() -> Iterator[InventoryItem]:
 
 
 def parse_requirement(need: str) -> tuple[str, str | None, str | None]:
-    """(name, least version or None, extra or None) of a requirement as a package states it."""
+    """Parse a package requirement: (name, least version or None, extra or None)."""
     name = re.match(r"[\w.-]+", need)
     least, extra = re.search(r">=\s*([\w.]+)", need.split(";")[0]), re.search(r"extra\s*==\s*['\"]([\w-]+)", need)
     return name[0] if name else need, least and least[1], extra and extra[1]
@@ -89,7 +89,7 @@ def _numbers(version: str) -> tuple[int, ...]:
 
 
 def check_graphics() -> InventoryItem:
-    """Whether a picture can be drawn, tried in a process of its own, as a driver that is broken ends its process."""
+    """Check graphics: whether OpenGL draws, tried in a child process, since a broken driver ends its process."""
     try:
         done = subprocess.run([sys.executable, "-c", CONTEXT], capture_output=True, text=True, timeout=60)
     except subprocess.TimeoutExpired:
@@ -103,7 +103,7 @@ def check_graphics() -> InventoryItem:
 
 
 def list_cameras(folder: Path = Path("/sys/class/video4linux")) -> InventoryItem:
-    """Video devices and their names; none is opened."""
+    """List the cameras (video devices) by name; none is opened."""
     there = sorted(folder.iterdir()) if folder.is_dir() else []
     names = [f"/dev/{one.name} ({(one / 'name').read_text().strip()})" for one in there]
     return InventoryItem(
@@ -115,7 +115,7 @@ def list_cameras(folder: Path = Path("/sys/class/video4linux")) -> InventoryItem
 
 
 def list_genicam_producers() -> InventoryItem:
-    """The makers' producers through which GenICam cameras are found."""
+    """List the installed GenICam producers (GenTL files)."""
     folders = [Path(folder) for folder in os.environ.get("GENICAM_GENTL64_PATH", "").split(os.pathsep) if folder]
     files = [file.name for folder in folders if folder.is_dir() for file in sorted(folder.glob("*.cti"))]
     todo = "only for GenICam cameras: install the maker's producer, which sets GENICAM_GENTL64_PATH"
@@ -125,7 +125,7 @@ def list_genicam_producers() -> InventoryItem:
 
 
 def list_serial_ports() -> InventoryItem:
-    """Serial ports, and whether this user may open them."""
+    """List serial ports, and whether this user may open them."""
     from serial.tools import list_ports
 
     found = [port for port in list_ports.comports() if port.hwid != "n/a"]
@@ -147,7 +147,7 @@ def list_serial_ports() -> InventoryItem:
 
 
 def free_disk_space() -> Iterator[InventoryItem]:
-    """Free space here and where temporary files go."""
+    """Free disk space in the working folder and in the folder of temporary files."""
     for name, folder in (("space here", Path.cwd()), ("temporary space", Path(tempfile.gettempdir()))):
         free = shutil.disk_usage(folder).free
         writable = os.access(folder, os.W_OK)
@@ -163,7 +163,7 @@ def free_disk_space() -> Iterator[InventoryItem]:
 
 
 def thread_limits() -> InventoryItem:
-    """Cores that this process may use, and what limits the libraries' threads."""
+    """Limits of threads: cores that this process may use, and environment variables."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     limits = [f"{name}={os.environ[name]}" for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS") if name in os.environ]
     return InventoryItem(

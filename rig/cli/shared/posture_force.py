@@ -1,4 +1,4 @@
-"""rig posture --exert: what the chosen posture takes to exert a wrench, what it could exert at most, and that drawn."""
+"""Force that an arm's posture can exert (rig posture --exert): joint torques, margins, limits, a drawing."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.cli.shared.output_options import parse_numbers, require_drawing
+from rig.cli.shared.command_options import parse_numbers, require_matplotlib
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from rig.posture.exertable_wrench import Exertion
 
 
-def arguments(parser: ArgumentParser) -> None:
-    """Add what is to be exerted."""
+def add_exertion_options(parser: ArgumentParser) -> None:
+    """Add the options of the wrench to exert: --exert, --limits, --draw."""
     parser.add_argument(
         "--exert",
         nargs="+",
@@ -41,9 +41,7 @@ def arguments(parser: ArgumentParser) -> None:
 def requested_exertion(
     arguments: Namespace, arm: Arm, dynamics: ArmDynamics, gravity: np.ndarray, path: Path
 ) -> Exertion | None:
-    """The Exertion that is asked for, or None. gravity : (3,) m/s^2; path : of the arm's file. Raises RigError for what
-    cannot be meant
-    """
+    """Requested exertion (--exert) or None. gravity : (3,) m/s^2; path : of the arm. Raises RigError for bad options"""
     import numpy as np
 
     from rig.posture.exertable_wrench import Exertion, Strength
@@ -69,9 +67,7 @@ def requested_exertion(
 
 
 def exertion_dict(q: np.ndarray, arm: Arm, exertion: Exertion) -> dict[str, Any]:
-    """{what: figure} of a posture q (n,) rad: torques (N m), margins, greatest multiple, the strongest and weakest
-    directions of a force (N).
-    """
+    """Dict of an exertion at posture q (n,) rad for JSON: torques, margins, greatest multiple, extreme directions."""
     import numpy as np
 
     from rig.posture import exertable_wrench as of
@@ -102,41 +98,41 @@ def exertion_dict(q: np.ndarray, arm: Arm, exertion: Exertion) -> dict[str, Any]
     return out
 
 
-def exertion_lines(found: dict[str, Any], units: tuple[str, ...]) -> list[str]:
-    """What `exertion_dict` found, in words. units : of each joint's torque, "Nm", or of a slide's force "N"."""
+def exertion_lines(figures: dict[str, Any], units: tuple[str, ...]) -> list[str]:
+    r"""Lines of text about an exertion, from `exertion_dict`. units : of each joint, \"Nm\", or \"N\" of a slide."""
     mixed = len(set(units)) > 1
     cells = ", ".join(
         f"{torque:.3f}{' ' + unit if mixed else ''} ({margin:+.3f})"
-        for torque, margin, unit in zip(found["torques"], found["margin"], units)
+        for torque, margin, unit in zip(figures["torques"], figures["margin"], units)
     )
-    held = ", own weight held" if found["weight_counted"] else " (the weight of the links is not stated)"
+    held = ", own weight held" if figures["weight_counted"] else " (the weight of the links is not stated)"
     out = [f"torques that exert it{held}, and what is left to the limits{'' if mixed else ', ' + units[0]}: {cells}"]
-    if found["greatest"] is None:
-        return [*out, f"joint {found['tightest_joint']} cannot even hold the arm's own weight here"]
-    multiple, joint = found["greatest_multiple"], found["tightest_joint"]
+    if figures["greatest"] is None:
+        return [*out, f"joint {figures['tightest_joint']} cannot even hold the arm's own weight here"]
+    multiple, joint = figures["greatest_multiple"], figures["tightest_joint"]
     out.append(
         f"at most {multiple:.4g} times what is wanted"
         + (
             ""
             if multiple >= 1
             else f": it CANNOT be exerted, joint {joint} falls short by "
-            f"{-found['margin'][joint - 1]:.3f} {units[joint - 1]}"
+            f"{-figures['margin'][joint - 1]:.3f} {units[joint - 1]}"
         )
     )
     for name, words in (
         ("strongest", "the strongest direction of a force"),
         ("weakest", "in every direction at least, the weakest"),
     ):
-        d = found[name]
+        d = figures[name]
         out.append(f"{words}: {d['force']:.4g} N along ({', '.join(f'{part:+.3f}' for part in d['direction'])})")
     return out
 
 
 def exertion_svg(q: np.ndarray, arm: Arm, exertion: Exertion) -> str:
-    """SVG of what a posture q (n,) rad can exert. Raises RigError where it cannot hold its own weight"""
+    """SVG of the exertion at posture q (n,) rad: force polytope. Raises RigError where it cannot hold its own weight"""
     import numpy as np
 
-    require_drawing("pictures of postures")
+    require_matplotlib("pictures of postures")
     from rig.posture import exertable_wrench as of
     from rig.posture import force_polytope_figure
 

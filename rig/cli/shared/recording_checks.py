@@ -1,6 +1,4 @@
-"""What commands say of their user's mistakes before they begin: a recording is read, checked, and refused where its
-results would mean nothing.
-"""
+"""Checks of a recording before a command begins: load it, print mistakes, refuse it where results mean nothing."""
 
 import argparse
 import sys
@@ -9,17 +7,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.checks.user_mistake import Mistake
-from rig.cli.shared.output_options import read_recording
+from rig.cli.shared.command_options import read_recording
 from rig.errors import FileError, RigError
 
 if TYPE_CHECKING:
-    from rig.cli.shared.output_options import Progress
+    from rig.cli.shared.command_options import Progress
     from rig.recording.recording_folder import Corners, Recording
     from vision.combined_recordings import CombinedRecordings
 
 
 def add_anyway_option(parser: argparse.ArgumentParser) -> None:
-    """Add --anyway to a command that begins with a check."""
+    """Add the option --anyway, which continues in spite of mistakes in the recording."""
     parser.add_argument(
         "--anyway",
         action="store_true",
@@ -28,7 +26,7 @@ def add_anyway_option(parser: argparse.ArgumentParser) -> None:
 
 
 def load_recording(arguments: argparse.Namespace, path: Path | None = None) -> "Recording":
-    """Recording at a path, by default that of the arguments that `add_recording` adds.
+    """Load a recording, by default that of the arguments; where it is unreadable, the likeliest mistake is named.
 
     Raises RigError that names the likeliest mistake first where it cannot be read
     """
@@ -44,12 +42,11 @@ def load_recording(arguments: argparse.Namespace, path: Path | None = None) -> "
 
 
 def check_recording(recording: "Recording", anyway: bool) -> "Callable[[Corners], None]":
-    """What looks at a recording's corners once they are read: both refuse what is spoilt, unless anyway, and print what
-    is unlikely.
+    """Check a recording's files, and return the check of its corners; each refuses mistakes unless anyway.
 
     Raises RigError that names the likeliest mistake first
     """
-    _judge_files(recording, anyway)
+    _check_files(recording, anyway)
 
     def look(corners: "Corners") -> None:
         from vision.checks import find_corner_mistakes as looked
@@ -62,9 +59,8 @@ def check_recording(recording: "Recording", anyway: bool) -> "Callable[[Corners]
 def load_and_check_recordings(
     arguments: argparse.Namespace, progress: "Progress"
 ) -> "tuple[Recording, Callable[[Corners], None], CombinedRecordings | None]":
-    """(Recording, what looks at its corners, see `check_recording`) of the arguments that `add_recordings` adds: one
-    Recording of them all, each checked
-    by itself; and how they go together, None for one alone. What is shared and what is each one's own is printed.
+    """Load and check recordings: (one Recording of them all, the check of its corners), each recording
+    What is shared and what is each one's own is printed.
 
     Raises RigError that names the likeliest mistake first, and for recordings that are not of one rig
     """
@@ -82,8 +78,8 @@ def load_and_check_recordings(
     every = [load_recording(arguments, path) for path in (arguments.recording, *arguments.further)]
     require_combinable(every)
     for recording in every:
-        _judge_files(recording, arguments.anyway)
-        corners = recording.corners if recording.corners is not None else sample_corners(recording)
+        _check_files(recording, arguments.anyway)
+        corners = recording.corners if recording.corners is not None else corners_of_image_sample(recording)
         if corners is not None:
             from vision.checks import find_corner_mistakes as look
 
@@ -107,7 +103,7 @@ def load_and_check_recordings(
     return recording, lambda corners: None, found
 
 
-def _judge_files(recording: "Recording", anyway: bool) -> None:
+def _check_files(recording: "Recording", anyway: bool) -> None:
     """Judge what a recording's files and some of its images show."""
     from rig.checks.recording_without_images import file_mistakes
     from rig.model.cube_remounting import WORDS, quarter_turns
@@ -125,11 +121,11 @@ def _judge_files(recording: "Recording", anyway: bool) -> None:
 
         report_mistakes(image_mistakes(recording), anyway)
     if recording.poses is not None and recording.corners is None and not recording.has_images:
-        report_mistakes(pose_mistakes(recording), anyway)
+        report_mistakes(pose_command_mistakes(recording), anyway)
 
 
-def sample_corners(recording: "Recording") -> "Corners | None":
-    """Corners read in some frames' images; None where there are none."""
+def corners_of_image_sample(recording: "Recording") -> "Corners | None":
+    """Corners detected in a sample of a recording's images; None where there are no images or targets."""
     if not recording.has_images or not recording.design.targets:
         return None
     from vision.checks.image_sample import read_image_sample
@@ -137,13 +133,13 @@ def sample_corners(recording: "Recording") -> "Corners | None":
     return read_image_sample(recording)[0]
 
 
-def pose_mistakes(recording: "Recording") -> tuple[Mistake, ...]:
-    """Mistakes that poses.csv and commands.csv show of each other."""
+def pose_command_mistakes(recording: "Recording") -> tuple[Mistake, ...]:
+    """Mistakes visible from poses and commands together: where poses.csv and commands.csv contradict each other."""
     if recording.poses is None or recording.commands is None:
         return ()
     kind = recording.design.mechanism.kind
     if kind == "arm":
-        from calib.checks import find_arm_mistakes as look
+        from calib.models.arm.command_and_pose_mistakes import find_arm_mistakes as look
 
         return look(recording)
     if kind != "hexapod":
@@ -163,9 +159,7 @@ def pose_mistakes(recording: "Recording") -> tuple[Mistake, ...]:
 
 
 def report_mistakes(mistakes: Iterable[Mistake], anyway: bool) -> None:
-    """Print what is unlikely, first of all; raise RigError with all of it where one makes results meaningless and
-    nobody said anyway.
-    """
+    """Report mistakes: print them, or raise RigError with all where one makes results meaningless, unless anyway."""
     mistakes = tuple(mistakes)
     if any(one.spoils for one in mistakes) and not anyway:
         raise RigError("\n".join([*map(str, mistakes), "Nothing was computed; --anyway does it nevertheless"]))

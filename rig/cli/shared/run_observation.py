@@ -1,6 +1,4 @@
-"""Who looks on while a run goes: every frame measured and learnt from as it comes, what is wrong said at once, and
-shown to displays.
-"""
+"""Observation of a run: each frame measured and learnt from as it comes, alarms raised, displays updated."""
 
 import queue
 import sys
@@ -13,9 +11,8 @@ from typing import Any, Protocol
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify.redundant_limb_checks import has_six_limbs
-from calib.online.limb_vision_agreement import Disagreement
-from calib.online.live_limb_poses import LimbLive
+from calib.certify.measuring_limb_checks import has_six_measuring_limbs
+from calib.online.measuring_limb_poses import Disagreement, LiveLimbPoses
 from calib.online.run_learning import Learner, Learnt, LimbWatch
 from rig.cli.online import change_sentence
 from rig.driving.clock import Clock
@@ -34,7 +31,7 @@ LATEST = 30  # alarms that are kept for displays
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
+class MeasuredFrame:
     """A frame that was measured. delay : s from the end of its exposure to its pose; learnt : what the learner made of
     it, or None
     blur : {camera: px, width of the markers' edges}, a figure of focus; rms : px of its corners, {camera: px}."""
@@ -63,7 +60,7 @@ class View:
     goal: np.ndarray
     ranges: np.ndarray
     alarms: tuple[Alarm, ...]
-    seen: Seen | None
+    seen: MeasuredFrame | None
     ended: str | None
 
 
@@ -85,7 +82,7 @@ class Stopping:
     halt: Callable[[], object]
 
 
-class Looking:
+class RunObserver:
     """See rig.driving.operator_loop.Watcher. start : (axes,) m; live, learner : None where frames are not measured or
     poses not learnt from `displays` : who shows it."""
 
@@ -107,10 +104,10 @@ class Looking:
             None
         )  # puts what is said on record; the operator's, once there is one
         self._watch = Watch(design)
-        self._limbs = LimbWatch(design) if has_six_limbs(design) else None
+        self._limbs = LimbWatch(design) if has_six_measuring_limbs(design) else None
         self._read: np.ndarray | None = None
-        self.source: LimbLive | None = None  # limbs whose poses stand for vision's
-        self.withdraw: Callable[[LimbLive, int, str], None] = lambda source, frame, reason: (
+        self.source: LiveLimbPoses | None = None  # limbs whose poses stand for vision's
+        self.withdraw: Callable[[LiveLimbPoses, int, str], None] = lambda source, frame, reason: (
             None
         )  # writes that they no longer do
         self._waiting: list[Alarm] = []  # jumps that vision has not confirmed
@@ -241,7 +238,7 @@ class Looking:
         sight = live.take(shot.number, {name: frame.image for name, frame in shot.frames.items()}, self._expected(shot))
         return sight, self._watch.look(sight, live.noise)
 
-    def _by_limbs(self, shot: Shot, lengths: np.ndarray, source: LimbLive) -> None:
+    def _by_limbs(self, shot: Shot, lengths: np.ndarray, source: LiveLimbPoses) -> None:
         """A shot's pose from the limbs, learnt; vision looks where it is due, and what it has not confirmed is not
         said.
         """
@@ -273,7 +270,7 @@ class Looking:
         if live is not None:
             live.adjust()
 
-    def _withdrawn(self, source: LimbLive, frame: int, found: Disagreement) -> None:
+    def _withdrawn(self, source: LiveLimbPoses, frame: int, found: Disagreement) -> None:
         """The limbs no longer stand for vision: on file, said, and what was learnt since the last check is
         forgotten.
         """
@@ -327,7 +324,7 @@ class Looking:
             if (rows := good & (o.camera == i)).any()
         }
         blur = {name: float(np.median(d.blur)) for name, d in sight.detections.items() if len(d.blur)}
-        self.update(seen=Seen(shot, sight, learnt, delay, rms, blur))
+        self.update(seen=MeasuredFrame(shot, sight, learnt, delay, rms, blur))
 
     def _expected(self, shot: Shot) -> RigidTransform | None:
         """Where the platform ought to be."""

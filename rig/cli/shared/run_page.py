@@ -1,36 +1,65 @@
-"""A run's view -> what its page shows: figures in mm and mrad, images as JPEG, the rig as lines in three dimensions."""
+"""Page of a run in progress: its verdict, figures in mm and mrad, camera images, the rig in 3-D."""
 
+import math
 from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.report.scene_3d import closed_outline, fixed_rig_lines
-from rig.cli.shared.run_observation import Looking, Seen, View
-from rig.cli.shared.run_verdict import run_verdict
+from calib.report.pose_figures import closed_outline, fixed_rig_lines
+from rig.cli.shared.run_observation import MeasuredFrame, RunObserver, View
 from rig.model.design import Camera, Design
 from rig.model.pose import pose_to_vector, transform_points
 from rig.report.pages.run_page_server import PageServer
+from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
 from vision.jpeg_pictures import encode_jpeg
 from vision.targets import MarkerMap, marker_map
+
+OFF = 3.0  # standard uncertainties, RMS over the axes that were measured: beyond it one pose is off by more than chance
+CALIBRATE = (
+    "Calibrate once the run is over: `rig calibrate REC --out calibration.json`, or begin with `--calibration FILE`"
+)
+
+
+def run_verdict(view: View) -> Verdict:
+    """Verdict on a run so far, from its View: alarms, early end, deviation of the last pose."""
+    refuted = (f"it ended before its end: {view.ended}",) if view.ended else ()
+    alarms = tuple(Missing(f"{alarm.kind}: {alarm.text}") for alarm in view.alarms)
+    off = math.nan if view.seen is None else _pose_deviation_in_sigmas(view.seen)
+    unexplained = (f"the last pose is {off:.3g} times its own uncertainty off what was expected",) if off > OFF else ()
+    return judge_evidence(
+        Evidence(view.phase, missing=alarms, unexplained=unexplained, refuted=refuted, look=CALIBRATE)
+    )
+
+
+def _pose_deviation_in_sigmas(seen: MeasuredFrame) -> float:
+    """By how many of its own standard uncertainties a pose is off what was expected, RMS over the axes; NaN where that
+    is not known.
+    """
+    if seen.learnt is None or seen.sight.covariance is None:
+        return math.nan
+    sigma = np.sqrt(np.diag(seen.sight.covariance))
+    known = np.isfinite(sigma) & (sigma > 0)
+    return float(np.sqrt(np.mean((seen.learnt.error[known] / sigma[known]) ** 2))) if known.any() else math.nan
+
 
 LATEST = 400  # frames whose figures are shown
 
 
-class Page:
+class RunPage:
     """Serves the view of a Looking. As a context it is open; see rig.cli.shared.run_observation.Display."""
 
-    def __init__(self, looking: Looking, port: int) -> None:
+    def __init__(self, looking: RunObserver, port: int) -> None:
         self._design = looking.design
         self._server = PageServer(lambda: looking.ask_stop("stopped from the page"), port)
         self.url = self._server.url
         self._history: list[dict] = []
-        self._shown: Seen | None = None
+        self._shown: MeasuredFrame | None = None
         self._markers = marker_map(self._design.without_stages()) if self._design.targets else None
         self._fixed = fixed_rig_lines(self._design, self._markers)
 
-    def __enter__(self) -> "Page":
+    def __enter__(self) -> "RunPage":
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -71,7 +100,7 @@ class Page:
         }
 
 
-def _figures(seen: Seen) -> dict:
+def _figures(seen: MeasuredFrame) -> dict:
     """What charts show of a frame."""
     rms = float(np.sqrt(np.mean(np.square(list(seen.rms.values()))))) if seen.rms else None
     learnt = seen.learnt
@@ -83,7 +112,7 @@ def _figures(seen: Seen) -> dict:
     }
 
 
-def _seen(seen: Seen, design: Design, markers: MarkerMap | None) -> dict:
+def _seen(seen: MeasuredFrame, design: Design, markers: MarkerMap | None) -> dict:
     ids = np.zeros(0, int) if markers is None else markers.id
     sight, learnt, T = seen.sight, seen.learnt, seen.sight.T_base_platform
 
@@ -104,7 +133,7 @@ def _seen(seen: Seen, design: Design, markers: MarkerMap | None) -> dict:
     }
 
 
-def _camera(seen: Seen, i: int, camera: Camera, ids: np.ndarray) -> dict:
+def _camera(seen: MeasuredFrame, i: int, camera: Camera, ids: np.ndarray) -> dict:
     """What one camera saw. ids : identity of each row of the marker map"""
     sight, detection = seen.sight, seen.sight.detections[camera.name]
     o = sight.observations

@@ -1,6 +1,4 @@
-"""Who does the work of a command: so many processes here, or a Dask cluster; one group of options and what they
-mean.
-"""
+"""Worker options: number of processes or a Dask cluster (--workers, --scheduler), and the pool they give."""
 
 import sys
 import time
@@ -10,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from typing import Any
 
-from rig.cli.shared.output_options import Progress
+from rig.cli.shared.command_options import Progress
 from rig.compute import dask_cluster
 from rig.compute.worker_processes import end_child_processes, limit_workers, worker_count
 from rig.errors import RigError
@@ -19,8 +17,8 @@ from rig.formats.number_parsing import parse_whole_number
 MOST = 1024  # processes
 
 
-def add_workers(parser: ArgumentParser) -> None:
-    """Let a command be told who works for it."""
+def add_worker_options(parser: ArgumentParser) -> None:
+    """Add the worker options --workers and --scheduler."""
     group = parser.add_argument_group("who does the work; results are the same to the last byte")
     group.add_argument(
         "--workers",
@@ -39,9 +37,9 @@ def add_workers(parser: ArgumentParser) -> None:
 
 
 @contextmanager
-def workers_at_work(arguments: Namespace) -> Iterator[None]:
-    """Within it those work whom `add_workers` was told of; products of matrices take one thread, so that who works does
-    not change how they are rounded. Raises RigError for a number of workers that cannot be, and what `cluster` raises
+def use_requested_workers(arguments: Namespace) -> Iterator[None]:
+    """Use the requested workers within it; BLAS takes one thread, so that their number does not change how sums are
+    Raises RigError for a number of workers that cannot be, and what `cluster` raises
     """
     if arguments.workers is not None and not 1 <= arguments.workers <= MOST:
         raise RigError(f"--workers takes 1 to {MOST}, not {arguments.workers}")
@@ -55,9 +53,7 @@ def workers_at_work(arguments: Namespace) -> Iterator[None]:
 
 @contextmanager
 def worker_pool() -> Iterator[Any]:
-    """What runs calls at the same time: threads that wait for processes here, or the cluster. At its end what has not
-    begun is dropped.
-    """
+    """Pool of workers: threads that wait for processes, or the cluster; calls not begun are dropped at its end."""
     there = dask_cluster.current_cluster()
     if there is not None:
         yield there.executor()
@@ -73,10 +69,10 @@ def worker_pool() -> Iterator[Any]:
         threads.shutdown(wait=False, cancel_futures=True)
 
 
-def results_with_progress(threads: Any, function: Callable, calls: list, label: str) -> Iterator[Any]:
-    """Results of calls of a function as they come, with progress on standard error. Raises what a call raises."""
+def results_with_progress(pool: Any, function: Callable, calls: list, label: str) -> Iterator[Any]:
+    """Results of calls as they complete, with progress on standard error. Raises what a call raises."""
     progress, start = Progress(), time.monotonic()
-    waiting = [threads.submit(function, *call) for call in calls]
+    waiting = [pool.submit(function, *call) for call in calls]
     for count, future in enumerate(as_completed(waiting), 1):
         result = future.result()
         if sys.stderr.isatty() or progress.shown != "auto":

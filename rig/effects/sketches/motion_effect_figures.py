@@ -10,7 +10,7 @@ from rig.effects.sketches.effect_example import AXIS, FAR, Sketch, Way, effect_e
 from rig.model import motion_simulation
 from rig.model.pose import exp, pose_difference
 from rig.report.pages.plots import Series, plot_panel
-from rig.report.pages.svg_elements import TEXT, WIDTH, svg, text
+from rig.report.pages.svg_elements import TEXT, WIDTH, svg_figure, svg_text
 
 SHARE = 0.5  # of what is told, that errors are drawn as large as at the most
 HIGH = 120.0  # of a panel's drawing
@@ -87,8 +87,8 @@ def _displaced(way: Way) -> str:
     top, left = 2 * TEXT + 22.0, (WIDTH - scale * (high - low)[0]) / 2
     base, tips = ((points - low) * scale + [left, top] for points in (base, tips))
     parts = [
-        text(4, 14, "The platform", style="name"),
-        text(4, 34, f"grey: told; {enlargement_text('orange: done', much)}"),
+        svg_text(4, 14, "The platform", style="name"),
+        svg_text(4, 34, f"grey: told; {enlargement_text('orange: done', much)}"),
     ]
     for k, style in enumerate(("line grey", "line c1")):
         struts = "".join(
@@ -96,7 +96,9 @@ def _displaced(way: Way) -> str:
         )
         parts.append(f'<path class="{style}" d="{struts}{_ring(tips[k])}"/>')
     parts.append(f'<path class="axis" d="{_ring(base[0])}"/>')
-    return svg(int(top + scale * (high - low)[1] + 12), f"the platform displaced, {effect_text(way.effect)}", parts)
+    return svg_figure(
+        int(top + scale * (high - low)[1] + 12), f"the platform displaced, {effect_text(way.effect)}", parts
+    )
 
 
 def _ring(points: np.ndarray) -> str:

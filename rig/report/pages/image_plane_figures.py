@@ -1,12 +1,11 @@
-"""Figures of a plane seen straight on, as a camera's image: arrows, crosses, and cells of a grid by their value."""
+"""Figures of the image plane: arrows, outlines, dots, and grid cells shaded by value."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from rig.report.pages.svg_elements import TEXT, WIDTH, svg, text, tooltip
-from rig.report.pages.text_layout import escape_html
+from rig.report.pages.svg_elements import TEXT, WIDTH, escape_html, svg_figure, svg_text, tooltip
 
 TOP = TEXT + 11.0
 Placed = Callable[[np.ndarray], np.ndarray]  # (n, 2) of the plane -> (n, 2) of the figure
@@ -50,21 +49,19 @@ class Quads:
     colour: int = -1
 
 
-def image_plane(
+def image_plane_figure(
     title: str,
-    below: str,
+    caption: str,
     size: tuple[float, float],
     layers: Sequence[Arrows | Cells | Quads],
     dots: np.ndarray | None = None,
 ) -> str:
-    """A figure of an image. below : a line below it; size : (width, height) px; dots : (n, 2) px of places marked, or
-    None
-    """
+    """Figure of the image plane with layers. caption : below; size : (width, height) px; dots : (n, 2) px, or None"""
     width, height = size
     scale = (WIDTH - 8) / width
     tall = scale * height
     parts = [
-        text(4, 14, title, style="name"),
+        svg_text(4, 14, title, style="name"),
         f'<rect class="frame" x="4" y="{TOP:.1f}" width="{WIDTH - 8}" height="{tall:.1f}"/>',
     ]
 
@@ -79,14 +76,12 @@ def image_plane(
     if dots is not None and len(dots):
         d = "".join(f"M{a:.1f} {b:.1f}h.01" for a, b in placed(dots[:: -(-len(dots) // MOST)]).tolist())
         parts.append(f'<path class="specks" d="{d}"/>')
-    parts.append(text(4, TOP + tall + 17, below))
-    return svg(int(TOP + tall + 24), f"{title}: {below}", parts)
+    parts.append(svg_text(4, TOP + tall + 17, caption))
+    return svg_figure(int(TOP + tall + 24), f"{title}: {caption}", parts)
 
 
 def patch_means(uv: np.ndarray, values: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
-    """(centres (c, 2), means (c, k)) of values (n, k) at places uv (n, 2) >= 0, over square cells, sized in uv's unit,
-    that hold FEWEST or more.
-    """
+    """Patch means (centres (c, 2), means (c, k)) of values (n, k) at uv (n, 2) >= 0. cell : a square's side, as uv"""
     keys, index, count = np.unique((uv // cell).astype(int) @ [1, 1000], return_inverse=True, return_counts=True)
     centre = np.stack([keys % 1000, keys // 1000], axis=1) * cell + cell / 2
     total = np.zeros((len(keys), values.shape[1]))

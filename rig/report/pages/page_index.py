@@ -1,6 +1,4 @@
-"""One page of all pages below a folder: each with its verdict, the latest first; kept up to date by the commands that
-write pages there.
-"""
+"""Index page of all pages below a folder, each with its verdict, the latest first; refreshed by commands."""
 
 import html
 import os
@@ -14,7 +12,7 @@ from rig.errors import RigError
 from rig.formats.output_files import Outputs
 from rig.report import refutations
 from rig.report.pages.html_elements import capitalised, heading, inline_html
-from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.page_and_svg_templates import Link, Page, write_page
 from rig.report.verdict import WORST, State, Verdict, worst_state
 
 NAME = "index.html"
@@ -28,7 +26,7 @@ SAID = re.compile(
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class PageSummary:
     """A page. path; kind, title, state, why : as it says them, and as later recordings have it; changed : s, when it
     was written
     """
@@ -41,9 +39,8 @@ class Found:
     changed: float
 
 
-def read_page_summary(path: Path) -> Found | None:
-    """What a page says, and what refuted the result beside it later; None for a file that is no page of ours, or cannot
-    be read.
+def read_page_summary(path: Path) -> PageSummary | None:
+    """Summary of a page: kind, title, verdict, later refutations; None for a file that is no page of rig.
 
     Raises FileError for a list of refuted results that is none
     """
@@ -60,25 +57,25 @@ def read_page_summary(path: Path) -> Found | None:
         worst_state([State(said[2]), *(one.state for one in later)]),
         "; ".join([*(one.line for one in later), html.unescape(said[3])]),
     )
-    return Found(path, said[1], html.unescape(said[4]), state, why, changed)
+    return PageSummary(path, said[1], html.unescape(said[4]), state, why, changed)
 
 
-def list_pages(folder: Path) -> list[Found]:
-    """Pages in a folder and below it, the latest first, indices left out."""
+def list_pages(folder: Path) -> list[PageSummary]:
+    """List the pages in a folder and below it, the latest first, indices excluded."""
     places = [path for depth in range(DEPTH) for path in sorted(folder.glob("*/" * depth + "*.html"))]
     known = [found for path in places if (found := read_page_summary(path)) is not None and found.kind != KIND]
     return sorted(known, key=lambda found: -found.changed)
 
 
-def index_page(path: Path, folder: Path) -> None:
-    """Write the page of all pages of a folder. path : where it is written, to stand in that folder"""
+def write_index_page(path: Path, folder: Path) -> None:
+    """Write the index page of all pages of a folder. path : where it is written before it moves into that folder"""
     known = list_pages(folder)
     count = {state: sum(found.state == state for found in known) for state in WORST}
     state = worst_state([found.state for found in known])
     why = ", ".join(f"{count[state]} {state}" for state in WORST if count[state]) or "there is no page yet"
     items = "".join(
         f'<li><span class="badge {found.state}">{found.state}</span> <a '
-        f'href="{_way(found.path, folder)}">{html.escape(found.title)}</a>'
+        f'href="{_relative_link(found.path, folder)}">{html.escape(found.title)}</a>'
         f'<br><span class="note">{inline_html(capitalised(found.why))}</span></li>'
         for found in known
     )
@@ -87,7 +84,7 @@ def index_page(path: Path, folder: Path) -> None:
     write_page(path, Page(KIND, folder.resolve().name, Verdict(state, why), parts, steps))
 
 
-def index_above(place: Path) -> Path | None:
+def _index_above(place: Path) -> Path | None:
     """The index in the folder of a page or in one above it, None where there is none."""
     folders = (place.resolve().parent, *place.resolve().parents[1:DEPTH])
     return next(
@@ -101,25 +98,23 @@ def index_above(place: Path) -> Path | None:
 
 
 def refresh_indices(written: Iterable[Path]) -> None:
-    """Write anew the indices above pages that were written. One that somebody changed stays as it is."""
+    """Refresh the index pages above pages that were written; one that a user changed is left."""
     for index in {
         index
         for place in written
-        if place.suffix == ".html" and place.name != NAME and (index := index_above(place)) is not None
+        if place.suffix == ".html" and place.name != NAME and (index := _index_above(place)) is not None
     }:
         with Outputs(KIND) as outputs:
             try:
                 place = outputs.file(index)
             except RigError:  # it is somebody else's by now, or the folder cannot be written
                 continue
-            index_page(place, index.parent)
+            write_index_page(place, index.parent)
 
 
 def page_links(place: Path, sources: Iterable[Path] = ()) -> list[Link]:
-    """Links of a page that will be at a place: to the index above it, and to the pages of what it was made from,
-    folders or files.
-    """
-    index, own = index_above(place), place.resolve()
+    """Links of a page at a place: to the index above it, and to the pages of its sources, folders or files."""
+    index, own = _index_above(place), place.resolve()
     near = [
         path
         for source in sources
@@ -130,9 +125,9 @@ def page_links(place: Path, sources: Iterable[Path] = ()) -> list[Link]:
         for path in near
         if path.resolve() != own and (found := read_page_summary(path)) is not None and found.kind != KIND
     ]
-    first = [] if index is None else [Link("All pages", _way(index, own.parent))]
-    return [*first, *(Link(found.title, _way(found.path, own.parent)) for found in known)]
+    first = [] if index is None else [Link("All pages", _relative_link(index, own.parent))]
+    return [*first, *(Link(found.title, _relative_link(found.path, own.parent)) for found in known)]
 
 
-def _way(path: Path, folder: Path) -> str:
+def _relative_link(path: Path, folder: Path) -> str:
     return quote(os.path.relpath(path.resolve(), folder.resolve()).replace(os.sep, "/"))

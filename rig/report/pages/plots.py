@@ -1,15 +1,95 @@
-"""Figures with axes: dots, lines, bars and intervals over two scales, in units that the caller has chosen; a panel is
-as wide as a phone.
-"""
+"""Plots as SVG: panels of dots, lines and intervals over two axis scales, and bar charts."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from rig.report.pages.axis_scale import Scale, scale_of_values
-from rig.report.pages.svg_elements import TEXT, svg, text, tooltip
-from rig.report.pages.text_layout import escape_html, text_width, wrap_text
+from rig.report.pages.svg_elements import (
+    TEXT,
+    escape_html,
+    round_ticks,
+    svg_figure,
+    svg_text,
+    text_width,
+    tooltip,
+    wrap_text,
+)
+
+ROOM = 0.05  # of the range, on either side of the values
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Values low .. high at places start .. end of a figure; log : by their logarithm; whole : of whole numbers, as
+    frames are.
+    """
+
+    low: float
+    high: float
+    start: float
+    end: float
+    log: bool = False
+    whole: bool = False
+
+    def at(self, values: np.ndarray | float) -> np.ndarray:
+        """Places of values, any shape."""
+        v = np.asarray(values, float)
+        low, high = self.low, self.high
+        if self.log:
+            with np.errstate(divide="ignore"):
+                v = np.log10(np.maximum(v, 0))
+            low, high = math.log10(low), math.log10(high)
+        return self.start + (self.end - self.start) * (v - low) / (high - low)
+
+    @cached_property
+    def ticks(self) -> list[float]:
+        """Values at which ticks stand."""
+        if not self.log:
+            return [v for v in round_ticks(self.low, self.high) if v == round(v) or not self.whole]
+        first, last = math.floor(math.log10(self.low)), math.ceil(math.log10(self.high))
+        wide = last - first > 2
+        every = -(-(last - first) // 6)
+        found = [
+            k * 10.0**p
+            for p in range(first, last + 1)
+            if (p - first) % every == 0
+            for k in ((1,) if wide else (1, 2, 5))
+        ]
+        return [v for v in found if self.low <= v * (1 + 1e-9) and v <= self.high * (1 + 1e-9)]
+
+    def said(self) -> str:
+        """For the page's script: low, high, start, end, and log where it is."""
+        return f"{self.low:.6g} {self.high:.6g} {self.start:.1f} {self.end:.1f}" + (" log" if self.log else "")
+
+
+def scale_of_values(
+    values: np.ndarray,
+    ends: tuple[float, float],
+    log: bool = False,
+    limits: tuple[float, float] | None = None,
+    whole: bool = False,
+) -> Scale:
+    """Scale of an axis for all finite values (n,). ends : (2,) on the figure; limits : replace the values' own
+    whole : whether they are whole numbers
+    """
+    known = np.asarray(values, float).ravel()
+    known = known[np.isfinite(known) & ((known > 0) | (not log))]
+    if limits is not None:
+        low, high = limits
+    elif not len(known):
+        low, high = (0.1, 1.0) if log else (0.0, 1.0)
+    else:
+        low, high = float(known.min()), float(known.max())
+        if log:
+            low, high = low / 1.3, high * 1.3
+        else:
+            room = ROOM * (high - low) or 0.5 * abs(high) or 1.0
+            low, high = low - room, high + room
+    return Scale(low, high, *ends, log, whole)
+
 
 LEFT, RIGHT, BELOW = 52.0, 392.0, 24.0
 HIGH = 190.0  # of a panel's drawing
@@ -32,7 +112,7 @@ class Series:
 
 
 def panel_row(*figures: str) -> str:
-    """Figures beside each other where there is room, below each other where there is none."""
+    """Row of panels: figures side by side where there is room, else below each other."""
     return '<div class="panels">' + "".join(figures) + "</div>"
 
 
@@ -45,8 +125,7 @@ def plot_panel(
     level: float | None = None,
     high: float = HIGH,
 ) -> str:
-    """A figure of series. labels : (x, y) with their units; log : of y; limits : of y, in place of the values' own;
-    level : y of a line drawn across, or None; high : of its drawing, in the figure's own units"""
+    """Plot panel of series. labels : (x, y) with units; log : of y; limits : of y, or None; level : y of a line"""
     legend = [s for s in series if s.name]
     rows = _rows([s.name for s in legend])
     top = 19.0 + (TEXT + 7) + 18.0 * (max(row for row, _ in rows) + 1 if rows else 0)
@@ -60,12 +139,14 @@ def plot_panel(
     across = np.concatenate([s.x for s in series])
     x = scale_of_values(across, (LEFT, RIGHT), whole=bool(np.all(across == np.round(across))))
     y = scale_of_values(np.concatenate(ys + ([] if level is None else [np.array([level])])), (bottom, top), log, limits)
-    parts = [text(LEFT, 14, title, style="name"), *_legend(legend, rows, TEXT + 24.0), *_axes(x, y, labels)]
+    parts = [svg_text(LEFT, 14, title, style="name"), *_legend(legend, rows, TEXT + 24.0), *_axes(x, y, labels)]
     if level is not None:
         parts.append(f'<path class="level" d="M{LEFT} {float(y.at(level)):.1f}H{RIGHT}"/>')
     parts += [_drawn(s, x, y) for s in series]
     said = f' data-x="{x.said()}" data-y="{y.said()}" data-labels="{escape_html("|".join(labels))}"'
-    return svg(int(bottom + BELOW + 17 * len(_below(labels[0]))), f"{title}: {labels[1]} over {labels[0]}", parts, said)
+    return svg_figure(
+        int(bottom + BELOW + 17 * len(_below(labels[0]))), f"{title}: {labels[1]} over {labels[0]}", parts, said
+    )
 
 
 def bar_chart(
@@ -75,9 +156,7 @@ def bar_chart(
     unit: str,
     marked: Sequence[str] = (),
 ) -> str:
-    """Bars lying one below the other, for each name one of each group. groups : (its name, values in the unit, colour);
-    marked : names in bold
-    """
+    """Bar chart, horizontal: a bar per name and group. groups : (name, values in unit, colour); marked : bold names"""
     rows = _rows([g[0] for g in groups])
     top = 10.0 + TEXT + 7 + 18.0 * (max(row for row, _ in rows) + 1)
     deep = 12 * len(groups) + 8
@@ -85,12 +164,12 @@ def bar_chart(
     left = 16 + min(160.0, 1.1 * max([text_width(n, TEXT) for n in names], default=1.0))
     named = f"{title}, {unit}" if unit else title
     parts = [
-        text(4, 14, named, style="name"),
+        svg_text(4, 14, named, style="name"),
         *_legend([Series(np.zeros(0), np.zeros(0), g[0], "bars", g[2]) for g in groups], rows, TEXT + 24.0),
     ]
     for k, name in enumerate(names):
         at = top + deep * k
-        parts.append(text(left - 8, at + 6 * len(groups) + 4, name, "end", "name" if name in marked else ""))
+        parts.append(svg_text(left - 8, at + 6 * len(groups) + 4, name, "end", "name" if name in marked else ""))
         for row, (group, values, colour) in enumerate(groups):
             long = (RIGHT - 60 - left) * values[k] / most if np.isfinite(values[k]) else 0.0
             parts.append(
@@ -99,14 +178,14 @@ def bar_chart(
                 f"{tooltip(f'{name}, {group}: {values[k]:.4g} {unit}')}</rect>"
             )
             parts.append(
-                text(
+                svg_text(
                     left + long + 4,
                     at + 12 * row + 9,
                     _plain(values[k]) if np.isfinite(values[k]) else "",
                     style="small",
                 )
             )
-    return svg(int(top + deep * len(names) + 4), f"{title}, {unit}", parts)
+    return svg_figure(int(top + deep * len(names) + 4), f"{title}, {unit}", parts)
 
 
 def _plain(value: float) -> str:
@@ -120,15 +199,17 @@ def _axes(x: Scale, y: Scale, labels: tuple[str, str]) -> list[str]:
     for v in x.ticks:
         parts += [
             f'<path class="tick" d="M{float(x.at(v)):.1f} {top:.1f}V{bottom:.1f}"/>',
-            text(float(x.at(v)), bottom + 16, f"{v:g}", "middle"),
+            svg_text(float(x.at(v)), bottom + 16, f"{v:g}", "middle"),
         ]
     for v in y.ticks:
         parts += [
             f'<path class="tick" d="M{LEFT} {float(y.at(v)):.1f}H{RIGHT}"/>',
-            text(LEFT - 5, float(y.at(v)) + 4, f"{v:g}", "end"),
+            svg_text(LEFT - 5, float(y.at(v)) + 4, f"{v:g}", "end"),
         ]
-    below = [text((LEFT + RIGHT) / 2, bottom + 33 + 17 * k, line, "middle") for k, line in enumerate(_below(labels[0]))]
-    return [*parts, *below, text(4, top - 9, labels[1])]
+    below = [
+        svg_text((LEFT + RIGHT) / 2, bottom + 33 + 17 * k, line, "middle") for k, line in enumerate(_below(labels[0]))
+    ]
+    return [*parts, *below, svg_text(4, top - 9, labels[1])]
 
 
 def _below(label: str) -> list[str]:
@@ -156,7 +237,7 @@ def _legend(series: Sequence[Series], rows: Sequence[tuple[int, float]], top: fl
             f'<path class="{_style(s)}" d="M{at + 7:.1f} {y - 4:.1f}h0.01"/>'
             if s.kind != "bars"
             else f'<rect class="{_style(s)}" x="{at + 2:.1f}" y="{y - 9:.1f}" width="10" height="10"/>',
-            text(at + 18, y, s.name),
+            svg_text(at + 18, y, s.name),
         ]
         if s.kind == "line":
             parts[-2] = f'<path class="{_style(s)}" d="M{at:.1f} {y - 4:.1f}h14"/>'

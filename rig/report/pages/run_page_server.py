@@ -1,5 +1,4 @@
-"""HTTP on the loopback for one run: a page, its events as they come, its images, and a button. Nothing is read from the
-disk on request.
+"""HTTP server on the loopback for the page of one run: page, live events, camera images, a stop button.
 
 Who asks must come from this computer, name it as the host, come from no other site, and know the token; every path is
 one of a fixed few. See docs/operating.md for what that guards against.

@@ -1,6 +1,4 @@
-"""A rig in three dimensions within a page: poses played frame by frame, errors enlarged, one effect at sizes that its
-own model was asked for.
-"""
+"""Interactive 3-D view of a rig in a page: poses frame by frame, errors enlarged, effects at several sizes."""
 
 import json
 from collections.abc import Sequence
@@ -9,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rig.report.pages.html_elements import inline_html, note
-from rig.report.pages.page_template import read_asset
+from rig.report.pages.page_and_svg_templates import read_asset
 
 MOST = 240  # frames that are shown: of more, evenly chosen ones
 DIGITS = 7  # of metres
@@ -27,7 +25,7 @@ class Effect:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stage:
+class Scene:
     """A rig at n frames. frames : (n,) numbers; poses : (n, 6) m and rotation vector (rad) of the platform
     fixed, moved : lines, {kind, points (k, 3) m, name}, in the base frame and in the platform's; base,
         platform : (struts, 3) m of the joints
@@ -49,35 +47,35 @@ class Stage:
     effects: Sequence[Effect] = ()
 
 
-def view_3d_html(stage: Stage) -> list[str]:
-    """HTML of a Stage, to stand once in a page whose scripts are `view_scripts`."""
-    chosen = np.arange(0, len(stage.frames), max(-(-len(stage.frames) // MOST), 1))
-    data = json.dumps(_tree(stage, chosen), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+def view_3d_html(scene: Scene) -> list[str]:
+    """HTML of the 3-D view of a scene, once in a page, which needs `view_scripts`."""
+    chosen = np.arange(0, len(scene.frames), max(-(-len(scene.frames) // MOST), 1))
+    data = json.dumps(_tree(scene, chosen), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     told = [
-        f'<span class="box {colour}"></span>{inline_html(name)}' for name, colour in zip([*stage.errors], ("c1", "c2"))
+        f'<span class="box {colour}"></span>{inline_html(name)}' for name, colour in zip([*scene.errors], ("c1", "c2"))
     ]
-    told += ['<span class="box c3"></span>what the effect does'] if stage.effects else []
-    thinned = "" if len(chosen) == len(stage.frames) else f" Of {len(stage.frames)} frames {len(chosen)} are shown."
+    told += ['<span class="box c3"></span>what the effect does'] if scene.effects else []
+    thinned = "" if len(chosen) == len(scene.frames) else f" Of {len(scene.frames)} frames {len(chosen)} are shown."
     enlarged = " Errors and effects are as many times as large as the slider says." if told else ""
     return [
         note(f"Drag or use the arrow keys to turn, the wheel or + and - to come nearer.{enlarged}{thinned}"),
         '<figure class="stage">'
         '<canvas id="stage-view" role="img" tabindex="0" aria-label="the rig in three dimensions; arrow keys '
         'turn it"></canvas>'
-        f'<div class="controls">{_controls(stage, len(chosen))}</div>'
+        f'<div class="controls">{_controls(scene, len(chosen))}</div>'
         + (f"<figcaption>{' '.join(told)}</figcaption>" if told else "")
         + f'</figure><script type="application/json" id="stage-data">{data}</script>',
     ]
 
 
 def view_scripts(parts: Sequence[str]) -> tuple[str, ...]:
-    """What a page of parts runs for the view among them; nothing where there is none."""
+    """Scripts of the 3-D view, where a page's parts contain one; else ()."""
     return (
         (read_asset("view3d.js") + read_asset("stage.js"),) if any('id="stage-data"' in part for part in parts) else ()
     )
 
 
-def _controls(stage: Stage, count: int) -> str:
+def _controls(stage: Scene, count: int) -> str:
     rows = [
         '<button id="stage-play" type="button">Play</button><input id="stage-frame" type="range" min="0" '
         f'max="{count - 1}" value="0" '
@@ -103,7 +101,7 @@ def _controls(stage: Stage, count: int) -> str:
     return "".join(rows)
 
 
-def _tree(stage: Stage, chosen: np.ndarray) -> dict:
+def _tree(stage: Scene, chosen: np.ndarray) -> dict:
     """What the page's script reads, of the frames chosen (k,)."""
 
     def lines(parts: Sequence[dict]) -> list[dict]:

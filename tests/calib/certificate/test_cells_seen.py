@@ -4,7 +4,7 @@ it.
 
 import numpy as np
 
-from calib.certificate.certificate_figures import visible_rectangles
+from calib.certificate.certificate_page import visible_rectangles
 
 
 def test_rectangles_seen_cover_the_boxes_once_with_the_worst_behind_each():

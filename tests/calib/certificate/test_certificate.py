@@ -19,11 +19,10 @@ import pytest
 
 from calib.certificate import certificate_json
 from calib.certificate.certificate import combined_held_out_poses
-from calib.certify.pose_error_promise import pose_error_promise
-from calib.certify.tolerance_conformity import OPEN
-from calib.certify.uncertainty_budget import rms_uncertainty, thermometer_covariance
-from calib.correct.correction import calibrate
-from calib.correct.physics import Physics
+from calib.certify.promise_and_conformity import OPEN, pose_error_promise
+from calib.certify.uncertainty_budget import rms_length_uncertainty, thermometer_covariance
+from calib.correct.correction import calibrate_correction
+from calib.correct.physics_compensation import Physics
 from calib.files import calibration_file
 from calib.samples.recording_samples import sample_recording
 from rig.cli.command_line import main
@@ -253,7 +252,9 @@ def test_physics_that_is_undone_is_part_of_what_is_certified(held):
         {"ambient_temperature_C": (20.0, 0.1)},
     )
     wiser, fit = replace(known, physics=physics), recording_folder.load(held.folder / "fit")
-    refined, _ = calibrate(wiser.with_physics(fit, sample_recording(fit).samples), known.correction.nominal, "none")
+    refined, _ = calibrate_correction(
+        wiser.with_physics(fit, sample_recording(fit).samples), known.correction.nominal, "none"
+    )
     wiser = replace(wiser, correction=refined)
     better = pose_error_promise(
         combined_held_out_poses(wiser, [(warm, samples)]), 0.95, 0.95, 0.0, (1e-5, 1e-4), np.random.default_rng(0)
@@ -269,7 +270,9 @@ def test_physics_that_is_undone_is_part_of_what_is_certified(held):
         motion_simulation.run_machine(design, other.commands, at, effects, sensors).T_base_platform for sensors in both
     ]
     moved = np.linalg.norm(pose_difference(*poses)[:, :3], axis=1)
-    assert rms_uncertainty(added)[0] == pytest.approx(np.sqrt((moved**2).mean()), rel=0.25), "the log's noise is 0.1 K"
+    assert rms_length_uncertainty(added)[0] == pytest.approx(np.sqrt((moved**2).mean()), rel=0.25), (
+        "the log's noise is 0.1 K"
+    )
 
 
 def test_what_was_fitted_is_no_evidence(held, tmp_path):

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.certify.pose_error_promise import Bound
-from calib.certify.tolerance_conformity import CONFORMS, FAILS, OPEN, tolerance_conformity
+from calib.certify.promise_and_conformity import CONFORMS, FAILS, OPEN, Bound, tolerance_conformity
 from tests.calib.certificate.trials import share_kept, trial, wrong_decisions
 
 

@@ -10,12 +10,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.certify.held_out_errors import errors_before_and_after
-from calib.certify.held_out_poses import held_poses
-from calib.certify.pose_error_promise import POSITION, ROTATION, Unit, depth_bound, pose_error_promise
-from calib.certify.tolerance_conformity import CONFORMS, FAILS, GUARD, tolerance_conformity
+from calib.certify.held_out_errors import errors_before_and_after_correction
+from calib.certify.held_out_poses import held_out_poses
+from calib.certify.promise_and_conformity import (
+    CONFORMS,
+    FAILS,
+    GUARD,
+    POSITION,
+    ROTATION,
+    Unit,
+    pose_error_depth_bound,
+    pose_error_promise,
+    tolerance_conformity,
+)
 from calib.certify.tolerance_limits import least_sample_size
-from calib.correct.correction import calibrate
+from calib.correct.correction import calibrate_correction
 from calib.samples.pose_samples import Samples
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.random_effects import Drawing
@@ -100,12 +109,14 @@ def trial(design, seed, level=(0.95, 0.95), sizes=SIZES, kinds=None, noise=1.0):
         except NotConverged:
             continue
     fitted = _samples(route, goals, true, np.arange(FITTED), rng, noise)
-    correction, _ = calibrate(fitted, design.mechanism, "none")
-    units = lengths(errors_before_and_after(correction, fitted)[1]).mean(axis=0)  # of poses that are not held out
+    correction, _ = calibrate_correction(fitted, design.mechanism, "none")
+    units = lengths(errors_before_and_after_correction(correction, fitted)[1]).mean(
+        axis=0
+    )  # of poses that are not held out
     n = int(rng.choice(sizes))
     rest = np.arange(FITTED, len(goals))
     seen = _samples(route, goals, true, np.sort(rng.choice(rest, n, replace=False)), rng, noise)
-    poses = held_poses(correction, [(seen, route.commands, *errors_before_and_after(correction, seen))])
+    poses = held_out_poses(correction, [(seen, route.commands, *errors_before_and_after_correction(correction, seen))])
     real = lengths(pose_difference(correction.predict(goals[rest]), true[rest]))
     made = pose_error_promise(poses, *level, 0.0, tuple(units), rng)
     bounds = (made.position, made.rotation)
@@ -114,7 +125,7 @@ def trial(design, seed, level=(0.95, 0.95), sizes=SIZES, kinds=None, noise=1.0):
     tolerance = quantiles * np.exp(rng.uniform(-SPREAD, SPREAD, 2))
     verdict = ""
     if n >= least_sample_size(level[0], GUARD):
-        depth = depth_bound(
+        depth = pose_error_depth_bound(
             poses,
             poses.first,
             (Unit(POSITION, tolerance[0]), Unit(ROTATION, tolerance[1])),

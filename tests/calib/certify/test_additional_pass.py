@@ -10,12 +10,11 @@ import pytest
 from calib.certify.additional_pass import Pass, certify_additional_pass
 from calib.certify.calibration import Calibration
 from calib.certify.extension_certification import claim_without_geometry
-from calib.certify.platform_certification import model_covariance
+from calib.certify.platform_certification import platform_pose_covariance
 from calib.correct.correction import Correction
 from calib.correct.interpolation import interpolation_methods
 from calib.correct.interpolation.field import Known
-from calib.correct.interpolation.repeated_passes import Passes
-from calib.correct.interpolation.restricted_map import Part, Within
+from calib.correct.interpolation.field_combinations import RestrictedMap, SpacePart, SummedPasses
 from calib.files import calibration_file
 from calib.samples.pose_samples import Samples
 from rig.errors import FileError, NotEnoughData
@@ -79,7 +78,7 @@ def test_a_map_over_poses_takes_what_depends_on_the_pose(machine, design, space)
     assert np.abs(pose_difference(done.correction.predict(done.correction.inverse(wanted)), wanted)).max() < 1e-11
     assert left(done.correction, before, wanted) < 0.05 * left(before.correction, before, wanted)
     made = Calibration(done.correction, done.found.covariance, done.found.scatter, (), (), None, {})
-    stated = np.sqrt(np.trace(model_covariance(made, wanted)[:, :3, :3], axis1=1, axis2=2).mean())
+    stated = np.sqrt(np.trace(platform_pose_covariance(made, wanted)[:, :3, :3], axis1=1, axis2=2).mean())
     assert 0.2 * left(done.correction, before, wanted) < stated < 20 * left(done.correction, before, wanted)
     claim = claim_without_geometry(samples, done, np.random.default_rng(0))
     assert "in pose space" in claim.tolerance and claim.after[0][0] < 0.2 * claim.before[0][0]
@@ -97,7 +96,7 @@ def test_a_pass_in_a_part_leaves_the_rest_as_it_was_and_knows_it_no_better(machi
     low, high = np.full(6, -np.inf), np.full(6, np.inf)
     high[0] = 0.02  # m, x of poses
     done, _, count = certify_additional_pass(
-        samples, before, Pass("polynomial", "pose", poses=Part(low, high)), np.random.default_rng(0)
+        samples, before, Pass("polynomial", "pose", poses=SpacePart(low, high)), np.random.default_rng(0)
     )
     x = before.correction.predict(samples.commanded).translation[:, 0]
     assert count == (x <= 0.02).sum() < 200
@@ -109,7 +108,9 @@ def test_a_pass_in_a_part_leaves_the_rest_as_it_was_and_knows_it_no_better(machi
     assert rms(pose_difference(now[inside], leaning(T[inside])))[0] < 0.1 * np.sqrt((off[inside] ** 2).mean())
     assert moved[far].max() < 1e-15
     made = Calibration(done.correction, done.found.covariance, done.found.scatter, (), (), None, {})
-    np.testing.assert_allclose(model_covariance(made, T[far]), model_covariance(before, T[far]), rtol=1e-6, atol=1e-20)
+    np.testing.assert_allclose(
+        platform_pose_covariance(made, T[far]), platform_pose_covariance(before, T[far]), rtol=1e-6, atol=1e-20
+    )
 
 
 def test_a_part_of_the_configuration_space_bounds_what_takes_part(machine):
@@ -117,13 +118,13 @@ def test_a_part_of_the_configuration_space_bounds_what_takes_part(machine):
     low, high = np.full(6, -np.inf), np.full(6, np.inf)
     low[2] = np.median(samples.commanded[:, 2])
     done, _, count = certify_additional_pass(
-        samples, before, Pass("polynomial", "configuration", Part(low, high)), np.random.default_rng(0)
+        samples, before, Pass("polynomial", "configuration", SpacePart(low, high)), np.random.default_rng(0)
     )
-    assert count == 100 and isinstance(done.correction.extension.fields[0], Within)
+    assert count == 100 and isinstance(done.correction.extension.fields[0], RestrictedMap)
     assert not done.correction.rho(samples.commanded - 0.05).any()
     with pytest.raises(NotEnoughData, match="none of 200 samples"):
         certify_additional_pass(
-            samples, before, Pass("polynomial", "configuration", Part(low + 9, high)), np.random.default_rng(0)
+            samples, before, Pass("polynomial", "configuration", SpacePart(low + 9, high)), np.random.default_rng(0)
         )
 
 
@@ -132,9 +133,11 @@ def test_maps_of_both_spaces_are_kept_and_read_again(machine, tmp_path):
     low, high = np.full(6, -np.inf), np.full(6, np.inf)
     high[2] = 0.45
     done, _, _ = certify_additional_pass(
-        samples, before, Pass("polynomial", "both", poses=Part(low, high)), np.random.default_rng(0)
+        samples, before, Pass("polynomial", "both", poses=SpacePart(low, high)), np.random.default_rng(0)
     )
-    source = calibration_file.pass_provenance({"recording": "b", "data": ["2"]}, before, {"number": 2, "space": "both"})
+    source = calibration_file.additional_pass_provenance(
+        {"recording": "b", "data": ["2"]}, before, {"number": 2, "space": "both"}
+    )
     calibration_file.save(
         tmp_path / "c.json",
         Calibration(done.correction, done.found.covariance, done.found.scatter, (1,), (), done.held_out, source),
@@ -153,12 +156,12 @@ def test_maps_of_both_spaces_are_kept_and_read_again(machine, tmp_path):
 
 
 def test_a_part_is_whole_within_fades_smoothly_and_knows_its_slope():
-    part = Part(np.array([0.0, -np.inf]), np.array([1.0, 2.0]))
+    part = SpacePart(np.array([0.0, -np.inf]), np.array([1.0, 2.0]))
     assert part.weight(np.array([[0.5, 1.0], [0.0, 2.0], [1.0, -99.0]]))[0].tolist() == [1, 1, 1]
     assert part.weight(np.array([[1.11, 1.0], [-0.2, 1.0], [0.5, 2.2]]))[0].tolist() == [0, 0, 0]
     rng = np.random.default_rng(0)
     x = np.concatenate([rng.uniform(-0.2, 1.2, (300, 1)), rng.uniform(1.0, 2.2, (300, 1))], axis=1)
-    field = Within(
+    field = RestrictedMap(
         interpolation_methods.fit_field(
             "polynomial", Known(x, np.sin(x), np.full(x.shape, 1e-6), np.array([[-0.2, 1.2], [1.0, 2.2]]))
         ),
@@ -172,7 +175,7 @@ def test_a_part_is_whole_within_fades_smoothly_and_knows_its_slope():
 @pytest.mark.parametrize("low, high", [([0.0], [0.0]), ([1.0], [0.0]), ([-np.inf], [np.inf])])
 def test_a_part_that_bounds_nothing_is_refused(low, high):
     with pytest.raises(ValueError, match="part"):
-        Part(np.array(low), np.array(high))
+        SpacePart(np.array(low), np.array(high))
 
 
 def test_an_earlier_pass_speaks_where_a_later_one_does_not_hold():
@@ -183,7 +186,7 @@ def test_an_earlier_pass_speaks_where_a_later_one_does_not_hold():
         )
         for size in (1.0, 0.1)
     )
-    both = Passes((first, Within(second, Part(np.array([-np.inf]), np.array([0.5])))))
+    both = SummedPasses((first, RestrictedMap(second, SpacePart(np.array([-np.inf]), np.array([0.5])))))
     at = np.array([[0.2], [0.9]])
     np.testing.assert_allclose(both.error(at), [second.error(at)[0], first.error(at)[1]])
     assert replace(both, fields=(first, second)).error(at) == pytest.approx(second.error(at))

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.certify.held_out_errors import errors_before_and_after
-from calib.certify.platform_certification import certify, workspace_claim_of
+from calib.certify.held_out_errors import errors_before_and_after_correction
+from calib.certify.platform_certification import certify_platform, platform_workspace_claim
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import sample_recording
 from rig.effects.texts.effect_text import parse_effect, require_place, require_size
@@ -44,16 +44,16 @@ def test_random_play_stands_out_on_a_balanced_plan(tmp_path: Path, seed: int) ->
         )
         return sample_recording(recording_folder.load(tmp_path / name)).samples
 
-    done = certify(
+    done = certify_platform(
         fitted := recorded(plan.build_plan(design, "sobol:40", seed), "fit"), design.mechanism, np.random.default_rng(0)
     )
     other = recorded(plan.build_plan(design, "sobol:60", 900 + seed), "other")
     true = float(
-        np.sqrt((errors_before_and_after(done.correction, other)[1][:, :3] ** 2).sum(axis=1).mean())
+        np.sqrt((errors_before_and_after_correction(done.correction, other)[1][:, :3] ** 2).sum(axis=1).mean())
     )  # m, measuring included
     assert done.held_out is not None
     assert (
         done.held_out.after.position[0] > 5 * done.held_out.floor[0] and done.held_out.after.position[0] > 0.95 * true
     )
-    claim = workspace_claim_of(fitted, done, np.random.default_rng(0))
+    claim = platform_workspace_claim(fitted, done, np.random.default_rng(0))
     assert claim.after is not None and claim.after[0][2] > 0.95 * true

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certify.calibration_verdict import stands
+from calib.certify.calibration import claim_status_text
 from calib.certify.claim_verification import Part, Verification, verify_claim
 from calib.certify.workspace_claim import Claim
 from calib.samples.pose_samples import Samples
@@ -119,9 +119,9 @@ def test_a_claim_that_names_something_unexplained_is_refuted_by_half_as_much_aga
     """
     part = Part(47e-6, 24e-6, 1.3, 1.13, 40e-6)
     strict = Verification(60, None, part)
-    assert strict.refutes and stands(strict) == "NOT kept"
+    assert strict.refutes and claim_status_text(strict) == "NOT kept"
     named = replace(strict, unexplained=True)
-    assert not named.refutes and not named.kept and "unexplained" in stands(named)
+    assert not named.refutes and not named.kept and "unexplained" in claim_status_text(named)
     assert replace(named, rotation=replace(part, of_allowed=1.6)).refutes
     held = replace(named, rotation=replace(part, of_allowed=1.1))
-    assert not held.refutes and stands(held) == "kept"
+    assert not held.refutes and claim_status_text(held) == "kept"

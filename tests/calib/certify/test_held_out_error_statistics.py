@@ -9,13 +9,13 @@ import pytest
 
 from calib.certify.additional_pass import Pass, certify_additional_pass
 from calib.certify.calibration import Calibration
-from calib.certify.extension_certification import Asked, certify_extended, claim_without_geometry
+from calib.certify.extension_certification import Asked, certify_extended_correction, claim_without_geometry
 from calib.certify.held_out_error_statistics import HeldErrors
 from calib.certify.workspace_claim import PLACES, ConfigurationInformation, claim_of_mean_squares
 from calib.correct.correction import Correction, commands_with_pose
 from calib.models.arm import error_model
-from calib.models.arm.certification import certify as certify_arm
-from calib.models.arm.certification import workspace_claim_of as promised_arm
+from calib.models.arm.certification import arm_workspace_claim as promised_arm
+from calib.models.arm.certification import certify_arm as certify_arm
 from rig.model.pose import pose_difference
 from rig.planning.configuration_sets import low_discrepancy
 from tests.calib import arm_worlds as worlds
@@ -73,7 +73,7 @@ def test_a_claim_of_a_field_or_of_a_pass_holds_what_play_leaves(design, way):
         play, rng = playing(56e-6, seed), np.random.default_rng(seed)
         samples, true = sampled(design, seed, 40, play)
         if way == "alone":
-            done, _ = certify_extended(samples, m, Asked("radial", True), rng)
+            done, _ = certify_extended_correction(samples, m, Asked("radial", True), rng)
         else:
             before = Calibration(Correction(m, true, (None,) * 6), np.zeros((42, 42)), np.zeros(6), (), (), None, {})
             done, _, _ = certify_additional_pass(samples, before, Pass("radial"), rng)
@@ -115,6 +115,6 @@ def test_an_arms_claim_is_never_better_than_poses_held_out_allow(gears):
         claim = promised_arm(samples, done, rng)
         seen = np.stack([samples.commanded.min(axis=0), samples.commanded.max(axis=0)], axis=1)
         q = low_discrepancy(seen, PLACES, 0.8)
-        off = pose_difference(done.correction.predict(q), error_model.predicted(q + deviation(q), true))
+        off = pose_difference(done.correction.predict(q), error_model.predicted_target_poses(q + deviation(q), true))
         inside += claim.after[0][1] <= rms(off)[0] <= claim.after[0][2]
     assert inside >= 5

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify.held_out_poses import held_poses
-from calib.certify.iso9283 import Duty, iso9283
-from calib.correct.correction import calibrate
+from calib.certify.held_out_poses import held_out_poses
+from calib.certify.iso9283 import Duty, iso9283_accuracy_and_repeatability
+from calib.correct.correction import calibrate_correction
 from calib.samples.pose_samples import Samples
 from rig.model import motion_simulation
 from rig.planning import plan
@@ -25,7 +25,9 @@ def standard(design, cycles=30):
         np.arange(n), done.t, done.commands.at(done.t), T, np.tile(np.eye(6) * 1e-12, (n, 1, 1)), np.zeros((n, 6, 1))
     )
     errors = 1e-6 * np.random.default_rng(0).normal(size=(n, 6))
-    return held_poses(calibrate(samples, design.mechanism, "none")[0], [(samples, done.commands, errors, errors)])
+    return held_out_poses(
+        calibrate_correction(samples, design.mechanism, "none")[0], [(samples, done.commands, errors, errors)]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +36,7 @@ def full_test(design):
 
 
 def met(poses, duty=FULL):
-    found = iso9283(poses, duty)
+    found = iso9283_accuracy_and_repeatability(poses, duty)
     assert found.formal == (not found.not_met)
     return "; ".join(found.not_met)
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certify.deviation_component_sizes import Closures, draw_component_sizes
 from calib.certify.distinct_configurations import axis_ranges, configuration_numbers
-from calib.certify.platform_certification import certify, model_covariance, workspace_claim_of
+from calib.certify.platform_certification import certify_platform, platform_pose_covariance, platform_workspace_claim
 from calib.certify.strut_deviation_kernels import CONDITION, PLACE, SAMPLE, deviation_components
 from calib.files.calibration_from_recording import calibration_with_provenance
 from calib.samples.recording_samples import sample_recording
@@ -25,8 +25,8 @@ def calibrated(folder, *case, **more):
     rec = recording_folder.load(folder)
     measured = sample_recording(rec)
     rng = np.random.default_rng(0)
-    done = certify(measured.samples, rec.design.mechanism, rng)
-    claim = workspace_claim_of(measured.samples, done, rng)
+    done = certify_platform(measured.samples, rec.design.mechanism, rng)
+    claim = platform_workspace_claim(measured.samples, done, rng)
     return of, calibration_with_provenance(rec, measured, done, claim), claim, rec
 
 
@@ -60,7 +60,7 @@ def test_a_claim_holds_where_physics_is_left_out_and_the_claim_names_it(tmp_path
         "cyclic_error": "residuals",
     }[case[1]] in said
     assert calibration.scatter.max() > 5 * of.sigma[0]
-    C = model_covariance(calibration, wanted)[:, :3, :3]
+    C = platform_pose_covariance(calibration, wanted)[:, :3, :3]
     assert (np.einsum("ni,nij,nj->n", off[:, :3], np.linalg.inv(C), off[:, :3]) < 7.815).mean() > 0.75
 
 
@@ -74,7 +74,7 @@ def test_ellipsoids_hold_what_all_struts_do_together(tmp_path):
     ):
         of, calibration, *_ = calibrated(tmp_path / str(k), seed, effect, "strong", plan)
         off, wanted = driven(of, calibration)
-        C = model_covariance(calibration, wanted)[:, :3, :3]
+        C = platform_pose_covariance(calibration, wanted)[:, :3, :3]
         inside.append(np.einsum("ni,nij,nj->n", off[:, :3], np.linalg.inv(C), off[:, :3]) < 7.815)
         np.testing.assert_allclose(np.sqrt(np.diag(calibration.strut_covariance)), calibration.scatter)
     assert np.mean(inside) > 0.93
@@ -110,8 +110,8 @@ def test_a_remainder_stands_for_what_depends_on_place(design):
         return np.sin(14 * scaled) * [0, 0, 8e-5, 0, 0, 0]
 
     samples, true = sampled(design, 2, 80, bent)
-    done = certify(samples, design.mechanism, np.random.default_rng(0))
-    claim = workspace_claim_of(samples, done, np.random.default_rng(0))
+    done = certify_platform(samples, design.mechanism, np.random.default_rng(0))
+    claim = platform_workspace_claim(samples, done, np.random.default_rng(0))
     assert [part is not None for part in done.correction.remainder] == [False, False, True, False, False, False]
     assert claim.unexplained == ()
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from calib.certify.calibration_verdict import verification_line
-from calib.certify.held_out_errors import compare_errors, error_figures
-from calib.certify.platform_certification import certify
+from calib.certify.calibration import verification_line
+from calib.certify.held_out_errors import compare_errors, error_statistics
+from calib.certify.platform_certification import certify_platform
 from calib.samples.pose_samples import time_block_folds
 from tests.calib.worlds import sampled
 
@@ -13,7 +13,7 @@ from tests.calib.worlds import sampled
 def test_figures_are_hand_worked():
     errors = np.zeros((4, 6))
     errors[:, 0], errors[:, 4] = [3e-3, 0, 0, 0], [0, 0, 0, 4e-3]
-    found = error_figures(errors)
+    found = error_statistics(errors)
     assert (
         found.position == pytest.approx((1.5e-3, 3e-3 * 0.85, 3e-3))
         and found.rotation[0] == pytest.approx(2e-3)
@@ -48,7 +48,7 @@ def test_few_configurations_have_no_interval(count, where):
 
 def test_held_out_poses_are_as_good_as_they_are_measured(design):
     samples, _ = sampled(design, 1, count=200)
-    held = certify(samples, design.mechanism, np.random.default_rng(0)).held_out
+    held = certify_platform(samples, design.mechanism, np.random.default_rng(0)).held_out
     assert held.ratio[0] > 50
     assert held.after.position[0] < 1.3 * held.floor[0]
 
@@ -58,7 +58,7 @@ def test_a_remainder_that_does_not_pay_is_dropped(design):
     samples, _ = sampled(
         design, 2, count=100, deviation=lambda c: np.linspace(0, 4e-5, len(c))[:, None] * np.array([0, 1.0, 0, 0, 0, 0])
     )
-    done = certify(samples, design.mechanism, np.random.default_rng(0))
+    done = certify_platform(samples, design.mechanism, np.random.default_rng(0))
     assert done.correction.remainder == (None,) * 6 and done.held_out.after.n == 100
 
 
@@ -68,7 +68,9 @@ def test_a_remainder_that_pays_is_kept(design):
         out[:, 3] = 8e-5 * np.sin((c[:, 3] - 0.47) / 0.015)
         return out
 
-    done = certify(sampled(design, 3, count=250, deviation=bowed)[0], design.mechanism, np.random.default_rng(0))
+    done = certify_platform(
+        sampled(design, 3, count=250, deviation=bowed)[0], design.mechanism, np.random.default_rng(0)
+    )
     held = done.held_out
     assert [part is not None for part in done.correction.remainder] == [False, False, False, True, False, False]
     assert held.after.position[0] < 1.5 * held.floor[0]

@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 from scipy.stats import binom
 
 from calib.certify.held_out_poses import HeldPoses
-from calib.certify.pose_error_promise import pose_error_promise
+from calib.certify.promise_and_conformity import pose_error_promise
 from calib.certify.tolerance_limits import least_sample_size
 
 UNITS = (1e-5, 1e-4)  # m, rad

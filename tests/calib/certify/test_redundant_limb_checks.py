@@ -8,9 +8,9 @@ import re
 import numpy as np
 import pytest
 
-from calib.certify import measuring_limbs, redundant_limb_checks
+from calib.certify import measuring_limb_checks, measuring_limbs
 from calib.online import measuring_limb_poses, measuring_limbs_file
-from calib.online.live_limb_poses import LimbLive
+from calib.online.measuring_limb_poses import LiveLimbPoses
 from rig.cli import command_line
 from rig.errors import RigError
 from rig.formats.rig_toml import design_file
@@ -42,25 +42,25 @@ def machine(tmp_path_factory):
 def limbs(machine):
     """Limbs of which six are known as vision would have them, and the checks fitted to their poses."""
     design, true, read, T = machine
-    chosen = redundant_limb_checks.best_six_limbs(design.insitu, design.mechanism.home, T)
+    chosen = measuring_limb_checks.best_six_limbs(design.insitu, design.mechanism.home, T)
     six = measuring_limbs.Limbs(
         measuring_limbs.limb_hexapod(true, chosen), 1e-14 * np.eye(42), np.full(6, 1e-6), chosen
     )
     return measuring_limbs.Limbs(
-        six.hexapod, six.covariance, six.sigma, chosen, redundant_limb_checks.fit_limb_checks(six, design.insitu, read)
+        six.hexapod, six.covariance, six.sigma, chosen, measuring_limb_checks.fit_limb_checks(six, design.insitu, read)
     )
 
 
 def test_checks_close_on_stretches_left_out_by_as_much_as_is_said(machine, limbs):
     design, _, read, _ = machine
-    error, sigma = redundant_limb_checks.held_out_check_errors(limbs, design.insitu, read)
+    error, sigma = measuring_limb_checks.held_out_check_errors(limbs, design.insitu, read)
     assert (
         error.shape == (60, EIGHT - 6) and len(set(limbs.chosen.tolist()) | set(limbs.checks.limbs.tolist())) == EIGHT
     )
     assert 0.7 < np.sqrt((error**2 / sigma**2).mean()) < 1.3 and (sigma < 2e-5).all()
-    stated = redundant_limb_checks._closures(
+    stated = measuring_limb_checks._closures(
         limbs,
-        redundant_limb_checks.Checks(
+        measuring_limb_checks.Checks(
             limbs.checks.limbs,
             design.insitu.base_joints[limbs.checks.limbs],
             design.insitu.platform_joints[limbs.checks.limbs],
@@ -81,21 +81,21 @@ def test_of_six_limbs_none_is_over_to_be_checked(machine):
     six = measuring_limbs.Limbs(
         measuring_limbs.limb_hexapod(true, np.arange(6)), 1e-14 * np.eye(42), np.full(6, 1e-6), np.arange(6)
     )
-    error, sigma = redundant_limb_checks.held_out_check_errors(six, stated, read[:, :6])
+    error, sigma = measuring_limb_checks.held_out_check_errors(six, stated, read[:, :6])
     assert error.shape == sigma.shape == (60, 0)
 
 
 @pytest.mark.parametrize("which", ["chosen", "check"])
 def test_a_limb_that_slips_is_named_by_the_others_within_five_poses(machine, limbs, which):
     _, _, read, _ = machine
-    assert redundant_limb_checks.first_unclosed_limb(limbs, read) is None
+    assert measuring_limb_checks.first_unclosed_limb(limbs, read) is None
     limb = int(limbs.chosen[2] if which == "chosen" else limbs.checks.limbs[0])
     slipped = read - 3e-5 * (np.arange(60)[:, None] >= 40) * np.eye(EIGHT)[limb]
-    found = redundant_limb_checks.first_unclosed_limb(limbs, slipped)
+    found = measuring_limb_checks.first_unclosed_limb(limbs, slipped)
     assert 40 <= found.at < 45 and found.limb in (None, limb + 1)
     assert which == "chosen" or found.limb is not None
     assert found.limb is None or abs(found.size - 3e-5) < 1e-5
-    source = LimbLive(measuring_limbs_file.Accepted(limbs, limbs.hexapod, None, None, {}), 10)
+    source = LiveLimbPoses(measuring_limbs_file.Accepted(limbs, limbs.hexapod, None, None, {}), 10)
     told = [source.is_closed(one) for one in slipped[38:44]]
     assert told[0] is None and told[1] is None and any(told) and not source.in_force
 
@@ -108,7 +108,7 @@ def test_fewer_limbs_than_freedoms_are_refused_with_the_reason(tmp_path):
         match="has 4 measuring limbs in .insitu., and a platform has six freedoms: fewer than six lengths tell no",
     ):
         measuring_limbs.limb_hexapod(design)
-    assert not redundant_limb_checks.has_six_limbs(design)
+    assert not measuring_limb_checks.has_six_measuring_limbs(design)
 
 
 @pytest.mark.slow
@@ -127,7 +127,7 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
     rows = re.findall(r"^m(\d) +\S+ +(\S+) +(\S+)$", said, re.MULTILINE)
     assert "tell the pose; what the others read less what it says, um:" in said and len(rows) == 2
     assert all(0.3 < float(rms) / float(expected) < 2 for _, rms, expected in rows)
-    kept = measuring_limbs_file.load(limbs)
+    kept = measuring_limbs_file.load_limbs(limbs)
     assert (
         sorted([*(kept.limbs.chosen + 1), *(kept.limbs.checks.limbs + 1)]) == list(range(1, EIGHT + 1))
         and kept.verdict == "accepted"
@@ -157,7 +157,7 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
     said = capsys.readouterr().err
     assert "The measuring limbs no longer agree with each other: their acceptance is withdrawn" in said
     assert 30 <= int(re.search(r"frame (\d+)", said)[1]) < 35 and f"limb {limb} is longer" in said
-    assert measuring_limbs_file.load(limbs).verdict == "withdrawn"
+    assert measuring_limbs_file.load_limbs(limbs).verdict == "withdrawn"
     rig(
         "insitu",
         tmp_path / "rec",
@@ -169,15 +169,14 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
         "--out",
         tmp_path / "first.json",
     )
-    assert (measuring_limbs_file.load(tmp_path / "first.json").limbs.chosen == np.arange(6)).all()
+    assert (measuring_limbs_file.load_limbs(tmp_path / "first.json").limbs.chosen == np.arange(6)).all()
     assert command_line.main(["insitu", str(tmp_path / "rec"), "--use", "m1,m2,m3,m4,m5,m9"]) == 1
     assert "six different limbs of m1 .. m8" in capsys.readouterr().err
     with pytest.raises(RigError, match="of other limbs than rig.toml states in .insitu.: of 8, not of 6"):
         measuring_limbs_file.accepted_limbs(tmp_path / "first.json", _with_limbs(tmp_path, 6))
-    assert measuring_limb_poses.limb_poses(read, measuring_limbs_file.load(tmp_path / "first.json")).lengths.shape == (
-        60,
-        EIGHT,
-    )
+    assert measuring_limb_poses.limb_poses(
+        read, measuring_limbs_file.load_limbs(tmp_path / "first.json")
+    ).lengths.shape == (60, EIGHT)
 
 
 def _with_limbs(folder, count):

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.certify.strut_load_signs import strut_load_signs
-from calib.samples.measuring_conditions import Conditions, Weight
+from calib.certify.strut_deviation_kernels import strut_load_signs
+from calib.samples.pose_samples import Conditions, Weight
 from rig.model.mechanisms import hexapod
 from tests.calib.certify.test_left_out import calibrated, driven
 from tests.calib.worlds import rms, sampled

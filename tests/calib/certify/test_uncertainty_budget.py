@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.certify.uncertainty_budget import camera_and_lens_covariance, expanded_uncertainty, rms_uncertainty
+from calib.certify.uncertainty_budget import camera_and_lens_covariance, expanded_uncertainty, rms_length_uncertainty
 
 
 def test_cameras_and_lenses_make_up_what_is_shared():
@@ -22,14 +22,14 @@ def test_cameras_and_lenses_make_up_what_is_shared():
         adjustment=SimpleNamespace(shared_factor=factor, shared_names=names, of_prints=np.zeros(len(names), bool))
     )
     cameras, lenses = camera_and_lens_covariance([(SimpleNamespace(common=common), measurement)])
-    whole = rms_uncertainty(common @ np.swapaxes(common, 1, 2))
+    whole = rms_length_uncertainty(common @ np.swapaxes(common, 1, 2))
     known = np.linalg.inv(np.linalg.inv(factor @ factor.T)[:6, :6])  # covariance of the places were the lens known
-    assert rms_uncertainty(cameras) == pytest.approx(
-        rms_uncertainty(gain[:, :, :6] @ known @ np.swapaxes(gain[:, :, :6], 1, 2)), rel=1e-6
+    assert rms_length_uncertainty(cameras) == pytest.approx(
+        rms_length_uncertainty(gain[:, :, :6] @ known @ np.swapaxes(gain[:, :, :6], 1, 2)), rel=1e-6
     )
     assert (
-        np.hypot(rms_uncertainty(cameras), rms_uncertainty(lenses)) == pytest.approx(whole)
-        and rms_uncertainty(lenses)[0] < whole[0]
+        np.hypot(rms_length_uncertainty(cameras), rms_length_uncertainty(lenses)) == pytest.approx(whole)
+        and rms_length_uncertainty(lenses)[0] < whole[0]
     )
     assert camera_and_lens_covariance([(SimpleNamespace(common=common), None)]) is None
 

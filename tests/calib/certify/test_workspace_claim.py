@@ -5,7 +5,7 @@ claim.
 import numpy as np
 import pytest
 
-from calib.certify.calibration_verdict import claim_lines, verification_line
+from calib.certify.calibration import claim_lines, verification_line
 from calib.certify.claim_verification import verify_claim
 from calib.certify.distinct_configurations import (
     axis_ranges,
@@ -13,10 +13,10 @@ from calib.certify.distinct_configurations import (
     configuration_numbers,
     mean_sample_per_configuration,
 )
-from calib.certify.held_out_errors import compare_errors, errors_before_and_after
-from calib.certify.platform_certification import certify, workspace_claim_of
-from calib.models.platform.identification import identify, parameters
-from calib.models.platform.stated_geometry_accuracy import stated_geometry_accuracy
+from calib.certify.held_out_errors import compare_errors, errors_before_and_after_correction
+from calib.certify.platform_certification import certify_platform, platform_workspace_claim
+from calib.models.platform.identification import geometric_parameters, identify_platform
+from calib.models.platform.parameter_accuracy import stated_geometry_accuracy
 from calib.samples.recording_samples import sample_recording
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
@@ -64,8 +64,8 @@ def at_corners(design, text, folder, seed, distinct, repeats):
 
 
 def concluded(design, samples, true, seed):
-    done = certify(samples, design.mechanism, np.random.default_rng(seed))
-    return workspace_claim_of(samples, done, np.random.default_rng(seed)), elsewhere(done.correction, true, seed)
+    done = certify_platform(samples, design.mechanism, np.random.default_rng(seed))
+    return platform_workspace_claim(samples, done, np.random.default_rng(seed)), elsewhere(done.correction, true, seed)
 
 
 def test_repeats_are_one_configuration_from_whichever_side(design):
@@ -87,10 +87,10 @@ def test_witnesses_say_what_all_poses_say(design):
     label = configuration_numbers(samples.commanded, axis_ranges(design.mechanism))
     to_pose = np.linalg.inv(hexapod.jacobian(samples.T_base_platform, design.mechanism))
     each = mean_sample_per_configuration(samples, label, to_pose)
-    together, apart = (identify(some, design.mechanism) for some in (each, samples))
+    together, apart = (identify_platform(some, design.mechanism) for some in (each, samples))
     assert len(each) == 12 and np.bincount(label).max() > 1
     assert (
-        np.abs(parameters(together.mechanism) - parameters(apart.mechanism)).max()
+        np.abs(geometric_parameters(together.mechanism) - geometric_parameters(apart.mechanism)).max()
         < 0.05 * np.sqrt(np.diag(apart.covariance)).min()
     )
     np.testing.assert_allclose(
@@ -101,8 +101,8 @@ def test_witnesses_say_what_all_poses_say(design):
 
 def test_the_owners_tolerance_is_read_off_the_poses(design):
     samples, true = sampled(design, 4, count=40)
-    known = stated_geometry_accuracy(identify(samples, design.mechanism), design.mechanism)
-    off = parameters(true) - parameters(design.mechanism)
+    known = stated_geometry_accuracy(identify_platform(samples, design.mechanism), design.mechanism)
+    off = geometric_parameters(true) - geometric_parameters(design.mechanism)
     assert known.prior[0] == pytest.approx(np.sqrt(np.mean(off[:36] ** 2)), rel=0.3)
     assert known.prior[-1] == pytest.approx(
         np.sqrt(np.mean(off[36:] ** 2)), rel=0.8
@@ -113,8 +113,8 @@ def test_the_owners_tolerance_is_read_off_the_poses(design):
 def test_few_configurations_claim_no_factor_and_say_why(design, distinct):
     commands = visited(design.mechanism, distinct, 30 - distinct, 2)
     samples, _ = sampled(design, 2, 30, commands=commands)
-    done = certify(samples, design.mechanism, np.random.default_rng(0))
-    claim = workspace_claim_of(samples, done, np.random.default_rng(0))
+    done = certify_platform(samples, design.mechanism, np.random.default_rng(0))
+    claim = platform_workspace_claim(samples, done, np.random.default_rng(0))
     assert (
         done.held_out is None
         and claim.ratio is None
@@ -131,8 +131,8 @@ def test_few_configurations_claim_no_factor_and_say_why(design, distinct):
 
 def test_a_claim_is_kept_or_it_is_not(design):
     samples, true = sampled(design, 6, 30)
-    done = certify(samples, design.mechanism, np.random.default_rng(0))
-    claim = workspace_claim_of(samples, done, np.random.default_rng(0))
+    done = certify_platform(samples, design.mechanism, np.random.default_rng(0))
+    claim = platform_workspace_claim(samples, done, np.random.default_rng(0))
     commands = plan.low_discrepancy(design.mechanism.strut_range, 40, seed=77)
     fresh = sampled(design, 6, 40, commands=commands, noise_seed=5)[0]
     other = sampled(
@@ -145,7 +145,9 @@ def test_a_claim_is_kept_or_it_is_not(design):
     )[0]
     held = [
         compare_errors(
-            *errors_before_and_after(done.correction, some), some.total_covariance(), np.random.default_rng(0)
+            *errors_before_and_after_correction(done.correction, some),
+            some.total_covariance(),
+            np.random.default_rng(0),
         )
         for some in (fresh, other)
     ]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.correct.correction import Correction, calibrate, require_reachable
+from calib.correct.correction import Correction, calibrate_correction, require_reachable
 from calib.correct.interpolation import gaussian_process
 from rig.errors import RigError, Unreachable
 from rig.model.design import Free
@@ -22,7 +22,7 @@ def wavy(commands):
 
 def test_summand_is_commanded_less_inverse_of_measured(design):
     samples, true = sampled(design, 1)
-    correction, _ = calibrate(samples, design.mechanism)
+    correction, _ = calibrate_correction(samples, design.mechanism)
     commands = hexapod.inverse(workspace(design, 20), design.mechanism)
     exact = commands - hexapod.inverse(real(commands, true), design.mechanism)
     np.testing.assert_allclose(correction.summand(commands), exact, atol=2.5e-5)
@@ -31,7 +31,7 @@ def test_summand_is_commanded_less_inverse_of_measured(design):
 
 def test_corrected_commands_solve_the_fixed_point(design):
     samples, _ = sampled(design, 2, deviation=wavy)
-    correction, _ = calibrate(samples, design.mechanism)
+    correction, _ = calibrate_correction(samples, design.mechanism)
     assert any(correction.remainder)
     wanted = workspace(design, 50)
     commands = correction.inverse(wanted)
@@ -46,7 +46,7 @@ def test_corrected_commands_solve_the_fixed_point(design):
 
 def test_commanded_poses_become_the_poses_one_gets(design):
     samples, true = sampled(design, 3)
-    correction, found = calibrate(samples, design.mechanism)
+    correction, found = calibrate_correction(samples, design.mechanism)
     wanted = workspace(design)
     before = rms(pose_difference(wanted, real(hexapod.inverse(wanted, design.mechanism), true)))
     after = rms(pose_difference(wanted, real(correction.inverse(wanted), true)))
@@ -55,8 +55,8 @@ def test_commanded_poses_become_the_poses_one_gets(design):
 
 def test_the_remainder_takes_what_geometry_cannot(design):
     samples, true = sampled(design, 5, count=300, deviation=wavy)
-    correction, _ = calibrate(samples, design.mechanism)
-    plain, _ = calibrate(samples, design.mechanism, "none")
+    correction, _ = calibrate_correction(samples, design.mechanism)
+    plain, _ = calibrate_correction(samples, design.mechanism, "none")
     wanted = workspace(design)
     errors = [rms(pose_difference(wanted, real(c.inverse(wanted), true, wavy)))[0] for c in (plain, correction)]
     assert correction.remainder[1] is not None and errors[1] < 0.75 * errors[0]
@@ -64,7 +64,7 @@ def test_the_remainder_takes_what_geometry_cannot(design):
 
 def test_no_remainder_is_made_of_noise(design):
     for seed in range(5):
-        correction, _ = calibrate(sampled(design, seed)[0], design.mechanism)
+        correction, _ = calibrate_correction(sampled(design, seed)[0], design.mechanism)
         assert correction.remainder == (None,) * 6
 
 
@@ -97,4 +97,4 @@ def test_unreachable_poses_are_all_listed(design):
 
 def test_another_kind_is_refused_by_name(design):
     with pytest.raises(RigError, match="'free'"):
-        calibrate(sampled(design, 1)[0], Free())
+        calibrate_correction(sampled(design, 1)[0], Free())

@@ -6,10 +6,16 @@ import numpy as np
 import pytest
 
 from calib.correct.correction import Correction
-from calib.correct.correction_tables import grid_table, joint_tables, strut_summands, summand_columns, summand_rows
+from calib.correct.correction_tables import (
+    axis_correction_tables,
+    grid_correction_table,
+    strut_summands,
+    summand_columns,
+    summand_rows,
+)
 from calib.correct.interpolation import interpolation_methods
 from calib.correct.interpolation.field import Known
-from calib.correct.summand_extension import summands
+from calib.correct.summand_extension import measured_summands
 from rig.formats.exporters import compensation_tables
 from rig.model.mechanisms import hexapod
 from rig.planning.configuration_sets import low_discrepancy
@@ -37,7 +43,7 @@ def by_linuxcnc(text, position):
 
 @pytest.mark.parametrize("units", ["mm", "m"])
 def test_joint_tables_read_back_as_linuxcnc_reads_them_correct_as_we_do(additive, design, units):
-    found = joint_tables(additive, 256)
+    found = axis_correction_tables(additive, 256)
     assert (found.left < 2e-7).all()
     wanted = low_discrepancy(design.mechanism.strut_range, 60, 0.7, 5)
     T = hexapod.forward(wanted, additive.fitted)
@@ -55,13 +61,13 @@ def test_a_table_for_each_joint_says_what_it_cannot_hold(design):
     values = np.zeros(x.shape)
     values[:, 1] = 1e-3 * (x[:, 0] - m.strut_range[0].mean())
     field = interpolation_methods.fit_field("polynomial", Known(x, values, np.full(x.shape, 1e-14), m.strut_range))
-    found = joint_tables(Correction(m, m, (None,) * 6, extension=field), 9)
+    found = axis_correction_tables(Correction(m, m, (None,) * 6, extension=field), 9)
     assert found.left[1] > 1e-5 and np.delete(found.left, 1).max() < 1e-9
 
 
 def test_a_grid_read_back_gives_the_commands(additive, design):
     m = design.mechanism
-    text = compensation_tables.grid(*grid_table(additive, 2), m.axes, "m")
+    text = compensation_tables.grid(*grid_correction_table(additive, 2), m.axes, "m")
     lines = text.splitlines()
     comments, header = (
         [line for line in lines if line.startswith("#")],
@@ -87,7 +93,7 @@ def test_ksf_rows_are_commanded_less_what_was_measured_with_its_covariance(desig
     assert rows.shape == (200, len(columns)) and len(columns) == 1 + 18 + 21
     x, y, k = rows[:, 1:7], rows[:, 7:13], rows[:, 13:19]
     np.testing.assert_allclose(k, x - y, atol=2e-12)
-    np.testing.assert_allclose(k, summands(samples, design.mechanism).values, atol=1e-12)
+    np.testing.assert_allclose(k, measured_summands(samples, design.mechanism).values, atol=1e-12)
     exact = x - hexapod.inverse(real(samples.commanded, true), design.mechanism)
     C = np.zeros((200, 6, 6))
     C[:, *np.triu_indices(6)] = rows[:, 19:]

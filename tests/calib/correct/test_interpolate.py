@@ -13,7 +13,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from calib.correct.interpolation import interpolation_methods
 from calib.correct.interpolation.field import Known, merge_repeats
-from calib.correct.interpolation.grid import lattice_of_configurations
+from calib.correct.interpolation.grid import grid_lattice_of_configurations
 from rig.errors import FileError, NotConverged, RigError
 from rig.formats.checked_entries import Entries
 from rig.planning.configuration_sets import grid_division, low_discrepancy
@@ -125,7 +125,7 @@ def test_the_grid_agrees_with_scipy():
     np.testing.assert_allclose(interpolation_methods.fit_field("linear", known).value(x), other(x), atol=1e-17)
 
 
-@pytest.mark.parametrize("kind", interpolation_methods.ALL)
+@pytest.mark.parametrize("kind", interpolation_methods.METHODS)
 @pytest.mark.parametrize("axes", [2, 3])
 def test_every_kind_keeps_the_interface(kind, axes, tmp_path):
     """Shapes, the gradient against differences, an error that is met, continuity far beyond the samples, and the same
@@ -193,7 +193,7 @@ def test_repeats_count_once_and_samples_beside_the_grid_are_left_out():
         np.full((len(known.values) + 14, 3), 1e-14),
         known.strokes,
     )
-    assert (lattice_of_configurations(twice.configurations, twice.strokes).vertex[-9:] == -1).all()
+    assert (grid_lattice_of_configurations(twice.configurations, twice.strokes).vertex[-9:] == -1).all()
     for kind in GRIDS:
         np.testing.assert_allclose(
             interpolation_methods.fit_field(kind, twice).value(known.configurations), known.values, atol=1e-16
@@ -257,12 +257,14 @@ def test_a_compiled_fixed_point_is_the_one_that_iteration_finds(design):
     levels = [np.linspace(low, high, 3) for low, high in m.strut_range]
     rng = np.random.default_rng(1)
     values = 5e-5 * rng.normal(size=(729, 6))
-    field = interpolation_methods.ALL["simplex"](tuple(levels), values, np.zeros(values.shape), np.zeros(6))
+    field = interpolation_methods.METHODS["simplex"](tuple(levels), values, np.zeros(values.shape), np.zeros(6))
     wanted = workspace(design, 200)
     commands = Correction(m, m, (None,) * 6, extension=field).inverse(wanted)
     np.testing.assert_allclose(
         commands, Correction(m, m, (None,) * 6).inverse(wanted) + field.value(commands), atol=1e-12
     )
     with pytest.raises(NotConverged):
-        wild = interpolation_methods.ALL["simplex"](tuple(levels), 1e4 * values, np.zeros(values.shape), np.zeros(6))
+        wild = interpolation_methods.METHODS["simplex"](
+            tuple(levels), 1e4 * values, np.zeros(values.shape), np.zeros(6)
+        )
         Correction(m, m, (None,) * 6, extension=wild).inverse(wanted)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from calib.correct.interpolation.gaussian_process_likelihood import Likelihood
+from calib.correct.interpolation.gaussian_process import Likelihood
 
 
 def test_it_is_the_normal_density_and_its_gradient():

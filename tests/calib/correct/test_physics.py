@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from calib.certify.calibration import Calibration
-from calib.correct.correction import Correction, calibrate
-from calib.correct.physics import Physics, Unknown
-from calib.correct.physics_compensation import Machine, commands_at_poses, unknown_history_uncertainty
+from calib.correct.correction import Correction, calibrate_correction
+from calib.correct.physics_compensation import Machine, Physics, Unknown, commands_at_poses, unknown_history_uncertainty
 from calib.correct.pose_route import HOLDING, TURNING, Pace, timed_route
 from calib.diagnose.platform_findings_refit import Findings
 from calib.files import calibration_file
@@ -382,7 +381,7 @@ def test_the_geometry_knows_that_the_physics_is_not_sure(tmp_path, seen):
     rec, _ = write(tmp_path / "rec", design, text, 32, (), "sobol:30")
     sampled = sample_recording(rec)
     known = learnt(rec, sampled, Findings((parse_effect("scale_error:strut1:scale=1e-4"),), None, ()), "none")
-    _, found = calibrate(sampled.samples, design.mechanism, "none")
+    _, found = calibrate_correction(sampled.samples, design.mechanism, "none")
     assert (np.diag(known.covariance) >= np.diag(found.covariance) * 0.999).all() and np.abs(
         known.physics.cross
     ).max() > 0

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from calib.diagnose.engine.candidate_score import Score
-from calib.diagnose.engine.selection_policy import PLATFORM
+from calib.diagnose.engine.selection_inputs import PLATFORM
 from calib.diagnose.engine.term_selection import _exchanged
-from calib.diagnose.problems.platform.effect_candidates import candidate_of
+from calib.diagnose.problems.platform.effect_candidates import platform_candidate
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
@@ -32,7 +32,7 @@ PLAN = "sobol:30,moving:15,ladder:3,sobol:30,moving:15"
 
 def score(name, place, node, coefficients, linear, delta_chi2=400.0, curve=None):
     """Score of an effect with one or no linear parameter."""
-    candidate = candidate_of(Candidate(BY_NAME[name], place, [node], [Linear(*column) for column in linear]))
+    candidate = platform_candidate(Candidate(BY_NAME[name], place, [node], [Linear(*column) for column in linear]))
     curve = np.array([delta_chi2]) if curve is None else curve
     return Score(
         candidate,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.diagnose.problems.platform.effect_candidates import candidate_of
+from calib.diagnose.problems.platform.effect_candidates import platform_candidate
 from rig.effects.catalogue.cyclic_error import CyclicError
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.catalogue.vibration import Vibration
@@ -17,10 +17,10 @@ def test_coefficients_stay_within_the_amplitudes_bound(kind):
     rng = np.random.default_rng(5)
     if kind is Vibration:
         columns = [Linear(name, j, 1e-6) for name in ("mode", QUADRATURE) for j in range(6)]
-        candidate, node = candidate_of(Candidate(kind, "rig", [{}], columns, extra=1, tied=5)), {"frequency": 3.0}
+        candidate, node = platform_candidate(Candidate(kind, "rig", [{}], columns, extra=1, tied=5)), {"frequency": 3.0}
     else:
         columns = [Linear("amplitude", None, 1e-6), Linear(QUADRATURE, None, 1e-6)]
-        candidate, node = candidate_of(Candidate(kind, "strut 2", [{"order": 1.0}], columns)), {"order": 1.0}
+        candidate, node = platform_candidate(Candidate(kind, "strut 2", [{"order": 1.0}], columns)), {"order": 1.0}
     high = next(p for p in kind.parameters if p.name == "amplitude").bounds[1]
     for _ in range(50):
         wanted = rng.normal(size=len(columns)) * 10 ** rng.uniform(-6, 1)

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnose.engine.stated_terms import UNSAID
+from calib.diagnose.engine.selection_inputs import NO_STATED_TERMS
 from calib.diagnose.engine.term_selection import select_terms
 from calib.diagnose.problems.arm.arm_problem import ArmProblem
 from calib.diagnose.problems.arm.joint_candidates import joint_candidates
 from calib.diagnose.problems.arm.linearised_poses import linearise_poses
 from calib.diagnose.problems.arm.pose_fit import fit_poses
-from calib.diagnose.problems.arm.remainder_covariates import remainder_covariates
+from calib.diagnose.problems.arm.remainder_covariates import ranked_covariates
 from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.problems.requested_effects import RequestedEffects
 from calib.diagnose.report.platform_report import platform_report
@@ -59,7 +59,7 @@ def test_a_dwell_counts_from_the_last_move():
 
 def test_of_an_arm_too(arm_with_play):
     problem, arms = arm_with_play
-    told = {c.name: c for c in remainder_covariates(fit_poses(arms), select_terms(problem).fit, problem.policy.cluster)}
+    told = {c.name: c for c in ranked_covariates(fit_poses(arms), select_terms(problem).fit, problem.policy.cluster)}
     assert next(iter(told)) == "direction" and {"time", "order", "step", "way travelled"} <= set(told)
     assert told["direction"].before["joints"].share > 0.1 > 0.01 > told["direction"].after["joints"].share
 
@@ -74,5 +74,5 @@ def arm_with_play():
         return (play_operator(q, 3e-4) - q) * (np.arange(6) == 2)
 
     arms, _ = linearise_poses(arm_worlds.tracked(true, UR10, 150, rng, deviation=deviation), arm_worlds.design(UR10))
-    candidates, _ = joint_candidates(arms, RequestedEffects.of(["backlash"], (), UNSAID))
+    candidates, _ = joint_candidates(arms, RequestedEffects.of(["backlash"], (), NO_STATED_TERMS))
     return ArmProblem(arms, candidates), arms

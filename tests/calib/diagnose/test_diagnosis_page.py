@@ -15,7 +15,7 @@ from calib.diagnose.report.diagnosis_json import AlternativeEntry, NotAskedEntry
 from calib.diagnose.report.diagnosis_page import diagnosis_page
 from calib.diagnose.report.platform_page_figures import PlatformView
 from calib.diagnose.report.platform_report import platform_report
-from calib.diagnose.report.residual_plots import diagnostic_plot, model_residuals, residuals_without_effects
+from calib.diagnose.report.residual_plots import effect_residual_figures, model_residuals, residuals_without_effects
 from calib.diagnose.report.rig_outline import MARKS, rig_outline_figure
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.texts.effect_text import parse_effect
@@ -143,7 +143,7 @@ def test_every_diagnostic_plot_can_be_drawn(text, diagnosed):
     _, diagnosis = diagnosed
     refined = diagnosis.selection.fit.refined
     effect = parse_effect(text)
-    drawn = diagnostic_plot(replace(refined, point=refined.point.with_effects((effect,))), 0).split("<svg ")[1:]
+    drawn = effect_residual_figures(replace(refined, point=refined.point.with_effects((effect,))), 0).split("<svg ")[1:]
     assert drawn and all("aria-label=" in one and re.search(r'd="M[0-9]|<rect class="fill', one) for one in drawn)
     if len(drawn) == 3:  # what it explains lies along the axis, and is more than nothing
         low, high = (float(v) for v in re.search('data-x="([^ ]+) ([^ ]+)', drawn[2]).groups())

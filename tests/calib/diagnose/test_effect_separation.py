@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.diagnose.problems.platform.effect_separation import effect_separation
+from calib.diagnose.problems.platform.effect_separation import platform_effect_separation
 from rig.cli import command_line
 from rig.effects.texts.effect_text import parse_effect
 from rig.planning.plan import add_payload_channel, build_plan
@@ -15,7 +15,7 @@ SIGMA = (1e-5, 1e-4)
 def told_apart(design, text, *effects):
     plan = build_plan(design, text, 3)
     sensors, _ = draw_temperatures(plan.commands.t[-1], np.random.default_rng(3))
-    return effect_separation(
+    return platform_effect_separation(
         text,
         design,
         plan.commands,

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnose.engine.excess_scatter import MATERIAL, detect_excess_scatter
+from calib.diagnose.engine.lack_of_fit import MATERIAL, detect_excess_scatter
 from calib.diagnose.problems.arm import arm_diagnosis as arms
 from calib.diagnose.problems.platform import platform_diagnosis as platforms
 from calib.diagnose.report import arm_report, platform_report
 from calib.diagnose.report.diagnosis_json import ASSUMED_NOISE, RESIDUALS, STATED
 from calib.diagnose.report.diagnosis_page import diagnosis_verdict
-from calib.diagnose.report.diagnosis_report import summary
+from calib.diagnose.report.diagnosis_report import summary_sentence
 from rig.model.design import Arm
 from rig.recording import recording_folder
 from rig.recording.corner_and_pose_tables import Poses
@@ -58,7 +58,7 @@ def test_a_scatter_thirty_times_the_stated_noise_is_unexplained(tmp_path, again)
     )
     assert tree["unexplained"]["magnitude"] == pytest.approx(np.sqrt(2) * 6e-4, rel=0.25)
     assert [f["effect"] for f in tree["findings"]] == ["unknown"] and tree["noise_from"] == STATED
-    assert diagnosis_verdict(report).state is State.CHECK and "Nothing is left out" not in summary(report)
+    assert diagnosis_verdict(report).state is State.CHECK and "Nothing is left out" not in summary_sentence(report)
 
 
 def test_a_mount_within_its_noise_is_all_clear(tmp_path):

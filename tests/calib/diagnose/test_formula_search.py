@@ -17,16 +17,16 @@ from calib.diagnose.problems.arm.arm_problem import ArmProblem
 from calib.diagnose.problems.arm.joint_candidates import joint_candidates
 from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit as arm_left
 from calib.diagnose.problems.arm.pose_fit import fit_poses
-from calib.diagnose.problems.arm.unlisted_joint_effects import formula_suggestions as arm_suggestions
+from calib.diagnose.problems.arm.unlisted_joint_effects import suggest_joint_formulas as arm_suggestions
 from calib.diagnose.problems.platform.effect_candidates import platform_candidates
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnose.problems.platform.platform_problem import PlatformProblem
-from calib.diagnose.problems.platform.unlisted_strut_effects import formula_suggestions
+from calib.diagnose.problems.platform.unlisted_strut_effects import suggest_strut_formulas
 from calib.diagnose.problems.requested_effects import RequestedEffects
 from calib.diagnose.report.diagnosis_json import FitEntry, suggestion_entries
 from calib.diagnose.report.diagnosis_page import _suggestions
 from calib.diagnose.report.diagnosis_report import Report
-from calib.diagnose.report.diagnosis_verdict import recommended_actions, write
+from calib.diagnose.report.diagnosis_verdict import recommended_actions, write_diagnosis_json
 from rig.cli.command_line import main
 from rig.effects.framework.formula_quantities import quantities
 from rig.effects.texts.formula_effect_file import Term, Written
@@ -218,7 +218,7 @@ def test_a_law_is_suggested_by_its_covariates(tmp_path, measured, number, monkey
     monkeypatch.setattr(laws, "PLAN", "moving:10,sobol:40,ladder:3,sobol:30")
     recording, effect, covariates = laws.recorded(tmp_path / "rec", design, text, number, 3)
     problem, fit, left = sought_in(recording)
-    (found,) = formula_suggestions(problem, fit, left)
+    (found,) = suggest_strut_formulas(problem, fit, left)
     assert {q.name for q in found.written.quantities} == covariates and found.place == effect.place
     assert found.after < 1.2 * found.noise < found.before and all(set(part) == covariates for part in found.parts)
     if number == 1:
@@ -233,7 +233,7 @@ def test_a_law_is_suggested_by_its_covariates(tmp_path, measured, number, monkey
         and "a suggestion, and no name" in page
         and recommended_actions(told) != recommended_actions(replace(told, suggestions=()))
     )
-    write(tmp_path, told)
+    write_diagnosis_json(tmp_path, told)
     assert main(["effects", "--new", "mine", "--from", str(tmp_path), "--out", str(tmp_path / "mine.py")]) == 0
     (kind,) = load_effect_file(tmp_path / "mine.py").kinds
     asked = PlatformProblem(
@@ -247,7 +247,7 @@ def test_a_law_is_suggested_by_its_covariates(tmp_path, measured, number, monkey
 def test_nothing_is_suggested_where_nothing_is_left(tmp_path, measured):
     text, design = measured
     problem, fit, left = sought_in(laws.recorded(tmp_path / "rec", design, text, 3, 1, seen=1e-9)[0])
-    assert left == [] and formula_suggestions(problem, fit, left) == []
+    assert left == [] and suggest_strut_formulas(problem, fit, left) == []
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from calib.diagnose.engine.linear_model import Column, LinearModel
 from calib.diagnose.engine.term_selection import select_terms
 from calib.diagnose.problems.arm.arm_problem import ArmProblem
 from calib.diagnose.problems.arm.candidate_search import joint_products, search_candidates, solved_grid, solved_nodes
-from calib.diagnose.problems.arm.excess_scatter import scatter_beyond_noise
+from calib.diagnose.problems.arm.excess_scatter import excess_scatter
 from calib.diagnose.problems.arm.joint_candidates import joint_candidates
 from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit
 from calib.diagnose.problems.arm.linearised_poses import linearise_poses
@@ -19,7 +19,7 @@ from calib.diagnose.problems.arm.pose_fit import Term, fit_poses
 from calib.diagnose.problems.arm.repeated_commands import pose_repeatability
 from calib.diagnose.problems.arm.whitened_columns import Columns, Part
 from calib.diagnose.problems.requested_effects import RequestedEffects
-from calib.models.arm.excess_scatter import beyond, bounded
+from calib.identify.robust_fit import excess_scatter, robust_weights
 from tests.calib import arm_worlds
 from tests.rig.arms import UR10
 
@@ -115,11 +115,13 @@ def test_columns_made_of_joints_and_weights_are_the_columns_written_out():
 def test_wild_poses_neither_widen_the_scatter_nor_count():
     rng = np.random.default_rng(4)
     left, own = SIGMA * rng.normal(size=(400, 6)), np.tile(SIGMA**2 * np.eye(6), (400, 1, 1))
-    assert beyond(left, own) == pytest.approx(0, abs=0.3 * SIGMA)
+    assert excess_scatter(left, own) == pytest.approx(0, abs=0.3 * SIGMA)
     left[::33] += 10 * SIGMA
-    assert beyond(left, own) == pytest.approx(0, abs=0.6 * SIGMA)
-    assert beyond(10 * left, own) == pytest.approx(10 * SIGMA, rel=0.1)  # a sigma that is stated too small by ten
-    weight = bounded((left**2).sum(axis=1) / SIGMA**2, 6)
+    assert excess_scatter(left, own) == pytest.approx(0, abs=0.6 * SIGMA)
+    assert excess_scatter(10 * left, own) == pytest.approx(
+        10 * SIGMA, rel=0.1
+    )  # a sigma that is stated too small by ten
+    weight = robust_weights((left**2).sum(axis=1) / SIGMA**2, 6)
     assert (weight[::33] < 0.1).all() and np.delete(weight, np.s_[::33]).mean() > 0.99
 
 
@@ -157,7 +159,7 @@ def test_what_the_catalogue_lacks_is_unknown_at_its_joint():
     arms = seen(only(2, lambda q: 2e-4 * np.sin(q[:, 0])), again=60)
     chosen = select_terms(ArmProblem(arms, joint_candidates(arms, RequestedEffects())[0])).fit
     assert chosen.terms == ()
-    left = [*lack_of_fit(chosen, 5), *scatter_beyond_noise(chosen, pose_repeatability(chosen), [])]
+    left = [*lack_of_fit(chosen, 5), *excess_scatter(chosen, pose_repeatability(chosen), [])]
     assert left[0].place == "joint 3" and left[0].depends_on == ("pose",)
     assert left[0].magnitude == pytest.approx(np.std(2e-4 * np.sin(arms.q[:, 0])), rel=0.3)
     assert left[-1].place == "rig" and left[-1].depends_on == ("configuration",)

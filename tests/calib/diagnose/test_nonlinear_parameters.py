@@ -9,7 +9,7 @@ from calib.diagnose.engine.term_selection import select_terms
 from calib.diagnose.problems.arm.arm_problem import ArmProblem
 from calib.diagnose.problems.arm.joint_candidates import joint_candidates
 from calib.diagnose.problems.arm.linearised_poses import linearise_poses
-from calib.diagnose.problems.arm.nonlinear_parameters import joint_parameter_covariance
+from calib.diagnose.problems.arm.nonlinear_parameters import term_parameter_covariance
 from calib.diagnose.problems.requested_effects import RequestedEffects
 from rig.effects.framework.play_operator import play_operator
 from tests.calib import arm_worlds
@@ -41,7 +41,7 @@ def test_a_range_between_two_values_of_its_grid_is_found_with_its_weight_and_not
     assert [(t.candidate.name, t.candidate.place) for t in fit.terms] == [("hysteresis", "joint 2")]
     z = scores(fit)
     assert np.abs(z).max() < 3.0, z
-    joint = joint_parameter_covariance(fit, 0)
+    joint = term_parameter_covariance(fit, 0)
     assert joint.names == ("range",) and joint.covariance[1, 1] ** 0.5 < 0.2 * RANGE
     alone = fit.covariance(0)[0, 0]
     assert joint.covariance[0, 0] > 1.5 * alone, "a weight is less sure where its range is not known"
@@ -60,6 +60,6 @@ def test_intervals_of_range_and_weight_cover():
 def scores(fit):
     """(2,) of weight and range, in standard errors."""
     number = next(i for i, t in enumerate(fit.terms) if t.candidate.name == "hysteresis")
-    joint = joint_parameter_covariance(fit, number)
+    joint = term_parameter_covariance(fit, number)
     off = np.array([fit.theta[fit.slices[number]][0] - WEIGHT, fit.terms[number].node["range"] - RANGE])
     return off / np.sqrt(np.diag(joint.covariance))

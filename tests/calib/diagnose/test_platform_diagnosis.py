@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.certify.calibration import Calibration
-from calib.certify.platform_certification import certify
+from calib.certify.platform_certification import certify_platform
 from calib.diagnose.engine.chance_probability import scan_p_value
 from calib.diagnose.problems.platform import exchanged_markers
 from calib.diagnose.problems.platform.effect_candidates import platform_candidates
@@ -113,9 +113,9 @@ def test_what_is_hidden_is_found(tmp_path, design, text, name, parameter, value)
 def test_faces_exchanged_are_named(tmp_path, design):
     rec = recorded(tmp_path, design, ["marker_swap:8:other=6,turn=1"])
     point, _, _ = operating_point_of_recording(rec)
-    found = exchanged_markers.swaps(point)
+    found = exchanged_markers.find_marker_swaps(point)
     assert len(found) == 1 and {found[0].place, f"marker {int(found[0].other)}"} == {"marker 8", "marker 6"}
-    left = exchanged_markers.exchanged(point, found)
+    left = exchanged_markers.correct_marker_swaps(point, found)
     assert np.abs(left.seen.observations.uv - left.pixels()).max() < 3
 
 
@@ -162,7 +162,7 @@ def test_geometry_known_from_elsewhere_shows_what_would_hide_in_it(tmp_path, des
         )
     before, after = (recording_folder.load(tmp_path / name) for name in ("before", "after"))
     sampled = sample_recording(before)
-    done = certify(sampled.samples, before.design.mechanism, rng)
+    done = certify_platform(sampled.samples, before.design.mechanism, rng)
     known = Calibration(done.correction, done.found.covariance, done.found.scatter, (), (), done.held_out, {})
     assert not diagnose_platform(after, only=["compliance"]).selection.findings  # a constant load hides in the joints
     tree = platform_report(diagnose_platform(after, only=["compliance"], calibration=known)).tree()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.diagnose.engine.sinusoid_sums import sinusoid_sums
+from calib.diagnose.engine.frame_inner_products import sinusoid_sums
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnose.engine.candidates import NotAsked
-from calib.diagnose.engine.stated_terms import Given
+from calib.diagnose.engine.selection_inputs import NotAsked, StatedTerms
 from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
-from calib.diagnose.problems.requested_effects import RequestedEffects, require_answerable
+from calib.diagnose.problems.requested_effects import RequestedEffects, require_assumed_effects_testable
 from calib.diagnose.report.platform_report import platform_report
 from calib.diagnose.report.report_sentences import evidence_sentence
 from rig.cli import command_line
@@ -39,7 +38,7 @@ def places(found):
 
 def test_what_is_assumed_stays_and_is_said_to_be_so(quiet):
     assert places(platform_report(diagnose_platform(quiet, ["backlash"]))) == []
-    told = platform_report(diagnose_platform(quiet, ["creep"], given=Given((STRUT_2,))))
+    told = platform_report(diagnose_platform(quiet, ["creep"], given=StatedTerms((STRUT_2,))))
     assert places(told) == [(*STRUT_2, "assumed")]
     gap = told.findings[0].parameters["gap"]
     assert gap.value < 15e-6 and gap.ci95[0] <= gap.value <= gap.ci95[1]
@@ -47,10 +46,10 @@ def test_what_is_assumed_stays_and_is_said_to_be_so(quiet):
 
 
 def test_what_was_seen_before_has_to_stand(loose):
-    told = platform_report(diagnose_platform(loose, ["backlash"], given=Given((), (STRUT_4, STRUT_2))))
+    told = platform_report(diagnose_platform(loose, ["backlash"], given=StatedTerms((), (STRUT_4, STRUT_2))))
     assert places(told) == [(*STRUT_2, "seen before")]
     assert told.findings[0].parameters["gap"].value == pytest.approx(100e-6, rel=0.05)
-    told = platform_report(diagnose_platform(loose, ["backlash"], given=Given((STRUT_2,))))
+    told = platform_report(diagnose_platform(loose, ["backlash"], given=StatedTerms((STRUT_2,))))
     assert places(told) == [(*STRUT_2, "assumed")] and "shows it by itself as well" in evidence_sentence(
         told.findings[0]
     )
@@ -70,12 +69,12 @@ def test_what_cannot_be_assumed_is_refused(design):
         with pytest.raises(RigError, match=said):
             parse_place(text, design)
     with pytest.raises(RigError, match="backlash strut 2 cannot be assumed and left out at once"):
-        RequestedEffects.of(None, ["backlash"], Given((STRUT_2,)))
+        RequestedEffects.of(None, ["backlash"], StatedTerms((STRUT_2,)))
     with pytest.raises(
         RigError,
         match="backlash at strut 2 is assumed, but this recording cannot be asked for it: nothing was commanded",
     ):
-        require_answerable(Given((STRUT_2,)), [], [NotAsked("backlash", "nothing was commanded")])
+        require_assumed_effects_testable(StatedTerms((STRUT_2,)), [], [NotAsked("backlash", "nothing was commanded")])
 
 
 def test_masked_frames_are_gone_from_everything(quiet):

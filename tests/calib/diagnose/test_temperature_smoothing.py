@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
-from calib.diagnose.problems.platform.interval_widening import of_logs
+from calib.diagnose.problems.platform.interval_widening import temperature_log_errors
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.problems.platform.simultaneous_refinement import refine
@@ -84,7 +84,7 @@ def test_intervals_hold_what_the_thermometer_leaves_open(tmp_path, design):
     )
     sensitivities = Sensitivities(k)
     refined = refine(k, sensitivities)
-    more = (of_logs(refined) ** 2).sum(axis=1)
+    more = (temperature_log_errors(refined) ** 2).sum(axis=1)
     seen = np.zeros(2)
     for channel in ("strut2_temperature_C", "ambient_temperature_C"):
         for error in k.log_errors[channel].T:

@@ -8,9 +8,14 @@ import numpy as np
 import pytest
 
 from calib.diagnose.engine.frame_inner_products import normal_of_common_weights
-from calib.diagnose.engine.stated_terms import UNSAID
+from calib.diagnose.engine.selection_inputs import NO_STATED_TERMS
 from calib.diagnose.problems.platform import tolerance_columns
-from calib.diagnose.problems.platform.candidate_search import column_of, corner_products, lasting, search
+from calib.diagnose.problems.platform.candidate_search import (
+    candidate_column,
+    constant_displacement_normal,
+    corner_products,
+    search_candidates,
+)
 from calib.diagnose.problems.platform.effect_candidates import platform_candidates
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, linearise
@@ -113,12 +118,12 @@ def test_the_share_that_is_left_beside_tolerances_is_that_of_a_search_beside_the
     point = operating_point_of_recording(recorded(tmp_path, design, ["backlash:strut2:gap=6e-5"], 11, ROUTE, 0.03))[0]
     model, sensitivities = linearise(point), Sensitivities(point)
     found = tolerance_columns.tolerance_model(model, sensitivities)
-    candidates, _ = platform_candidates(point, RequestedEffects.of(["backlash", "print_scale"], (), UNSAID))
+    candidates, _ = platform_candidates(point, RequestedEffects.of(["backlash", "print_scale"], (), NO_STATED_TERMS))
     beside = tolerance_columns.model_with_tolerances(model, found)
     for candidate in candidates:
-        alone, both = (search(m, [candidate], sensitivities)[0] for m in (model, beside))
+        alone, both = (search_candidates(m, [candidate], sensitivities)[0] for m in (model, beside))
         if alone.node == both.node:  # else two sizes are compared
-            column = column_of(model, candidate, alone.node, sensitivities)
+            column = candidate_column(model, candidate, alone.node, sensitivities)
             share = tolerance_columns.share_not_explained_by_tolerances(
                 model, found, column, not len(alone.coefficients)
             )
@@ -132,10 +137,12 @@ def test_what_lasts_is_scored_by_sums_as_frame_by_frame(tmp_path, design):
         recorded(tmp_path, design, ["face_misplacement:8:offset=2e-4/0/0,rotation=0/0/0"], 11, ROUTE, 0.03)
     )[0]
     model, sensitivities = linearise(point), Sensitivities(point)
-    candidates, _ = platform_candidates(point, RequestedEffects.of(["face_misplacement", "edge_bias"], (), UNSAID))
+    candidates, _ = platform_candidates(
+        point, RequestedEffects.of(["face_misplacement", "edge_bias"], (), NO_STATED_TERMS)
+    )
     for candidate in candidates[::7]:
         rows, quads = sensitivities.seen(candidate, candidate.grid[0])
-        short = lasting(model, *sensitivities.touched(rows, quads))
+        short = constant_displacement_normal(model, *sensitivities.touched(rows, quads))
         whole = normal_of_common_weights(
             corner_products(model, sensitivities.corners(rows, quads)), np.ones((1, model.frames))
         )
@@ -153,7 +160,9 @@ def test_tolerances_come_in_where_they_explain_more_than_the_best_candidate(tmp_
     point = operating_point_of_recording(
         recorded(tmp_path, design, [hidden or printed(design, 1e-5, 2.5e-4)], 11, ROUTE, 0.03)
     )[0]
-    candidates, _ = platform_candidates(point, RequestedEffects.of(["backlash", "face_misplacement"], (), UNSAID))
+    candidates, _ = platform_candidates(
+        point, RequestedEffects.of(["backlash", "face_misplacement"], (), NO_STATED_TERMS)
+    )
     problem = PlatformProblem(point, candidates)
     fit = problem.start()
     found = tolerance_columns.tolerance_model(fit.refined.model, problem.sensitivities)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certify.platform_certification import certify, workspace_claim_of
+from calib.certify.platform_certification import certify_platform, platform_workspace_claim
 from calib.diagnose.problems.arm import arm_diagnosis as arm_problem
 from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm as arm_diagnose
 from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
@@ -16,10 +16,10 @@ from calib.diagnose.report.arm_report import arm_report as arm_report
 from calib.diagnose.report.diagnosis_page import diagnosis_page, diagnosis_verdict
 from calib.diagnose.report.platform_page_figures import PlatformView
 from calib.diagnose.report.platform_report import platform_report
-from calib.identify.robust_fit import MOST, many_deviations, outlier_rows, robust_fit, tail
-from calib.models.arm.certification import certify as arm_certify
-from calib.models.arm.certification import workspace_claim_of as arm_promised
-from calib.models.platform.identification import Loops, identify, parameters
+from calib.identify.robust_fit import MOST, has_many_deviations, outlier_rows, robust_fit, tail_length_ratio
+from calib.models.arm.certification import arm_workspace_claim as arm_promised
+from calib.models.arm.certification import certify_arm as arm_certify
+from calib.models.platform.identification import Loops, geometric_parameters, identify_platform
 from calib.samples.recording_samples import sample_recording
 from rig.recording import frame_mask, recording_folder
 from rig.report.verdict import State
@@ -72,9 +72,9 @@ def test_where_a_tail_is_long_no_row_in_it_is_wild():
     """What is left out of a model leaves some rows far off; a wild one is off beyond all of them."""
     rng = np.random.default_rng(3)
     t, q, left = np.arange(200.0), rng.uniform(size=(200, 6)), rng.normal(size=(200, 6))
-    assert tail(left, 7.0) == pytest.approx(1.0, abs=0.15)
+    assert tail_length_ratio(left, 7.0) == pytest.approx(1.0, abs=0.15)
     left[rng.permutation(200)[:50]] *= 3.5
-    assert tail(left, 7.0) > 1.8 and np.abs(left).max() > 7 and not outlier_rows(left, t, q, 7.0).any()
+    assert tail_length_ratio(left, 7.0) > 1.8 and np.abs(left).max() > 7 and not outlier_rows(left, t, q, 7.0).any()
     left[20] += 60.0
     assert np.flatnonzero(outlier_rows(left, t, q, 7.0)).tolist() == [20]
 
@@ -221,7 +221,7 @@ def test_what_one_strut_does_alone_is_not_wild():
     left = np.random.default_rng(2).normal(size=(40, 6))
     left[7, 2] = 15.0
     left[9] += 15.0
-    assert np.flatnonzero(many_deviations(left, 7.0)).tolist() == [9]
+    assert np.flatnonzero(has_many_deviations(left, 7.0)).tolist() == [9]
 
 
 def test_a_platform_is_calibrated_with_wild_poses_as_without_them(tmp_path, design):
@@ -232,11 +232,13 @@ def test_a_platform_is_calibrated_with_wild_poses_as_without_them(tmp_path, desi
     some, without = (
         sample_recording(rec).samples for rec in (bad, frame_mask.remove_frames(bad, ",".join(map(str, frames))))
     )
-    made, expected = (certify(samples, design.mechanism, np.random.default_rng(0)) for samples in (some, without))
+    made, expected = (
+        certify_platform(samples, design.mechanism, np.random.default_rng(0)) for samples in (some, without)
+    )
     assert sorted(some.frame[~made.found.inliers]) == frames.tolist()
     assert made.held_out.after.position == pytest.approx(expected.held_out.after.position, rel=0.05)
-    assert workspace_claim_of(some, made, np.random.default_rng(0)).after[0] == pytest.approx(
-        workspace_claim_of(without, expected, np.random.default_rng(0)).after[0]
+    assert platform_workspace_claim(some, made, np.random.default_rng(0)).after[0] == pytest.approx(
+        platform_workspace_claim(without, expected, np.random.default_rng(0)).after[0]
     )
 
 
@@ -249,12 +251,12 @@ def test_a_fit_starts_without_wild_poses_only_where_it_does_not_close_with_them(
     some, without = (
         sample_recording(rec).samples for rec in (bad, frame_mask.remove_frames(bad, ",".join(map(str, frames))))
     )
-    expected = identify(without, design.mechanism)
+    expected = identify_platform(without, design.mechanism)
     assert not starts and expected.inliers.all()
-    found = identify(some, design.mechanism)
+    found = identify_platform(some, design.mechanism)
     assert len(starts) == 1 and not starts[0][np.isin(some.frame, frames)].any()
     assert sorted(some.frame[~found.inliers]) == frames.tolist()
-    assert np.abs(parameters(found.mechanism) - parameters(expected.mechanism)).max() < 1e-6
+    assert np.abs(geometric_parameters(found.mechanism) - geometric_parameters(expected.mechanism)).max() < 1e-6
 
 
 def test_an_arm_is_calibrated_with_wild_poses_as_without_them(tmp_path):

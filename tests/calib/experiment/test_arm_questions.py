@@ -10,7 +10,7 @@ import pytest
 from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm
 from calib.diagnose.problems.arm.joint_candidates import joint_candidate
 from calib.diagnose.problems.arm.linearised_poses import linearise_planned_poses
-from calib.experiment.arm_questions import arm_questions
+from calib.experiment.diagnosis_questions import arm_questions
 from calib.experiment.experiment_choice import evaluate_experiment
 from rig.cli.command_line import main
 from rig.effects.catalogue.time_offset import TimeOffset

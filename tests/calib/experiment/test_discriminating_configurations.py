@@ -6,12 +6,12 @@ import pytest
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnose.problems.platform.simultaneous_refinement import refine
-from calib.experiment.discriminating_configurations import (
-    camera_shares,
+from calib.experiment.experiment_choice import CHOSEN, available_plans
+from calib.experiment.experiment_information import (
+    camera_information_shares,
     choose_exposures,
     discriminating_configurations,
 )
-from calib.experiment.experiment_choice import CHOSEN, available_plans
 from calib.experiment.experiment_question import Hypothesis, PerFrame
 from calib.experiment.platform_outcome_prediction import PlatformQuestion, predict_outcomes_by_frame
 from rig.effects.texts.effect_text import parse_effect
@@ -79,7 +79,7 @@ def test_configurations_are_chosen_by_the_images_and_the_cameras_that_see_it_are
     asked = [PlatformQuestion(tuple(Hypothesis(fit.point.effects[0].name, "camera cam1", 0.5, fit, 0) for fit in fits))]
     own = discriminating_configurations(asked, design, 8, seed=3)
     plan = build_plan(design, "apart:8", own={"apart:8": own})
-    seen = camera_shares(asked, plan)
+    seen = camera_information_shares(asked, plan)
     assert next(iter(seen)) == "cam1" and seen["cam1"] > 0.5 and sum(seen.values()) == pytest.approx(1)
     anywhere = [told(predict_outcomes_by_frame(asked[0], build_plan(design, "sobol:8", seed))) for seed in range(3)]
     assert told(predict_outcomes_by_frame(asked[0], plan)) > 1.2 * max(anywhere)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calib.certify.calibration import Calibration
-from calib.certify.platform_certification import certify, workspace_claim_of
+from calib.certify.platform_certification import certify_platform, platform_workspace_claim
 from calib.files import calibration_file
 from rig.errors import FileError
 from rig.formats.json_positions import Places, repeated_key
@@ -19,8 +19,8 @@ from tests.calib.worlds import sampled, workspace
 @pytest.fixture(scope="module")
 def calibration(design):
     samples, _ = sampled(design, 5, count=150, deviation=wavy)
-    done = certify(samples, design.mechanism, np.random.default_rng(0))
-    claim = workspace_claim_of(samples, done, np.random.default_rng(0))
+    done = certify_platform(samples, design.mechanism, np.random.default_rng(0))
+    claim = platform_workspace_claim(samples, done, np.random.default_rng(0))
     return Calibration(
         done.correction, done.found.covariance, done.found.scatter, (1, 2), (3,), done.held_out, {"seed": 0}, claim
     )
@@ -46,12 +46,12 @@ def test_what_is_saved_corrects_as_before(calibration, design, tmp_path):
 
 def test_few_configurations_keep_the_files_shape(calibration, design, tmp_path):
     samples, _ = sampled(design, 6, count=5)
-    done = certify(samples, design.mechanism, np.random.default_rng(0))
+    done = certify_platform(samples, design.mechanism, np.random.default_rng(0))
     few = replace(
         calibration,
         correction=done.correction,
         held_out=done.held_out,
-        claim=workspace_claim_of(samples, done, np.random.default_rng(0)),
+        claim=platform_workspace_claim(samples, done, np.random.default_rng(0)),
     )
     calibration_file.save(tmp_path / "c.json", few)
     tree, again = json.loads((tmp_path / "c.json").read_text()), calibration_file.load(tmp_path / "c.json")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.identify.least_squares import Linear, fit, visibility
+from calib.identify.least_squares import Linear, fit_least_squares, parameter_visibility
 from rig.errors import NotEnoughData, RigError
 
 
@@ -27,7 +27,7 @@ def test_estimates_scatter_as_claimed_and_the_optimum_is_one():
     true, z = np.array([2.0, 0.8]), []
     for seed in range(200):
         linearise, _ = curve(np.random.default_rng(seed), true, common=0.02)
-        found = fit(linearise, [1.5, 0.5], *FREE)
+        found = fit_least_squares(linearise, [1.5, 0.5], *FREE)
         z.append((found.parameters - true) / np.sqrt(np.diag(found.covariance)))
     assert np.abs(np.mean(z, axis=0)).max() < 4 / np.sqrt(200) and np.std(z) == pytest.approx(1, abs=0.12)
     linear = linearise(found.parameters)
@@ -39,18 +39,20 @@ def test_estimates_scatter_as_claimed_and_the_optimum_is_one():
 
 def test_a_prior_weighs_as_one_more_reading():
     linearise, _ = curve(np.random.default_rng(0), np.array([2.0, 0.8]))
-    free = fit(linearise, [1.5, 0.5], *FREE)
-    held = fit(linearise, [1.5, 0.5], [3.0, 0.0], [1e-9, np.inf])
+    free = fit_least_squares(linearise, [1.5, 0.5], *FREE)
+    held = fit_least_squares(linearise, [1.5, 0.5], [3.0, 0.0], [1e-9, np.inf])
     assert held.parameters[0] == pytest.approx(3.0, abs=1e-6) and held.parameters[1] != pytest.approx(
         free.parameters[1], abs=0.05
     )
-    both = fit(linearise, [1.5, 0.5], [free.parameters[0] + 1e-3, 0.0], [np.sqrt(free.covariance[0, 0]), np.inf])
+    both = fit_least_squares(
+        linearise, [1.5, 0.5], [free.parameters[0] + 1e-3, 0.0], [np.sqrt(free.covariance[0, 0]), np.inf]
+    )
     assert both.covariance[0, 0] == pytest.approx(free.covariance[0, 0] / 2, rel=0.05)
 
 
 def test_a_constraint_is_kept_exactly():
     linearise, _ = curve(np.random.default_rng(0), np.array([2.0, 0.8]))
-    found = fit(linearise, [1.6, 0.8], *FREE, basis=np.array([[2.0], [1.0]]) / np.sqrt(5))
+    found = fit_least_squares(linearise, [1.6, 0.8], *FREE, basis=np.array([[2.0], [1.0]]) / np.sqrt(5))
     assert (
         found.parameters[0] == pytest.approx(2 * found.parameters[1], abs=1e-12)
         and np.linalg.matrix_rank(found.covariance) == 1
@@ -59,9 +61,9 @@ def test_a_constraint_is_kept_exactly():
 
 def test_a_wrong_block_is_sorted_out():
     linearise, seen = curve(np.random.default_rng(0), np.array([2.0, 0.8]))
-    clean = fit(linearise, [1.5, 0.5], *FREE, inliers=np.arange(40) != 7)
+    clean = fit_least_squares(linearise, [1.5, 0.5], *FREE, inliers=np.arange(40) != 7)
     seen[7] += 5.0
-    found = fit(linearise, [1.5, 0.5], *FREE, robust=True)
+    found = fit_least_squares(linearise, [1.5, 0.5], *FREE, robust=True)
     assert np.flatnonzero(~found.inliers).tolist() == [7]
     np.testing.assert_allclose(found.parameters, clean.parameters, atol=1e-6)
 
@@ -73,10 +75,10 @@ def test_what_nothing_holds_is_refused():
         return Linear(x - p.sum(), np.ones((20, 3, 2)), np.zeros((20, 3, 0)))
 
     with pytest.raises(NotEnoughData, match="1 of 2 directions open"):
-        fit(same, [0, 0], *FREE)
-    found = fit(same, [0.0, 0.0], [0.0, 0.0], [1.0, 1.0])
+        fit_least_squares(same, [0, 0], *FREE)
+    found = fit_least_squares(same, [0.0, 0.0], [0.0, 0.0], [1.0, 1.0])
     assert found.parameters[0] == pytest.approx(found.parameters[1])
-    assert visibility(found.root, np.ones(2)).condition > 1e12
+    assert parameter_visibility(found.root, np.ones(2)).condition > 1e12
 
 
 def test_steps_that_do_not_settle_are_refused():
@@ -84,4 +86,4 @@ def test_steps_that_do_not_settle_are_refused():
         return Linear(np.sign(p)[None] * np.ones((1, 1)), np.full((1, 1, 1), 1.0), np.zeros((1, 1, 0)))
 
     with pytest.raises(RigError, match="did not settle"):
-        fit(uphill, [0.5], [0.0], [np.inf])
+        fit_least_squares(uphill, [0.5], [0.0], [np.inf])

@@ -11,12 +11,12 @@ from scipy.spatial.transform import RigidTransform
 import calib
 from calib.certify.calibration import Calibration
 from calib.correct.correction import Correction
-from calib.correct.physics import Physics
+from calib.correct.physics_compensation import Physics
 from calib.files import calibration_file
 from calib.models.arm.correction import ArmCorrection
 from calib.models.chain import error_model as chains
-from calib.models.corrected_pose_covariance import pose_covariance
-from calib.models.platform.identification import parameters
+from calib.models.corrected_pose_covariance import corrected_pose_covariance
+from calib.models.platform.identification import geometric_parameters
 from rig.effects.framework.fit_coordinates import coordinates_of
 from rig.effects.texts.effect_text import parse_effect
 from rig.errors import FileError, RigError, Unreachable
@@ -53,7 +53,13 @@ def calibrated(design, *effects):
     m = design.mechanism
     kind, count = m.kind, len(m.axes)
     known = None
-    p = 12 + 5 * count if kind == "arm" else len(chains.prior(m)) if kind == "chain" else len(parameters(m))
+    p = (
+        12 + 5 * count
+        if kind == "arm"
+        else len(chains.parameter_tolerances(m))
+        if kind == "chain"
+        else len(geometric_parameters(m))
+    )
     if effects:
         n = len(coordinates_of(effects))
         known = Physics(
@@ -130,7 +136,7 @@ def test_how_sure_each_pose_is_stands_beside_the_commands_of_every_machine(tmp_p
     stated = recording_folder.load_poses(tmp_path / "k.poses.csv", commanded=True)
     done = calib.commanded(calibration, wanted)
     np.testing.assert_allclose(
-        stated.covariance, pose_covariance(calibration, wanted, done.values), rtol=1e-6, atol=1e-18
+        stated.covariance, corrected_pose_covariance(calibration, wanted, done.values), rtol=1e-6, atol=1e-18
     )
     np.testing.assert_allclose(stated.T_base_platform.as_matrix(), wanted.as_matrix(), atol=1e-9)
     with pytest.raises(FileError, match="not positive definite") if kind == "planar2" else nullcontext():

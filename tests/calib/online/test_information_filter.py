@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.models.platform.identification import identify, parameters
-from calib.models.platform.parameter_observability import frame_motion_columns
+from calib.models.platform.identification import geometric_parameters, identify_platform
+from calib.models.platform.parameter_accuracy import frame_motion_columns
 from calib.online.information_filter import Online
 from calib.samples.pose_samples import Samples
 from rig.errors import FileError, RigError
@@ -40,13 +40,13 @@ def test_one_pass_ends_where_the_batch_does(design, shared, count):
         common=samples.common[:, :, :shared],
         covariance=samples.covariance if shared else samples.total_covariance(),
     )
-    batch = identify(samples, design.mechanism)
+    batch = identify_platform(samples, design.mechanism)
     learner = Online(design.mechanism, shared=shared)
     for x, T, C, B in zip(samples.commanded, samples.T_base_platform, samples.covariance, samples.common):
         learner.update(x, T, C, B)
     along = np.linalg.svd(batch.root)[2]
     sigma = np.sqrt(np.einsum("ki,ij,kj->k", along, batch.covariance, along))
-    assert np.abs(along @ (learner.p - parameters(batch.mechanism)) / sigma).max() < 0.02
+    assert np.abs(along @ (learner.p - geometric_parameters(batch.mechanism)) / sigma).max() < 0.02
     np.testing.assert_allclose(np.diag(learner.covariance), np.diag(batch.covariance), rtol=2e-3)
 
 
@@ -54,11 +54,11 @@ def test_a_calibration_is_gone_on_from(design):
     """Learnt from one batch's estimate and covariance with the poses of a second: as one batch of both."""
     samples, _ = sampled(design, 4, count=300, own=OWN)
     samples = replace(samples, common=samples.common[:, :, :0])
-    first, both = (identify(part, design.mechanism) for part in (samples.take(np.arange(150)), samples))
+    first, both = (identify_platform(part, design.mechanism) for part in (samples.take(np.arange(150)), samples))
     learner = Online(first.mechanism, covariance=first.covariance)
     for i in range(150, 300):
         learner.update(samples.commanded[i], samples.T_base_platform[i], samples.covariance[i])
-    error = learner.p - parameters(both.mechanism)
+    error = learner.p - geometric_parameters(both.mechanism)
     assert error @ np.linalg.solve(both.covariance, error) < 0.05
     np.testing.assert_allclose(np.diag(learner.covariance), np.diag(both.covariance), rtol=5e-3)
 
@@ -77,7 +77,7 @@ def test_missed_steps_are_found_and_spoil_nothing(design):
         assert found_within(updates, poses.at, strut), (seed, said(updates))
         change = next(c for u in updates for c in u.changes)
         z.append((change.size - size) / change.sigma)
-        chi.append(off(learner, parameters(poses.after)))
+        chi.append(off(learner, geometric_parameters(poses.after)))
     assert np.abs(z).max() < 4 and np.mean(chi) == pytest.approx(42, rel=0.25)
 
 
@@ -87,7 +87,7 @@ def test_a_knocked_joint_is_named_with_its_strut(design):
     poses = stream(design, 4, 190, 150, jump)
     learner, updates = learnt(design, poses)
     assert {c.strut for u in updates for c in u.changes} == {3} and found_within(updates, 150, 3)
-    assert off(learner, parameters(poses.after)) < 80
+    assert off(learner, geometric_parameters(poses.after)) < 80
 
 
 def test_a_knocked_frame_is_told_from_the_struts(design):
@@ -97,7 +97,7 @@ def test_a_knocked_frame_is_told_from_the_struts(design):
     changes = [c for u in updates for c in u.changes]
     assert [c.kind for c in changes] == ["frame"] and changes[0].onset == 150
     assert (np.abs(changes[0].size - moved) < 4 * changes[0].sigma).all()
-    assert off(learner, parameters(poses.after) + frame_motion_columns(poses.after)[:, :6] @ moved) < 80
+    assert off(learner, geometric_parameters(poses.after) + frame_motion_columns(poses.after)[:, :6] @ moved) < 80
 
 
 def test_two_struts_at_once(design):
@@ -105,7 +105,10 @@ def test_two_struts_at_once(design):
     jump[36], jump[39] = 1e-4, -8e-5
     poses = stream(design, 5, 190, 150, jump)
     learner, updates = learnt(design, poses)
-    assert sorted(c.strut for u in updates for c in u.changes) == [1, 4] and off(learner, parameters(poses.after)) < 80
+    assert (
+        sorted(c.strut for u in updates for c in u.changes) == [1, 4]
+        and off(learner, geometric_parameters(poses.after)) < 80
+    )
 
 
 def test_a_wrong_pose_is_left_out_entirely(design):
@@ -129,7 +132,7 @@ def test_sessions_with_errors_of_their_own_add_up(design):
         for x, T, C, B in zip(part.commanded, part.T_base_platform, part.covariance, part.common):
             learner.update(x, T, C, B)
     apart = [np.concatenate([p.common * (k == 0), p.common * (k == 1)], axis=2) for k, p in enumerate(parts)]
-    batch = identify(
+    batch = identify_platform(
         Samples(
             np.arange(300),
             np.arange(300.0),
@@ -140,7 +143,7 @@ def test_sessions_with_errors_of_their_own_add_up(design):
         ),
         design.mechanism,
     )
-    error = learner.p - parameters(batch.mechanism)
+    error = learner.p - geometric_parameters(batch.mechanism)
     assert error @ np.linalg.solve(batch.covariance, error) < 0.05
     np.testing.assert_allclose(np.diag(learner.covariance), np.diag(batch.covariance), rtol=5e-3)
 

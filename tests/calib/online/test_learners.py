@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calib.models.platform.identification import identify, parameters, pose_jacobian
-from calib.online import learner_file
+from calib.models.platform.identification import geometric_parameters, identify_platform, pose_parameter_jacobian
+from calib.online import learners
 from calib.online.learners import Drifting, FirstOrder, Forgetting
 from rig.errors import FileError, RigError
 from rig.model.mechanisms import hexapod
@@ -33,17 +33,17 @@ def test_every_learner_refuses_alike_and_stays(design, way):
     learner = way(design.mechanism)
     with pytest.raises(RigError, match="close on no pose"):
         learner.update([0.1, 5.0, 0.1, 5.0, 0.1, 5.0], design.mechanism.home, COVARIANCE)
-    np.testing.assert_array_equal(learner.p, parameters(design.mechanism))
+    np.testing.assert_array_equal(learner.p, geometric_parameters(design.mechanism))
 
 
 @pytest.mark.parametrize("way, options", [(Forgetting, {"kept": 1.0}), (Drifting, {"drift": 0.0})])
 def test_without_forgetting_or_drift_it_is_the_batch(design, way, options):
     samples, _ = sampled(design, 3, count=300, own=OWN)
-    batch = identify(samples, design.mechanism)
+    batch = identify_platform(samples, design.mechanism)
     learner = way(design.mechanism, **options)
     for x, T, C in zip(samples.commanded, samples.T_base_platform, samples.covariance):
         learner.update(x, T, C)
-    error = learner.p - parameters(batch.mechanism)
+    error = learner.p - geometric_parameters(batch.mechanism)
     assert error @ np.linalg.solve(batch.covariance, error) < 1  # of 42; nothing is linearised twice here
     np.testing.assert_allclose(np.diag(learner.covariance), np.diag(batch.covariance), rtol=1e-2)
 
@@ -56,7 +56,7 @@ def test_forgetting_does_not_wind_up(design):
     for k in range(500):
         T = hexapod.forward(poses.commands[k % 2], poses.after) * exp(OWN * rng.normal(size=6))
         learner.update(poses.commands[k % 2], T, COVARIANCE)
-    told = np.concatenate(pose_jacobian(hexapod.forward(poses.commands, poses.after), learner.hexapod))
+    told = np.concatenate(pose_parameter_jacobian(hexapod.forward(poses.commands, poses.after), learner.hexapod))
     unseen = np.linalg.svd(told)[2][12:]
     assert np.sqrt(np.einsum("ki,ij,kj->k", unseen, learner.covariance, unseen)).max() < 2 * known.max()
 
@@ -88,8 +88,8 @@ def test_a_learner_goes_on_from_its_file_as_if_it_had_never_stopped(design, tmp_
     for k, (x, T) in enumerate(zip(poses.commands, poses.T)):
         if k == 20:
             stopped.data = {"a", "b"}
-            learner_file.save(path, stopped)
-            stopped = learner_file.load(path)
+            learners.save_learner(path, stopped)
+            stopped = learners.load_learner(path)
         through.update(x, T, COVARIANCE)
         stopped.update(x, T, COVARIANCE)
     np.testing.assert_array_equal(stopped.p, through.p)
@@ -108,10 +108,10 @@ def test_a_learner_goes_on_from_its_file_as_if_it_had_never_stopped(design, tmp_
 )
 def test_a_spoilt_file_of_a_learner_is_refused(design, tmp_path, spoil, says):
     path = tmp_path / "state.json"
-    learner_file.save(path, Forgetting(design.mechanism))
+    learners.save_learner(path, Forgetting(design.mechanism))
     path.write_text(spoil(path.read_text()))
     with pytest.raises(FileError, match=says) as error:
-        learner_file.load(path)
+        learners.load_learner(path)
     assert str(path) in str(error.value)
 
 
@@ -121,4 +121,4 @@ def test_what_a_calibration_knows_is_not_thrown_away(design, way):
     learner = way(poses.before)
     learner.start_from(np.eye(42) * 1e-12)
     learnt(design, poses, learner)
-    assert np.abs(learner.p - parameters(poses.before)).max() < 2e-5
+    assert np.abs(learner.p - geometric_parameters(poses.before)).max() < 2e-5

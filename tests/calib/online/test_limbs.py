@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calib.certify import measuring_limb_steps, measuring_limbs
-from calib.certify.fitted_limbs import Limbs
-from calib.models.platform.identification import pose_jacobian
+from calib.certify import measuring_limbs
+from calib.certify.measuring_limb_checks import Limbs
+from calib.models.platform.identification import pose_parameter_jacobian
 from calib.online import measuring_limb_poses, measuring_limbs_file
 from calib.online.information_filter import Online
-from calib.online.limb_vision_agreement import IN_A_ROW, LimbCheck
-from calib.online.live_limb_poses import LimbLive
+from calib.online.measuring_limb_poses import IN_A_ROW, LimbCheck, LiveLimbPoses
 from calib.samples.recording_samples import sample_recording
 from rig.errors import FileError, RigError
 from rig.model.mechanisms import hexapod
@@ -61,13 +60,13 @@ def slipped(read, limb, by, at):
 
 def test_a_file_gives_back_what_was_accepted(accepted, limbed, tmp_path):
     path = tmp_path / "limbs.json"
-    measuring_limbs_file.save(path, accepted)
+    measuring_limbs_file.save_limbs(path, accepted)
     back = measuring_limbs_file.accepted_limbs(path, limbed[0])
     np.testing.assert_array_equal(back.limbs.covariance, accepted.limbs.covariance)
     np.testing.assert_array_equal(back.limbs.hexapod.base_joints, accepted.limbs.hexapod.base_joints)
     np.testing.assert_array_equal(back.agreement.limits, accepted.agreement.limits)
     assert back.verdict == "accepted" and back.provenance == {"data": ["a"]}
-    measuring_limbs_file.save(path, measuring_limbs_file.withdraw_acceptance(back, "rec", 7, "it slipped"))
+    measuring_limbs_file.save_limbs(path, measuring_limbs_file.withdraw_acceptance(back, "rec", 7, "it slipped"))
     with pytest.raises(RigError, match="withdrawn at frame 7 of rec: it slipped"):
         measuring_limbs_file.accepted_limbs(path, limbed[0])
 
@@ -104,28 +103,28 @@ def test_a_file_gives_back_what_was_accepted(accepted, limbed, tmp_path):
 )
 def test_a_spoilt_file_names_file_and_value(accepted, tmp_path, spoil, says):
     path = tmp_path / "limbs.json"
-    measuring_limbs_file.save(path, accepted)
+    measuring_limbs_file.save_limbs(path, accepted)
     tree = json.loads(path.read_text())
     spoil(tree)
     path.write_text(json.dumps(tree))
     with pytest.raises(FileError, match=says) as error:
-        measuring_limbs_file.load(path)
+        measuring_limbs_file.load_limbs(path)
     assert str(path) in str(error.value)
     path.write_text(json.dumps(tree)[:200])
     with pytest.raises(FileError, match="cut off"):
-        measuring_limbs_file.load(path)
+        measuring_limbs_file.load_limbs(path)
 
 
 def test_limbs_of_another_rig_do_not_stand_for_vision(accepted, limbed, tmp_path):
     path, design = tmp_path / "limbs.json", limbed[0]
-    measuring_limbs_file.save(path, accepted)
+    measuring_limbs_file.save_limbs(path, accepted)
     moved = design.insitu.base_joints + 1e-4 * np.eye(6)[:, :1] * np.eye(3)[0]
     with pytest.raises(
         RigError, match="of other limbs than rig.toml states in .insitu.: base_joints of limb 1 differs by 0.1 mm"
     ):
         measuring_limbs_file.accepted_limbs(path, replace(design, insitu=replace(design.insitu, base_joints=moved)))
     refused = replace(accepted.agreement, tolerance=np.full(6, 1e-9))
-    measuring_limbs_file.save(path, replace(accepted, agreement=refused))
+    measuring_limbs_file.save_limbs(path, replace(accepted, agreement=refused))
     with pytest.raises(RigError, match="did not pass"):
         measuring_limbs_file.accepted_limbs(path, design)
 
@@ -144,7 +143,7 @@ def test_learning_from_limbs_alone_agrees_with_vision_within_its_covariance(acce
     assert apart @ np.linalg.solve(covariance, apart) < chi2.ppf(0.99, 42)
     slip = apart + 3e-5 * np.eye(42)[38]
     T = [hexapod.forward(low_discrepancy(nominal.strut_range, 30, 0.8), learner.hexapod) for learner in learners]
-    to_pose = pose_jacobian(T[1], learners[1].hexapod)
+    to_pose = pose_parameter_jacobian(T[1], learners[1].hexapod)
     expected = np.sqrt(np.einsum("nij,jk,nik->ni", to_pose, covariance, to_pose))
     left = pose_difference(T[1], T[0])
     assert (np.abs(left) < 4 * expected).all() and np.abs(left[:, :3]).max() < 3e-5
@@ -173,7 +172,7 @@ def test_limbs_that_slip_while_they_are_held_against_vision_are_not_accepted(lim
             by_vision, *measuring_limbs.limb_readings(slipped(read, limb, by, at))
         )
         limbs, _ = measuring_limbs.calibrate_limbs(samples, measuring_limbs.limb_hexapod(design), 1e-6)
-        found = measuring_limb_steps.detect_limb_slip(samples, limbs, 1e-6)
+        found = measuring_limbs.detect_limb_slip(samples, limbs, 1e-6)
         assert (found is None) == (by == 0)
         assert found is None or (
             found.limb == limb and abs(found.frame - at) <= 2 and abs(found.size - by) < 4 * found.sigma < 2e-5
@@ -220,7 +219,7 @@ def test_one_wrong_pose_of_vision_withdraws_nothing_and_several_do(accepted):
 
 
 def test_a_run_by_limbs_looks_now_and_then_and_closely_when_struts_tell_otherwise(accepted):
-    source, looks = LimbLive(accepted, 10), []
+    source, looks = LiveLimbPoses(accepted, 10), []
     for k, (read, T) in enumerate(told(accepted, 40, 3e-5, 33)):
         if source.is_check_due(unsure=k in (24, 34)):
             looks.append(k)

@@ -6,8 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.two_strut.example_figures import example_figures
-from calib.two_strut.worked_example import L1, L2, NOMINAL, REAL, corrected_hinge_positions, grid, worked_example
+from calib.two_strut.worked_example import (
+    L1,
+    L2,
+    NOMINAL,
+    REAL,
+    corrected_hinge_positions,
+    example_figures,
+    worked_example,
+    workspace_grid,
+)
 
 FIGURES = Path(__file__).parents[3] / "docs" / "two-strut"
 
@@ -56,7 +64,7 @@ def test_one_step_takes_out_nearly_all(example):
     """[0090], [0091]: S1 + ds1 and S2 + ds2 give the wanted pose, but for what is negligible: here a thirtieth at the
     most.
     """
-    wanted = grid()
+    wanted = workspace_grid()
     before, after = (
         np.sqrt(((corrected_hinge_positions(c, wanted) - wanted) ** 2).sum(axis=1).mean())
         for c in (None, example.correction)

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from calib.certify.calibration import Calibration
-from calib.certify.platform_certification import model_covariance
-from calib.correct.correction import Correction, calibrate
+from calib.certify.platform_certification import platform_pose_covariance
+from calib.correct.correction import Correction, calibrate_correction
 from calib.files import calibration_file
 from calib.models.arm.correction import ArmCorrection
-from calib.models.corrected_pose_covariance import add_workspace
-from calib.workspace import workspace_figures, workspace_sentences
-from calib.workspace.workspace_cells import map_workspace
-from calib.workspace.workspace_file import COLUMNS, workspace_rows
+from calib.models.corrected_pose_covariance import calibration_with_workspace
+from calib.workspace import workspace_page
+from calib.workspace.workspace_cells import COLUMNS, map_workspace, workspace_rows
 from rig.errors import FileError
 from rig.model.design import Planar2
 from rig.model.mechanisms import hexapod
@@ -37,8 +36,10 @@ def same(T, commands):
 @pytest.fixture(scope="module")
 def calibrated(design):
     samples, _ = sampled(design, 3, 60)
-    correction, found = calibrate(samples, design.mechanism)
-    return add_workspace(Calibration(correction, found.covariance, found.scatter, (), (), None, {"seed": 0}))
+    correction, found = calibrate_correction(samples, design.mechanism)
+    return calibration_with_workspace(
+        Calibration(correction, found.covariance, found.scatter, (), (), None, {"seed": 0})
+    )
 
 
 def test_shares_and_counts_are_those_of_the_plane():
@@ -73,9 +74,9 @@ def test_bounds_are_the_covariance_of_the_poses_there(calibrated):
     w = calibrated.workspace
     middle = calibrated.correction.predict(calibrated.correction.nominal.strut_range.mean(axis=1)[None])
     cell = int(np.argmin(np.abs(w.centre - middle.translation).max(axis=1)))
-    stated = 2 * np.sqrt(np.trace(model_covariance(calibrated, middle)[0, :3, :3]))
+    stated = 2 * np.sqrt(np.trace(platform_pose_covariance(calibrated, middle)[0, :3, :3]))
     assert stated < w.bound[cell, 0] < 5 * stated
-    looser = map_workspace(calibrated.correction, lambda T, q: 4 * model_covariance(calibrated, T))
+    looser = map_workspace(calibrated.correction, lambda T, q: 4 * platform_pose_covariance(calibrated, T))
     np.testing.assert_allclose(looser.bound, 2 * w.bound)
 
 
@@ -85,13 +86,13 @@ def test_an_arm_has_cells_that_it_reaches_and_one_of_five_joints_no_share_of_los
     w = map_workspace(ArmCorrection(UR10, true, (None,) * 6, np.zeros((1, 6))), same, 256)
     assert 0 <= w.lost < 0.2 and 0 <= w.gained < 0.2 and w.reached.sum() == 256
     assert np.nanmin(w.room) >= 0 and 0 <= np.nanmin(w.singular) < np.nanmax(w.singular) < 1
-    assert not workspace_sentences.workspace_lines(w, "rad")[0].startswith("workspace: an arm of fewer")
+    assert not workspace_page.workspace_lines(w, "rad")[0].startswith("workspace: an arm of fewer")
     five = replace(UR10, joints=UR10.joints[:5], limits=UR10.limits[:5], slides=UR10.slides[:5])
     w = map_workspace(
         ArmCorrection(five, replace(five, joints=true.rows[:5]), (None,) * 5, np.zeros((1, 5))), same, 128
     )
     assert w.lost is None and w.gained is None and not w.lost_in.any() and w.reached.sum() == 128
-    assert workspace_sentences.workspace_lines(w, "rad")[0].startswith("workspace: an arm of fewer than six joints")
+    assert workspace_page.workspace_lines(w, "rad")[0].startswith("workspace: an arm of fewer than six joints")
 
 
 def test_a_calibration_keeps_its_workspace_and_one_without_is_still_read(calibrated, tmp_path):
@@ -130,14 +131,14 @@ def test_every_column_of_cells_is_drawn_and_written(calibrated):
     rows = list(workspace_rows(w))
     assert len(rows) == len(w.index) and all(len(row.split(",")) == len(COLUMNS) for row in rows)
     for q in (
-        workspace_figures.LOST,
-        workspace_figures.GAINED,
-        workspace_figures.POSITION,
-        workspace_figures.ROTATION,
-        workspace_figures.SINGULAR,
-        workspace_figures.axis_margin_quantity("m"),
+        workspace_page.LOST,
+        workspace_page.GAINED,
+        workspace_page.POSITION,
+        workspace_page.ROTATION,
+        workspace_page.SINGULAR,
+        workspace_page.axis_margin_quantity("m"),
     ):
-        unit, seen = workspace_figures.cell_views(w, q)
+        unit, seen = workspace_page.cell_views(w, q)
         assert seen.count("<rect") == len(np.unique(w.index[:, :2], axis=0)) + len(
             np.unique(w.index[:, [0, 2]], axis=0)
         )
@@ -145,13 +146,13 @@ def test_every_column_of_cells_is_drawn_and_written(calibrated):
     column = (w.index[:, :2] == w.index[np.argmax(w.lost_in), :2]).all(axis=1)
     share = w.lost_in[column].sum() / w.believed[column].sum()
     assert (
-        f">{share * 100:.1f}</text>" in workspace_figures.cell_views(w, workspace_figures.LOST)[1]
-        or f">{share * 100:.0f}</text>" in workspace_figures.cell_views(w, workspace_figures.LOST)[1]
+        f">{share * 100:.1f}</text>" in workspace_page.cell_views(w, workspace_page.LOST)[1]
+        or f">{share * 100:.0f}</text>" in workspace_page.cell_views(w, workspace_page.LOST)[1]
     )
     coarse = replace(w, bound=w.bound * 1e3)
     assert (
-        workspace_figures.cell_views(w, workspace_figures.POSITION)[0] == "um"
-        and workspace_figures.cell_views(coarse, workspace_figures.POSITION)[0] == "mm"
+        workspace_page.cell_views(w, workspace_page.POSITION)[0] == "um"
+        and workspace_page.cell_views(coarse, workspace_page.POSITION)[0] == "mm"
     ), "three digits fit into a cell"
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.cli.shared.progress_bars import Progress, compilation_notice
+from rig.cli.shared.terminal_output import Progress, print_compilation_notice
 from rig.compute import kernel_cache, numba_kernels
 from tests.conftest import ROOT
 
@@ -200,5 +200,5 @@ def test_a_compile_notice_is_for_terminals_or_where_lines_are_wanted(shown, term
     """In a pipe the first line is the command's own, however slow the machine compiles."""
     monkeypatch.setattr(Progress, "shown", shown)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
-    compilation_notice()
+    print_compilation_notice()
     assert capsys.readouterr().err == words

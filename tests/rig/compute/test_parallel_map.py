@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 
-from calib.diagnose.problems.platform.candidate_search import search
+from calib.diagnose.problems.platform.candidate_search import search_candidates
 from calib.diagnose.problems.platform.effect_candidates import platform_candidates
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.linearised_residuals import linearise
@@ -65,7 +65,7 @@ def test_a_search_finds_the_same_on_one_process_and_on_several(tmp_path, design,
     for count in (1, 3):
         monkeypatch.setattr(parallel_map, "worker_count", lambda count=count: count)
         sensitivities = Sensitivities(point)
-        both.append((search(model, candidates, sensitivities), sensitivities.pixels))
+        both.append((search_candidates(model, candidates, sensitivities), sensitivities.pixels))
     (one, pixels), (several, kept) = both
     assert [s.candidate for s in one] == [s.candidate for s in several] and pixels.keys() == kept.keys()
     for a, b in zip(one, several):

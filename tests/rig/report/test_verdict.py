@@ -9,8 +9,8 @@ import pytest
 from rig.cli.command_line import main
 from rig.errors import FileError
 from rig.formats.output_files import Outputs
+from rig.report.pages.page_and_svg_templates import Page, write_page
 from rig.report.pages.page_index import read_page_summary
-from rig.report.pages.page_template import Page, write_page
 from rig.report.refutations import NAME, Refutation, add_refutation, load_refutations, refutations_of_file
 from rig.report.verdict import BALANCE, Evidence, Missing, State, Verdict, exit_status, judge_evidence, worst_state
 

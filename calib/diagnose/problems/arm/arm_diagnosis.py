@@ -1,6 +1,4 @@
-"""A recording of an arm, or of a chain of mechanisms -> its ArmDiagnosis: which effect sits at which joint, how large,
-how sure, what has no name.
-"""
+"""Diagnosis of an arm's, or a chain's, recording: findings at joints, intervals, and what is unexplained."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -10,26 +8,24 @@ import numpy as np
 from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
-from calib.diagnose.engine.candidates import NotAsked
-from calib.diagnose.engine.covariate_ranking import Covariate
 from calib.diagnose.engine.cross_validation import CrossValidation, time_stretch_folds
 from calib.diagnose.engine.excluded_outliers import Crowd, LeftOut
-from calib.diagnose.engine.lack_of_fit import LackOfFit
+from calib.diagnose.engine.lack_of_fit import Covariate, LackOfFit
 from calib.diagnose.engine.problem_interface import Progress
-from calib.diagnose.engine.stated_terms import UNSAID, Given
-from calib.diagnose.engine.term_selection import Finding, choose_terms, labelled_progress, select_terms
+from calib.diagnose.engine.selection_inputs import NO_STATED_TERMS, NotAsked, StatedTerms
+from calib.diagnose.engine.term_selection import Finding, fit_selected_terms, labelled_progress, select_terms
 from calib.diagnose.problems.arm.arm_problem import ArmProblem
-from calib.diagnose.problems.arm.excess_scatter import scatter_beyond_noise
+from calib.diagnose.problems.arm.excess_scatter import excess_scatter
 from calib.diagnose.problems.arm.joint_candidates import joint_candidates
 from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit
 from calib.diagnose.problems.arm.linearised_poses import FEWEST, Arms, Geometry, linearise_poses
 from calib.diagnose.problems.arm.outlier_poses import GATE, GROSS, WildPoses, outlier_poses
 from calib.diagnose.problems.arm.pose_fit import Fit, fit_poses
-from calib.diagnose.problems.arm.remainder_covariates import remainder_covariates
+from calib.diagnose.problems.arm.remainder_covariates import ranked_covariates
 from calib.diagnose.problems.arm.repeated_commands import Repeats, pose_repeatability
-from calib.diagnose.problems.arm.unlisted_joint_effects import formula_suggestions
+from calib.diagnose.problems.arm.unlisted_joint_effects import suggest_joint_formulas
 from calib.diagnose.problems.formula_suggestion import Suggestion
-from calib.diagnose.problems.requested_effects import RequestedEffects, require_answerable
+from calib.diagnose.problems.requested_effects import RequestedEffects, require_assumed_effects_testable
 from calib.diagnose.problems.temperature_smoothing import smooth_temperatures
 from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
 from calib.samples.recording_samples import Sampled, sample_recording
@@ -95,7 +91,7 @@ class ArmDiagnosis:
     regions: list[list[CrossValidation]] = field(default_factory=list)
     covariates: list[Covariate] = field(default_factory=list)
     origin: Origin = Origin()
-    given: Given = Given()
+    given: StatedTerms = StatedTerms()
     said: tuple[str, ...] = ()
     parts: tuple[Part, ...] = ()
     own: tuple[Plugin, ...] = ()
@@ -119,7 +115,7 @@ def diagnose_arm(
     only: list[str] | None = None,
     without: tuple[str, ...] = (),
     progress: Progress | None = None,
-    given: Given = UNSAID,
+    given: StatedTerms = NO_STATED_TERMS,
     kinds: tuple[type[Effect], ...] = ALL,
     sampled: Sampled | None = None,
 ) -> ArmDiagnosis:
@@ -155,7 +151,7 @@ def diagnose_linearised_poses(
     asked: RequestedEffects,
     progress: Progress | None = None,
     coarse: bool = True,
-    given: Given = UNSAID,
+    given: StatedTerms = NO_STATED_TERMS,
 ) -> ArmDiagnosis:
     """ArmDiagnosis of what is linear: frames' numbers left out as wild -> (Arms of all others, Geometry that they are
     linear about), made anew without them, so that all is as if they had never been measured. coarse : whether long
@@ -163,7 +159,7 @@ def diagnose_linearised_poses(
     (arms, found), wild = linear(frozenset()), WildPoses()
     every = len(arms)
     candidates, not_asked = joint_candidates(arms, asked)
-    given = require_answerable(given, candidates, not_asked)
+    given = require_assumed_effects_testable(given, candidates, not_asked)
     for _ in range(ROUNDS):
         known, wild = wild.frames, wild.with_more(outlier_poses(arms, arms.left, GROSS), every)
         if wild.frames == known:
@@ -180,15 +176,15 @@ def diagnose_linearised_poses(
         wild = both
         arms, found = linear(wild.frames)
     chosen = selection.fit
-    held = nested_held_out_poses(problem, (FINE, COARSE) if coarse else (FINE,), progress)
+    held = _nested_held_out_poses(problem, (FINE, COARSE) if coarse else (FINE,), progress)
     again, fitted = pose_repeatability(chosen), found.at(chosen.theta[: found.basis.shape[1]])
     numbers = [f.number for f in selection.findings]
     proofs = [problem.cross_validation(chosen, number) for number in numbers]
     regions = problem.by_regions(chosen, numbers) if numbers else []
     before, cluster = fit_poses(arms, (), problem.train), problem.policy.cluster
-    left, goes_with = lack_of_fit(chosen, cluster), remainder_covariates(before, chosen, cluster)
-    suggested = tuple(formula_suggestions(chosen, left))
-    left += scatter_beyond_noise(chosen, again, goes_with)
+    left, goes_with = lack_of_fit(chosen, cluster), ranked_covariates(before, chosen, cluster)
+    suggested = tuple(suggest_joint_formulas(chosen, left))
+    left += excess_scatter(chosen, again, goes_with)
     return ArmDiagnosis(
         name,
         source,
@@ -213,7 +209,7 @@ def diagnose_linearised_poses(
     )
 
 
-def nested_held_out_poses(
+def _nested_held_out_poses(
     problem: ArmProblem, counts: tuple[int, ...], progress: Progress | None = None
 ) -> list[HeldOutPoses]:
     """HeldOutPoses of what a problem may fit, over each number of stretches of time: effects are chosen, and all is
@@ -224,7 +220,7 @@ def nested_held_out_poses(
     def predicted(one: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
         part = parts[one[0]] == one[1]
         with threadpool_limits(1):
-            chosen, bare = choose_terms(replace(problem, train=kept & ~part)), fit_poses(arms, (), kept & ~part)
+            chosen, bare = fit_selected_terms(replace(problem, train=kept & ~part)), fit_poses(arms, (), kept & ~part)
         return (
             bare.left[part],
             chosen.left[part],

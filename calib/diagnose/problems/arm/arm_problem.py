@@ -1,6 +1,4 @@
-"""Poses of an arm as the engine asks them: each term turns one joint by a few columns, everything linear about the
-calibrated geometry.
-"""
+"""The arm as Problem of the engine: terms turn joints, linear about the calibrated geometry."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,18 +9,17 @@ from calib.diagnose.engine.cross_validation import (
     FOLDS,
     STRETCHES,
     CrossValidation,
-    signed_rank_gain,
+    signed_rank_gain_in_standard_errors,
     sizes_without_columns,
     time_stretch_folds,
 )
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.linear_model import Column, LinearModel
 from calib.diagnose.engine.problem_interface import Wald
-from calib.diagnose.engine.selection_policy import ARM, SelectionPolicy
-from calib.diagnose.engine.stated_terms import Given
+from calib.diagnose.engine.selection_inputs import ARM, SelectionPolicy, StatedTerms
 from calib.diagnose.engine.term_selection import remove_redundant_terms
 from calib.diagnose.problems.arm import lack_of_fit as remainder
-from calib.diagnose.problems.arm.candidate_search import candidate_with_nodes, column_of, search_candidates
+from calib.diagnose.problems.arm.candidate_search import candidate_with_nodes, score_column, search_candidates
 from calib.diagnose.problems.arm.joint_candidates import JointCandidate, JointScore
 from calib.diagnose.problems.arm.linearised_poses import Arms
 from calib.diagnose.problems.arm.nonlinear_parameters import has_continuous_parameters
@@ -52,7 +49,7 @@ class ArmProblem:
     candidates: list[JointCandidate]
     train: np.ndarray | None = None
     policy: SelectionPolicy = ARM
-    given: Given = Given()
+    given: StatedTerms = StatedTerms()
 
     def start(self) -> Fit:
         return fit_poses(self.arms, (), self.train)
@@ -109,7 +106,7 @@ class ArmProblem:
         return [other for i in best for other in self.search(model, [candidate_with_nodes(candidate, [grid[i]])])]
 
     def column(self, model: Fit, score: JointScore) -> Column:
-        return column_of(model, score)
+        return score_column(model, score)
 
     def add_term(self, fit: Fit, score: JointScore) -> Fit:
         return fit.with_terms([Term.of(score)])
@@ -193,7 +190,11 @@ class ArmProblem:
         floor, out = float(np.sqrt(own.mean())), []
         for number in numbers:
             lacking, before = figures(np.arange(now.X.count)[now.slices[number]])
-            out.append(CrossValidation(before, after, floor, "m", signed_rank_gain((lacking - squares)[order])))
+            out.append(
+                CrossValidation(
+                    before, after, floor, "m", signed_rank_gain_in_standard_errors((lacking - squares)[order])
+                )
+            )
         return out
 
     def lack_of_fit(self, model: Fit, place: str | None = None) -> list[LackOfFit]:

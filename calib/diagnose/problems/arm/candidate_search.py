@@ -1,4 +1,4 @@
-"""How much each candidate at an arm's joints would explain, what is admitted and the geometry's freedoms taken out."""
+"""Search of all candidates at an arm's joints, admitted terms and the geometry's freedoms projected out."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -7,16 +7,16 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.diagnose.engine.candidate_score import score_at_node
-from calib.diagnose.engine.candidates import Node
 from calib.diagnose.engine.frame_inner_products import (
     FrameProducts,
     Normal,
     Solved,
     normal_of_weighted_directions,
+    sinusoid_sums,
     solve_with_prior,
 )
 from calib.diagnose.engine.linear_model import Column
-from calib.diagnose.engine.sinusoid_sums import sinusoid_sums
+from calib.diagnose.engine.selection_inputs import Node
 from calib.diagnose.problems.arm.joint_candidates import Form, JointCandidate, JointScore
 from calib.diagnose.problems.arm.pose_fit import Fit
 
@@ -57,13 +57,13 @@ def search_candidates(
 
 
 def joint_products(fit: Fit, joint: int | None) -> FrameProducts:
-    """FrameProducts of the used poses for a joint's turn (index), or for the measured tangents (None)."""
+    """FrameProducts of a joint's turn (index), or of the measured tangents (None), for the fitted poses."""
     A = _directions(fit, joint)
     turned = np.swapaxes(A, 1, 2)
     return FrameProducts((turned @ fit.y[fit.used][..., None])[..., 0], turned @ A, fit.X.along(A), fit.inverse)
 
 
-def column_of(fit: Fit, score: JointScore) -> Column:
+def score_column(fit: Fit, score: JointScore) -> Column:
     """Column (1) of what a Score's candidate does as scanned, whitened, freedoms not yet taken out."""
     w = score.candidate.weights(score.node)[fit.used] @ score.coefficients
     return Column(((_directions(fit, score.candidate.joint) @ w[..., None]).reshape(-1, 1),))
@@ -90,7 +90,7 @@ def _score(
     if solved.delta_chi2[best] - penalty <= least:
         return None
     score = score_at_node(
-        fit.linear, candidate, best, node, solved, products, node_weights(fit, candidate, node), cluster
+        fit.linear, candidate, best, node, solved, products, _node_weights(fit, candidate, node), cluster
     )
     fewer = (
         int(np.argmax(solved.delta_chi2 / score.dispersion - MANY * solved.rank * log)) if candidate.vector else best
@@ -99,18 +99,17 @@ def _score(
         return score
     node = candidate.grid[fewer]
     return score_at_node(
-        fit.linear, candidate, fewer, node, solved, products, node_weights(fit, candidate, node), cluster
+        fit.linear, candidate, fewer, node, solved, products, _node_weights(fit, candidate, node), cluster
     )
 
 
-def node_weights(fit: Fit, candidate: JointCandidate, node: Node) -> np.ndarray:
+def _node_weights(fit: Fit, candidate: JointCandidate, node: Node) -> np.ndarray:
     """(m, a, q) weights of the used poses at a node."""
     return candidate.weights(node)[fit.used]
 
 
 def solved_grid(fit: Fit, candidate: JointCandidate, products: FrameProducts, least: float = 0.0) -> Solved:
-    """Solved of all of a candidate's nodes; sinusoids of even orders and steps in time by short cuts: of the many,
-    those that cannot explain `least` are told by a lower bound alone."""
+    """Solved of all nodes of a candidate's grid, by short cuts for even orders and time steps."""
     if candidate.step:
         long = _orders(candidate, fit.arms.q[fit.used, candidate.joint], products)
     elif candidate.form is Form.STEP:
@@ -121,11 +120,11 @@ def solved_grid(fit: Fit, candidate: JointCandidate, products: FrameProducts, le
 
 
 def solved_nodes(fit: Fit, candidate: JointCandidate, products: FrameProducts, nodes: list[Node]) -> Solved:
-    """Solved of any nodes, one after the other."""
+    """Solved of the given nodes, one by one."""
     parts = []
     for start in range(0, len(nodes), CHUNK):
         chunk = nodes[start : start + CHUNK]
-        part = [node_weights(fit, candidate, node) for node in chunk]
+        part = [_node_weights(fit, candidate, node) for node in chunk]
         even = len({w.shape[2] for w in part}) == 1
         groups = [(np.stack(part), chunk[0])] if even else [(w[None], node) for w, node in zip(part, chunk)]
         parts += [
@@ -215,5 +214,5 @@ def _promising(long: LongGrid, prior: np.ndarray, least: float) -> Solved:
 
 
 def candidate_with_nodes(candidate: JointCandidate, nodes: list[Node]) -> JointCandidate:
-    """The candidate with some nodes for its grid; their orders need not be even any more."""
+    """The candidate with the given nodes for its grid."""
     return replace(candidate, grid=nodes, step=0.0)

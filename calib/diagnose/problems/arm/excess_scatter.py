@@ -4,24 +4,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.diagnose.engine.covariate_ranking import Covariate
-from calib.diagnose.engine.excess_scatter import detect_excess_scatter
-from calib.diagnose.engine.lack_of_fit import ALPHA, LackOfFit
+from calib.diagnose.engine.lack_of_fit import ALPHA, Covariate, LackOfFit, detect_excess_scatter
 from calib.diagnose.problems.arm.pose_fit import Fit
 from calib.diagnose.problems.arm.repeated_commands import Repeats
 
 SHARE = 0.05  # of the squares left, from which a covariate is named beside the scatter
 
 
-def scatter_beyond_noise(fit: Fit, again: Repeats | None, covariates: Sequence[Covariate]) -> list[LackOfFit]:
-    """[LackOfFit] of positions and of rotations that scatter beyond their noise; their sizes are lengths of three
-    numbers.
+def excess_scatter(fit: Fit, repeats: Repeats | None, covariates: Sequence[Covariate]) -> list[LackOfFit]:
+    """[LackOfFit] of excess scatter of positions and of rotations beyond their stated noise.
 
-    again : Repeats, which show whether the scatter recurs with the same joint angles ("configuration"); where it does
+    repeats : Repeats, which show whether the scatter recurs with the same joint angles ("configuration"); where it does
     not, it depends on the covariates that explain some of it, or on nothing known. Where nobody states the noise, only
     what recurs under one command is beyond it
     """
-    recurs = again is not None and again.p_value < ALPHA
+    recurs = repeats is not None and repeats.p_value < ALPHA
     if fit.arms.assumed and not recurs:
         return []
     depends = ("configuration",) if recurs else tuple(c.name for c in covariates if _explains(c, len(covariates)))

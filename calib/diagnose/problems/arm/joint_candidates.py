@@ -1,6 +1,4 @@
-"""The catalogue at an arm's joints: for every effect, joint and node, by how much it would turn the joint in every
-pose.
-"""
+"""Candidates at an arm's joints: every effect of the catalogue, its places, its grid, its turn of the joint."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,7 +7,7 @@ from enum import Enum
 import numpy as np
 
 from calib.diagnose.engine.candidate_score import Score
-from calib.diagnose.engine.candidates import Candidate, Node, NotAsked
+from calib.diagnose.engine.selection_inputs import Candidate, Node, NotAsked
 from calib.diagnose.problems.arm.linearised_poses import Arms
 from calib.diagnose.problems.requested_effects import RequestedEffects
 from rig.effects.framework.effect import Effect
@@ -79,7 +77,7 @@ JointScore = Score[JointCandidate]
 
 
 def joint_candidates(arms: Arms, asked: RequestedEffects) -> tuple[list[JointCandidate], list[NotAsked]]:
-    """(candidates, what cannot be asked) of an arm's poses, of the catalogue as far as it is asked for.
+    """(joint candidates, what cannot be tested) of an arm's poses, of the requested catalogue.
 
     Raises RigError for a place where what is asked for cannot sit.
     """

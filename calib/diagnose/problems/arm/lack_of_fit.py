@@ -1,6 +1,4 @@
-"""What an arm still does when the catalogue has had its say: smooth functions of pose, load, time, history and sensors,
-unnamed.
-"""
+"""Lack of fit of an arm beyond all candidates: smooth functions, excess scatter, repeatability, covariates."""
 
 import numpy as np
 
@@ -15,7 +13,7 @@ PRIOR = 1e-3  # rad; size of a coefficient
 
 
 def lack_of_fit(fit: Fit, cluster: int = 1, place: str | None = None, alpha: float = ALPHA) -> list[LackOfFit]:
-    """[LackOfFit] of smooth functions that the residuals of a Fit still hold, the largest first.
+    """[LackOfFit] of the residuals of a Fit to smooth functions at each joint, the largest first.
 
     place : where alone they are asked, None for everywhere; alpha : chance of any where there is nothing
     """

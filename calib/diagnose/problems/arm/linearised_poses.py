@@ -1,5 +1,4 @@
-"""Poses of an arm, or of a chain of mechanisms, as measured, linear about its calibrated geometry: what that leaves,
-and how it changes with joints and freedoms."""
+"""Measured poses of an arm or chain, linearised about its calibrated geometry, with their residuals."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,10 +8,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.models.arm import error_model
-from calib.models.arm.certification import calibrate
-from calib.models.arm.instrument_observations import of_samples, rows
+from calib.models.arm.certification import calibrate_arm
+from calib.models.arm.instrument_observations import observation_jacobian, sample_observations
 from calib.models.chain import error_model as chains
-from calib.models.chain.identification import identify
+from calib.models.chain.identification import identify_chain
 from calib.samples.pose_samples import Samples
 from rig.effects.framework.effect import Context, Effect
 from rig.errors import NotEnoughData, RigError
@@ -145,14 +144,17 @@ def linearise_planned_poses(
         raise RigError("poses that are not there yet are told of an arm alone")
     frame, view = np.arange(len(t)), None
     if arms.sight is not None:
-        view = arms.sight(error_model.predicted(commands.at(t), geometry.mechanism))
+        view = arms.sight(error_model.predicted_target_poses(commands.at(t), geometry.mechanism))
         frame, t = np.flatnonzero(view.seen), t[view.seen]
         if not len(t):
             raise RigError(f"in none of the plan's {len(view.seen)} exposures a camera would see enough of the hand")
     q, k, design = commands.at(t), arms.left.shape[1], replace(arms.context.design, mechanism=geometry.mechanism)
     kind = "pose" if k == 6 else "position"
-    freedoms = rows(kind, error_model.parameter_jacobian(q, geometry.mechanism), q, geometry.mechanism) @ geometry.basis
-    joints = rows(kind, error_model.joint_jacobian(q, geometry.mechanism), q, geometry.mechanism)
+    freedoms = (
+        observation_jacobian(kind, error_model.parameter_jacobian(q, geometry.mechanism), q, geometry.mechanism)
+        @ geometry.basis
+    )
+    joints = observation_jacobian(kind, error_model.joint_jacobian(q, geometry.mechanism), q, geometry.mechanism)
     context = replace(
         arms.context,
         design=design,
@@ -174,10 +176,10 @@ Linear = tuple[
 
 def _of_arm(samples: Samples, design: Design) -> Linear:
     """Linear about an arm: its independent parameters are the freedoms."""
-    _, found = calibrate(samples, arm_of(design.mechanism), design.instrument, profiles=False)
-    observations, free = of_samples(samples), found.free
+    _, found = calibrate_arm(samples, arm_of(design.mechanism), design.instrument, profiles=False)
+    observations, free = sample_observations(samples), found.free
     return (
-        Geometry(found.arm, np.eye(len(free))[:, free], partial(error_model.moved, found.arm)),
+        Geometry(found.arm, np.eye(len(free))[:, free], partial(error_model.arm_with_parameter_step, found.arm)),
         observations.residuals(found.arm),
         observations.jacobian(found.arm)[..., free],
         observations.joint_jacobian(found.arm),
@@ -190,11 +192,11 @@ def _of_chain(samples: Samples, design: Design) -> Linear:
     plausible sizes.
     """
     nominal = chain_of(design.mechanism)
-    chain, sigma = identify(samples, nominal).chain, chains.prior(nominal)
+    chain, sigma = identify_chain(samples, nominal).chain, chains.parameter_tolerances(nominal)
     J = chains.parameter_jacobian(samples.commanded, chain) * sigma
     white = np.linalg.inv(np.linalg.cholesky(samples.covariance)) @ J
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->ij", white, white))
     told = vectors[:, values > SEEN**2 * values[-1]]
     left = pose_difference(mechanism.forward(samples.commanded, chain), samples.T_base_platform)
-    geometry = Geometry(chain, sigma[:, None] * told, partial(chains.moved, chain))
+    geometry = Geometry(chain, sigma[:, None] * told, partial(chains.chain_with_parameter_step, chain))
     return geometry, left, J @ told, mechanism.jacobian(samples.commanded, chain), samples.covariance

@@ -11,8 +11,8 @@ import numpy as np
 import scipy
 from scipy.linalg import cho_solve
 
-from calib.diagnose.engine.candidates import Node
 from calib.diagnose.engine.frame_inner_products import normal_of_weighted_directions, solve_with_prior
+from calib.diagnose.engine.selection_inputs import Node
 from calib.diagnose.problems.arm.candidate_search import joint_products, solved_nodes
 from calib.diagnose.problems.arm.joint_candidates import Form, JointCandidate
 from calib.diagnose.problems.arm.pose_fit import Fit, Term
@@ -26,34 +26,32 @@ ONE_IN_TWENTY = 3.841459  # chi-square of one degree of freedom
 SMALL = 1e-4  # step for a derivative, of the logarithm of a parameter or of an order
 
 
-class Joint(NamedTuple):
+class TermCovariance(NamedTuple):
     """names : of r nonlinear parameters; covariance : (q + r, q + r) of the sizes and of these, all else free."""
 
     names: tuple[str, ...]
     covariance: np.ndarray
 
 
-def continuous_parameters(term: Term) -> tuple[Parameter, ...]:
+def _continuous_parameters(term: Term) -> tuple[Parameter, ...]:
     """The parameters in a term's node that have a value between those of its grid."""
     kind, place = term.candidate.kind, term.candidate.place
     return tuple(p for p in kind.parameters_at(place) if p.role in SEARCHED and p.name in term.node)
 
 
 def has_continuous_parameters(term: Term) -> bool:
-    """Whether a term has such parameters and is no sinusoid, whose order the search itself refines."""
-    return term.candidate.form is not Form.SINUSOID and bool(continuous_parameters(term))
+    """Whether a term has nonlinear continuous parameters and is no sinusoid, whose order the search refines."""
+    return term.candidate.form is not Form.SINUSOID and bool(_continuous_parameters(term))
 
 
 def optimise_nonlinear_parameters(rest: Fit, term: Term) -> Term:
-    """The term with its nonlinear parameters where they explain most of what a Fit without it leaves, one after the
-    other.
-    """
+    """The term with its nonlinear parameters optimised on what a Fit without it leaves."""
     products = joint_products(rest, term.candidate.joint)
 
     def loss(node: Node) -> float:
         weights = term.candidate.weights(node)[rest.used]
         normal = normal_of_weighted_directions(products, weights[None])
-        if not is_linear(term.candidate):
+        if not _is_linear(term.candidate):
             size = next(iter(node.values()))
             return float(size * size * normal.G[0, 0, 0] - 2 * size * normal.b[0, 0])
         return -float(solve_with_prior(normal, term.candidate.prior(node)).delta_chi2[0])
@@ -63,42 +61,40 @@ def optimise_nonlinear_parameters(rest: Fit, term: Term) -> Term:
     def along(name: str, value: float) -> float:
         return loss({**node, name: value})
 
-    for p in continuous_parameters(term):
+    for p in _continuous_parameters(term):
         node[p.name] = _least(partial(along, p.name), node[p.name], [n[p.name] for n in term.candidate.grid], p)
     return replace(term, node=node, weights=term.candidate.weights(node), prior=term.candidate.prior(node))
 
 
-def is_linear(candidate: JointCandidate) -> bool:
+def _is_linear(candidate: JointCandidate) -> bool:
     """Whether its sizes are coefficients; otherwise its size is the value in the node."""
     return bool(candidate.specs[0].linear)
 
 
-def joint_parameter_covariance(fit: Fit, number: int) -> Joint:
-    """Joint of one term. Of a term whose size is in its node, both are one: the covariance is (1, 1) and that of the
-    size.
-    """
+def term_parameter_covariance(fit: Fit, number: int) -> TermCovariance:
+    """TermCovariance of one term: of its sizes and nonlinear parameters together."""
     term, theta = fit.terms[number], fit.theta[fit.slices[number]]
-    parameters = continuous_parameters(term)
+    parameters = _continuous_parameters(term)
     if not parameters:
-        return Joint((), fit.covariance(number))
+        return TermCovariance((), fit.covariance(number))
     slopes = np.stack([_slope(term, p, theta) for p in parameters], axis=-1)
-    if not is_linear(term.candidate):
+    if not _is_linear(term.candidate):
         rest = fit.without_terms([number])
         left = _seen(rest, term, term.weights + slopes * theta)[0]
-        return Joint((), 1 / np.maximum(left.T @ left, 1e-300))
+        return TermCovariance((), 1 / np.maximum(left.T @ left, 1e-300))
     left, leaning = _seen(fit, term, slopes)
     own = np.linalg.inv(left.T @ left + 1e-300 * np.eye(len(parameters)))
     lean = leaning[fit.slices[number]]  # how the sizes lean with the parameters
-    return Joint(
+    return TermCovariance(
         tuple(p.name for p in parameters),
         np.block([[fit.covariance(number) + lean @ own @ lean.T, -lean @ own], [-own @ lean.T, own]]),
     )
 
 
 def onset_time_interval(fit: Fit, number: int, dispersion: float) -> tuple[float, float]:
-    """(earliest, latest) s of the values of its grid at which a term's moment may lie: those that explain as much as
-    the best but for what chance
-    does in one of twenty, of AROUND to either side. dispersion : that its score allows for"""
+    """(earliest, latest) s at which the onset of a term may lie.
+    does in one of twenty, of AROUND to either side. dispersion : that its score allows for
+    """
     term, rest = fit.terms[number], fit.without_terms([number])
     name = next(p.name for p in term.candidate.kind.parameters if p.role == "moment" and p.name in term.node)
     values = np.unique([node[name] for node in term.candidate.grid])
@@ -124,7 +120,7 @@ def _slope(term: Term, p: Parameter, theta: np.ndarray) -> np.ndarray:
     value = term.node[p.name]
     step = SMALL if p.role == "even" else SMALL * value
     high, low = (term.candidate.weights({**term.node, p.name: value + sign * step}) for sign in (1, -1))
-    return (high - low) @ (theta if is_linear(term.candidate) else np.ones(1)) / (2 * step)
+    return (high - low) @ (theta if _is_linear(term.candidate) else np.ones(1)) / (2 * step)
 
 
 def _least(loss: Callable[[float], float], start: float, grid: list[float], p: Parameter) -> float:

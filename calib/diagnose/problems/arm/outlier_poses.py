@@ -1,6 +1,4 @@
-"""Wild poses of an arm, left out before anything is searched: far off all that geometry, moves and time may do
-smoothly, and off their neighbours.
-"""
+"""Outlier poses of an arm, excluded before the search."""
 
 from dataclasses import dataclass
 
@@ -8,9 +6,8 @@ import numpy as np
 
 from calib.diagnose.engine.excluded_outliers import Crowd, LeftOut
 from calib.diagnose.problems.arm.linearised_poses import Arms
-from calib.diagnose.problems.remainder_covariates import cosines, speed
-from calib.identify.robust_fit import MOST, outlier_rows, robust_fit
-from calib.models.arm.excess_scatter import MIDDLE
+from calib.diagnose.problems.remainder_covariates import axis_speeds, time_cosines
+from calib.identify.robust_fit import MIDDLE, MOST, outlier_rows, robust_fit
 
 GROSS, GATE = (
     20.0,
@@ -44,11 +41,11 @@ class WildPoses:
         )
 
 
-def outlier_poses(arms: Arms, left: np.ndarray, gate: float) -> WildPoses:
+def outlier_poses(arms: Arms, residuals: np.ndarray, gate: float) -> WildPoses:
     """WildPoses by residuals left (n, k), m and rad, beyond a gate."""
     W = np.linalg.inv(np.linalg.cholesky(arms.own))
-    columns = np.concatenate([arms.freedoms, _smooth(arms)], axis=2)[..., : left.size // ROWS]
-    found = robust_fit([((W @ left[..., None])[..., 0], W @ columns)])
+    columns = np.concatenate([arms.freedoms, _smooth(arms)], axis=2)[..., : residuals.size // ROWS]
+    found = robust_fit([((W @ residuals[..., None])[..., 0], W @ columns)])
     all_off = _relative(found.residual)
     far = outlier_rows(all_off, arms.t, arms.q, gate)
     if far.sum() > MOST * len(arms):
@@ -77,8 +74,8 @@ def _relative(residual: np.ndarray) -> np.ndarray:
 def _smooth(arms: Arms) -> np.ndarray:
     """(n, k, q) what joints may do besides their geometry to what is measured, the plainest first."""
     path = arms.context.moved().path
-    functions = [path.direction, speed(arms.commands, arms.t), path.last_step]
-    functions += [np.broadcast_to(c[:, None], arms.q.shape) for c in (*cosines(arms.t, SLOW).T, *_varying(arms))]
+    functions = [path.direction, axis_speeds(arms.commands, arms.t), path.last_step]
+    functions += [np.broadcast_to(c[:, None], arms.q.shape) for c in (*time_cosines(arms.t, SLOW).T, *_varying(arms))]
     scaled = [values / np.abs(values).max() for values in functions if np.any(values)]
     return np.concatenate([arms.joints * values[:, None, :] for values in scaled], axis=2)
 

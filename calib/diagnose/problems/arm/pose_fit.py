@@ -1,5 +1,4 @@
-"""An arm's poses -> whitened residuals with calibration's freedoms and admitted terms taken out, ready to be searched
-joint by joint.
+"""Fit of an arm's poses: whitened residuals with calibration's freedoms and admitted terms projected out.
 
 A term moves one joint's angle (or, for what moves the whole arm, the target's pose) by a few columns, each of unknown
 size; sizes have loose normal priors, so that what the data cannot see stays near nothing. Scatter beyond the
@@ -13,12 +12,12 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from calib.diagnose.engine.candidates import Node
 from calib.diagnose.engine.linear_model import Block, Column, LinearModel
+from calib.diagnose.engine.selection_inputs import Node
 from calib.diagnose.problems.arm.joint_candidates import JointCandidate, JointScore
 from calib.diagnose.problems.arm.linearised_poses import Arms
 from calib.diagnose.problems.arm.whitened_columns import Columns, Part
-from calib.models.arm.excess_scatter import beyond, bounded
+from calib.identify.robust_fit import excess_scatter, robust_weights
 
 ROUNDS = 6  # of weighing anew
 SETTLED = 1e-3  # share by which the scatter may still change
@@ -260,9 +259,9 @@ def fit_poses(
 
 
 def _weighed(arms: Arms, left: np.ndarray, used: np.ndarray, share: float) -> Weighing:
-    scatter = beyond(left[used], arms.own[used], share)
+    scatter = excess_scatter(left[used], arms.own[used], share)
     white = np.linalg.solve(np.linalg.cholesky(arms.own + np.diag(scatter**2)), left[..., None])[..., 0]
-    return Weighing(scatter, bounded((white**2).sum(axis=1), left.shape[1]))
+    return Weighing(scatter, robust_weights((white**2).sum(axis=1), left.shape[1]))
 
 
 def term_columns(arms: Arms, terms: Sequence[Term]) -> Columns:

@@ -4,7 +4,7 @@ and way travelled.
 
 import numpy as np
 
-from calib.diagnose.engine.covariate_ranking import Covariate, Share, explained_share, rank_covariates
+from calib.diagnose.engine.lack_of_fit import Covariate, Share, explained_share, rank_covariates
 from calib.diagnose.problems.arm.candidate_search import joint_products
 from calib.diagnose.problems.arm.pose_fit import Fit
 from calib.diagnose.problems.remainder_covariates import motion_functions, time_and_sensor_functions
@@ -12,8 +12,8 @@ from calib.diagnose.problems.remainder_covariates import motion_functions, time_
 JOINTS = "joints"
 
 
-def remainder_covariates(before: Fit, after: Fit, cluster: int) -> list[Covariate]:
-    """[Covariate] of what is left with nothing admitted and with all, the one that explained most before first.
+def ranked_covariates(before: Fit, after: Fit, cluster: int) -> list[Covariate]:
+    """[Covariate] ranked by the share of residuals they explain, without effects and with them.
 
     cluster : poses in a row whose errors may be alike
     """

@@ -28,7 +28,7 @@ class Repeats:
 
 
 def pose_repeatability(fit: Fit) -> Repeats | None:
-    """Repeats of the poses that a Fit used, or None where too few commands were given twice.
+    """Repeats, the repeatability of poses commanded twice, or None where too few were.
 
     The difference of two residuals under one command holds no model error, so its scatter is pure error; of a
     residual's square, the part that both share is repeatable and not explained.

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.diagnose.engine.selection_policy import SelectionPolicy
-from calib.diagnose.engine.stated_terms import UNSAID, Given
+from calib.diagnose.engine.selection_inputs import NO_STATED_TERMS, SelectionPolicy, StatedTerms
 from calib.diagnose.problems.arm.candidate_search import search_candidates
 from calib.diagnose.problems.arm.joint_candidates import OWN_ANGLE, SPAN, Form, JointCandidate
 from calib.diagnose.problems.arm.nonlinear_parameters import has_continuous_parameters, optimise_nonlinear_parameters
@@ -20,19 +19,18 @@ QUICK = 2  # times of weighing anew while the search goes on
 NEIGHBOURS = 2  # steps to either side of a sinusoid's order at which it is looked for anew
 
 
-def admissible_candidates(now: Fit, candidates: list[JointCandidate]) -> list[JointCandidate]:
-    """The candidates that may still be admitted: where a joint has its profile, only sinusoids finer than knots can
-    follow, and none that the joint's travel cannot tell from one that it has."""
-    has = {(t.candidate.name, t.candidate.joint) for t in now.terms if t.candidate.kind.once}
+def admissible_candidates(fit: Fit, candidates: list[JointCandidate]) -> list[JointCandidate]:
+    """The candidates still admissible beside the terms of a Fit."""
+    has = {(t.candidate.name, t.candidate.joint) for t in fit.terms if t.candidate.kind.once}
     profiles = {c.joint: c for c in candidates if c.form is Form.PROFILE}
-    profiled = {t.candidate.joint for t in now.terms if t.candidate.form is Form.PROFILE}
-    cycles = [t for t in now.terms if t.candidate.form is Form.SINUSOID]
+    profiled = {t.candidate.joint for t in fit.terms if t.candidate.form is Form.PROFILE}
+    cycles = [t for t in fit.terms if t.candidate.form is Form.SINUSOID]
     out = []
     for candidate in candidates:
         if (candidate.name, candidate.joint) in has or (candidate.form is Form.SLOPE and candidate.joint in profiled):
             continue
         if candidate.form is Form.SINUSOID and candidate.joint in profiled:
-            finest = resolved_order(profiles[candidate.joint], now) if candidate.joint in profiles else 0.0
+            finest = _resolved_order(profiles[candidate.joint], fit) if candidate.joint in profiles else 0.0
             candidate = replace(candidate, grid=[node for node in candidate.grid if node[candidate.sought] > finest])
         for one in cycles:
             if candidate.step and one.candidate.joint == candidate.joint:
@@ -45,7 +43,7 @@ def admissible_candidates(now: Fit, candidates: list[JointCandidate]) -> list[Jo
     return out
 
 
-def resolved_order(profile: JointCandidate, now: Fit) -> float:
+def _resolved_order(profile: JointCandidate, now: Fit) -> float:
     """The order, per turn of what drives the axis, of the fastest sinusoid that a profile's finest knots can follow."""
     finest = max(profile.grid, key=lambda node: node[COUNT])
     low, high = finest[SPAN]
@@ -54,58 +52,60 @@ def resolved_order(profile: JointCandidate, now: Fit) -> float:
 
 
 def merge_sinusoids_into_profiles(
-    now: Fit, candidates: list[JointCandidate], train: np.ndarray | None, policy: SelectionPolicy, given: Given = UNSAID
+    fit: Fit,
+    candidates: list[JointCandidate],
+    train: np.ndarray | None,
+    policy: SelectionPolicy,
+    stated_terms: StatedTerms = NO_STATED_TERMS,
 ) -> Fit:
-    """More sinusoids at a joint than a simple case has, made one profile, where that does about as well; what is given
-    as assumed stays.
+    """The Fit with many sinusoids at a joint merged into one profile, where that fits about as well.
 
     train : (n,) bool, or None for all
     """
     for candidate in [c for c in candidates if c.form is Form.PROFILE]:
-        reach = resolved_order(candidate, now)
+        reach = _resolved_order(candidate, fit)
         cycles = [
             i
-            for i, t in enumerate(now.terms)
-            if not given.holds(t.candidate)
+            for i, t in enumerate(fit.terms)
+            if not stated_terms.holds(t.candidate)
             and t.candidate.joint == candidate.joint
             and t.candidate.form in OWN_ANGLE
             and (t.candidate.form is not Form.SINUSOID or t.node[t.candidate.sought] < reach)
         ]
         if len(cycles) <= CYCLES:
             continue
-        rest = now.without_terms(cycles)
+        rest = fit.without_terms(cycles)
         best = search_candidates(rest, [candidate], cluster=policy.cluster)
         trial = rest.with_terms([Term.of(best[0])]) if best else rest
-        if trial.criterion() < now.criterion() + policy.delta_bic * len(cycles):
-            now = fit_poses(now.arms, trial.terms, train, now.weighing, rounds=QUICK)
-    return now
+        if trial.criterion() < fit.criterion() + policy.delta_bic * len(cycles):
+            fit = fit_poses(fit.arms, trial.terms, train, fit.weighing, rounds=QUICK)
+    return fit
 
 
-def refine_profiles(now: Fit, train: np.ndarray | None, policy: SelectionPolicy) -> Fit:
-    """Profiles with as many knots, sinusoids of just the order and all else with just the nonlinear parameters that pay
-    now that others are admitted; all is weighed anew.
+def refine_profiles(fit: Fit, train: np.ndarray | None, policy: SelectionPolicy) -> Fit:
+    """The Fit with profiles of as many knots, and terms with as exact parameters, as the data support.
 
     A term is looked at again once the scatter has changed to speak of. train : (n,) bool, or None for all poses
     """
-    now = optimise_terms(now, [t for t in now.terms if has_continuous_parameters(t) and t.stale(now.scatter[0])])
-    for one in [t for t in now.terms if t.candidate.form in (Form.PROFILE, Form.SINUSOID) and t.stale(now.scatter[0])]:
-        rest = now.without_terms(_numbers(now, one))
+    fit = optimise_terms(fit, [t for t in fit.terms if has_continuous_parameters(t) and t.stale(fit.scatter[0])])
+    for one in [t for t in fit.terms if t.candidate.form in (Form.PROFILE, Form.SINUSOID) and t.stale(fit.scatter[0])]:
+        rest = fit.without_terms(_numbers(fit, one))
         best = search_candidates(rest, [_about(one)], cluster=policy.cluster)
         better = best and best[0].node != one.node
         trial = rest.with_terms(
-            [replace(Term.at(one.candidate, best[0].node) if better else one, level=float(now.scatter[0]))]
+            [replace(Term.at(one.candidate, best[0].node) if better else one, level=float(fit.scatter[0]))]
         )
-        now = trial if not better or one.candidate.form is Form.PROFILE or trial.criterion() < now.criterion() else now
-    return fit_poses(now.arms, now.terms, train, now.weighing, rounds=QUICK)
+        fit = trial if not better or one.candidate.form is Form.PROFILE or trial.criterion() < fit.criterion() else fit
+    return fit_poses(fit.arms, fit.terms, train, fit.weighing, rounds=QUICK)
 
 
-def optimise_terms(now: Fit, terms: list[Term]) -> Fit:
-    """The Fit with some of its terms at the best of their nonlinear parameters, weights of the poses as they are."""
+def optimise_terms(fit: Fit, terms: list[Term]) -> Fit:
+    """The Fit with the nonlinear parameters of some terms optimised, weights of the poses as they are."""
     for one in terms:
-        rest, level = now.without_terms(_numbers(now, one)), float(now.scatter[0])
+        rest, level = fit.without_terms(_numbers(fit, one)), float(fit.scatter[0])
         trial = rest.with_terms([replace(optimise_nonlinear_parameters(rest, one), level=level)])
-        now = trial if trial.criterion() < now.criterion() else rest.with_terms([replace(one, level=level)])
-    return now
+        fit = trial if trial.criterion() < fit.criterion() else rest.with_terms([replace(one, level=level)])
+    return fit
 
 
 def _about(one: Term) -> JointCandidate:
@@ -123,15 +123,18 @@ def _about(one: Term) -> JointCandidate:
 
 
 def simplify_profiles(
-    now: Fit, candidates: list[JointCandidate], train: np.ndarray | None, policy: SelectionPolicy, given: Given = UNSAID
+    fit: Fit,
+    candidates: list[JointCandidate],
+    train: np.ndarray | None,
+    policy: SelectionPolicy,
+    stated_terms: StatedTerms = NO_STATED_TERMS,
 ) -> Fit:
-    """Profiles in place of which one scale or a few sinusoids do as well, replaced by these; those given as assumed
-    stay.
+    """The Fit with profiles simplified to a scale or a few sinusoids where these do as well.
 
     train : (n,) bool, or None for all poses
     """
-    for one in [t for t in now.terms if t.candidate.form is Form.PROFILE and not given.holds(t.candidate)]:
-        here, worth = now.without_terms(_numbers(now, one)), now.criterion()
+    for one in [t for t in fit.terms if t.candidate.form is Form.PROFILE and not stated_terms.holds(t.candidate)]:
+        here, worth = fit.without_terms(_numbers(fit, one)), fit.criterion()
         own = [c for c in candidates if c.joint == one.candidate.joint and c.form in (Form.SLOPE, Form.SINUSOID)]
         for left in range(CYCLES, 0, -1):
             scores = search_candidates(here, own, cluster=policy.cluster)
@@ -139,9 +142,9 @@ def simplify_profiles(
                 break  # later ones seldom bring more than the first
             here = here.with_terms([Term.of(scores[0])])
             if here.criterion() < worth:
-                now = fit_poses(now.arms, here.terms, train, now.weighing, rounds=QUICK)
+                fit = fit_poses(fit.arms, here.terms, train, fit.weighing, rounds=QUICK)
                 break
-    return now
+    return fit
 
 
 def _numbers(now: Fit, one: Term) -> list[int]:

@@ -1,28 +1,33 @@
-"""A formula for what an arm's joints do and nobody named."""
+"""Unlisted effects of joints: formula suggestions for what the catalogue does not explain."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.diagnose.engine.chance_probability import Z95
-from calib.diagnose.engine.cross_validation import FOLDS, STRETCHES, signed_rank_gain, time_stretch_folds
+from calib.diagnose.engine.cross_validation import (
+    FOLDS,
+    STRETCHES,
+    signed_rank_gain_in_standard_errors,
+    time_stretch_folds,
+)
 from calib.diagnose.engine.formula_library import Library
 from calib.diagnose.engine.formula_search import Formula, Search
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.reduced_least_squares import Reduced
-from calib.diagnose.engine.selection_policy import ARM
+from calib.diagnose.engine.selection_inputs import ARM
 from calib.diagnose.problems.arm.candidate_search import joint_products
 from calib.diagnose.problems.arm.joint_candidates import joint_candidate
-from calib.diagnose.problems.arm.nonlinear_parameters import has_continuous_parameters, joint_parameter_covariance
+from calib.diagnose.problems.arm.nonlinear_parameters import has_continuous_parameters, term_parameter_covariance
 from calib.diagnose.problems.arm.pose_fit import Fit, Term, fit_poses
 from calib.diagnose.problems.arm.term_simplification import optimise_terms
 from calib.diagnose.problems.formula_suggestion import (
     AGREE,
     NAME,
     Suggestion,
-    formula_library,
     formula_quantities,
-    written,
+    formula_text,
+    library_of_quantities,
 )
 from rig.effects.texts.formula_effect_file import Written
 
@@ -39,26 +44,27 @@ class Found:
     formula: Formula
 
 
-def formula_suggestions(now: Fit, left: list[LackOfFit]) -> list[Suggestion]:
-    """[Suggestion] for the joints that something is left of, the largest first, each beside those before it: axes that
-    stand alike shadow each other. At most SHOWN."""
-    motion, places = now.arms.context.moved(), {u.place for u in left if u.depends_on}
+def suggest_joint_formulas(fit: Fit, unexplained: list[LackOfFit]) -> list[Suggestion]:
+    """[Suggestion] of formulas for the unexplained part of single joints, the largest first.
+    At most SHOWN.
+    """
+    motion, places = fit.arms.context.moved(), {u.place for u in unexplained if u.depends_on}
     open_, out = [j for j, place in enumerate(motion.places) if place in places], []
     for _ in range(SHOWN):
-        tried = [found for j in open_ if (found := _found(now, j)) is not None]
+        tried = [found for j in open_ if (found := _found(fit, j)) is not None]
         if not tried:
             break
         largest = max(tried, key=lambda found: found.formula.length)
-        suggested = _suggested(now, largest)
+        suggested = _suggested(fit, largest)
         open_ = [found.joint for found in tried if found is not largest]
         if suggested is not None:
             out.append(suggested[0])
-            now = suggested[1]
+            fit = suggested[1]
     return out
 
 
 def _found(now: Fit, joint: int) -> Found | None:
-    library = formula_library(now.arms.context.moved(), joint)
+    library = library_of_quantities(now.arms.context.moved(), joint)
     formula = _best(now, joint, library)
     return None if formula is None else Found(joint, library, formula)
 
@@ -72,7 +78,7 @@ def _best(now: Fit, joint: int, library: Library) -> Formula | None:
 
 def _written(now: Fit, found: Found, formula: Formula) -> Written:
     """Written of a Formula at a joint."""
-    return written(formula, found.library, now.arms.context.moved().kind.AXIS, False)
+    return formula_text(formula, found.library, now.arms.context.moved().kind.AXIS, False)
 
 
 def _term(now: Fit, found: Found, formula: Formula) -> Term:
@@ -93,13 +99,13 @@ def _suggested(now: Fit, found: Found) -> tuple[Suggestion, Fit] | None:
         rows, more = fold == h, part if one is None else part.with_terms([_term(part, found, one)])
         before[rows], after[rows] = part.left[rows], more.left[rows]
         fall[rows] = ((part.y**2).sum(axis=1) - (more.y**2).sum(axis=1))[rows]
-    gain = signed_rank_gain(fall[now.used])
+    gain = signed_rank_gain_in_standard_errors(fall[now.used])
     if gain < (ARM.final_gain or 0.0) or sum(one is not None for one in chosen) < AGREE * len(chosen):
         return None
     last = fit_poses(arms, [*now.terms, _term(now, found, found.formula)], now.used)
     last = optimise_terms(last, [last.terms[-1]]) if has_continuous_parameters(last.terms[-1]) else last
     number = len(last.terms) - 1
-    term, theta, joint = last.terms[-1], last.theta[last.slices[-1]], joint_parameter_covariance(last, number)
+    term, theta, joint = last.terms[-1], last.theta[last.slices[-1]], term_parameter_covariance(last, number)
     spec, sigma = term.candidate.specs[0], Z95 * np.sqrt(np.diag(joint.covariance))
     values = [*theta.tolist(), *(float(term.node[name]) for name in joint.names)]
     names = [*(column.name for column in spec.linear), *joint.names]

@@ -1,5 +1,4 @@
-"""Whitened columns of an arm's freedoms and terms, kept as what they are made of: a joint's direction in each pose
-times a weight.
+"""Whitened columns of an arm's freedoms and terms, stored as joint directions times pose weights.
 
 A term of hundreds of numbers at one joint moves each pose along one direction, so that products of two such terms are
 sums over poses of their weights times one number; no column is ever written out.

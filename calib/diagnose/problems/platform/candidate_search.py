@@ -1,4 +1,4 @@
-"""All candidates against one linearised model: the best of each, most convincing first."""
+"""Search of all candidates on a platform's linearised model: the best node of each, scored."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,9 +8,9 @@ import numpy as np
 
 from calib.diagnose.engine import frame_inner_products as inner
 from calib.diagnose.engine.candidate_score import best_node_score, insignificant_score, score_at_node
-from calib.diagnose.engine.candidates import Node
 from calib.diagnose.engine.frame_inner_products import FrameProducts, Solved
 from calib.diagnose.engine.linear_model import Column
+from calib.diagnose.engine.selection_inputs import Node
 from calib.diagnose.problems.platform import corner_sum_kernels, vibration_frequency
 from calib.diagnose.problems.platform.effect_candidates import PlatformCandidate, PlatformScore, Reach
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
@@ -23,7 +23,7 @@ CHUNK = 64  # nodes at a time
 FEW = 8  # columns, above which rows are gathered for a product of matrices
 
 
-def search(
+def search_candidates(
     model: LinearisedModel,
     candidates: list[PlatformCandidate],
     sensitivities: Sensitivities,
@@ -68,14 +68,14 @@ def search(
     return sorted(out, key=lambda s: -s.raw_delta_bic(model.size))
 
 
-def column_of(
+def candidate_column(
     model: LinearisedModel,
     candidate: PlatformCandidate,
     node: Node,
     sensitivities: Sensitivities,
     motion: Motion | None = None,
 ) -> Column:
-    """Column (k = linear parameters, or 1) of one node of a candidate: what it does to corners and closures."""
+    """Column of one node of a candidate: its displacement of corners and closures per unit of its parameters."""
     k = model.point
     if candidate.reach is Reach.SPECTRUM:
         return model.lengthened(vibration_frequency.sinusoid_directions(model, np.array([node["frequency"]]))[0])
@@ -91,7 +91,7 @@ def column_of(
 
 
 def axis_products(model: LinearisedModel) -> FrameProducts:
-    """FrameProducts of one axis each being longer in one frame (per m)."""
+    """FrameProducts of axis elongations, one axis at a time, frame by frame (per m)."""
     F, axes = model.frames, model.point.axes
     W = model.closures.W  # (F, a, a): column i is axis i
     y = model.closure_residual[: F * axes].reshape(F, axes)
@@ -129,22 +129,27 @@ def corner_products(model: LinearisedModel, pixels: np.ndarray) -> FrameProducts
     return FrameProducts(beta, gamma, kappa)
 
 
-def lasting(model: LinearisedModel, hit: np.ndarray, pixels: np.ndarray) -> inner.Normal:
-    """Normal of one candidate that moves observed corners hit (h,) by pixels (h, 2, q) px per unit of each of its
-    parameters, the same in every frame: what `stepwise` makes of `corner_products` with weights of one."""
+def constant_displacement_normal(
+    model: LinearisedModel, displaced_corners: np.ndarray, pixels: np.ndarray
+) -> inner.Normal:
+    """Normal of one candidate with a constant displacement, the same in every frame, of observed corners (h,)."""
     k, c = model.point, model.corners
     at = np.empty(len(c.order), int)
     at[c.order] = np.arange(len(c.order))
-    both = (2 * at[hit][:, None] + np.arange(2)).ravel()
-    V = (np.einsum("hij,hjq->hiq", c.whiten[at[hit]], pixels) / c.sigma).reshape(len(both), -1)
-    q, basis, frame = V.shape[1], model.linear.columns.whole, np.repeat(k.observed.observations.frame[hit], 2)
+    both = (2 * at[displaced_corners][:, None] + np.arange(2)).ravel()
+    V = (np.einsum("hij,hjq->hiq", c.whiten[at[displaced_corners]], pixels) / c.sigma).reshape(len(both), -1)
+    q, basis, frame = (
+        V.shape[1],
+        model.linear.columns.whole,
+        np.repeat(k.observed.observations.frame[displaced_corners], 2),
+    )
     b, raw, K = V.T @ model.corner_residual[both], V.T @ V, np.empty((q, basis[CORNERS].shape[1]))
     if q > FEW:
         K[:] = (basis[CORNERS][both].T @ V).T
     else:
-        corner_sum_kernels.onto(basis[CORNERS], both, V, K)
+        corner_sum_kernels._row_projection(basis[CORNERS], both, V, K)
     own = np.empty((model.frames, c.local.shape[1], q))
-    corner_sum_kernels.by_frame(c.local, both, frame, V, own)
+    corner_sum_kernels._row_projection_by_frame(c.local, both, frame, V, own)
     G = raw - np.tensordot(own, own, ((0, 1), (0, 1)))
     if k.axes:
         moved = (model.closures.to_rows @ own).reshape(-1, q)
@@ -158,7 +163,7 @@ def lasting(model: LinearisedModel, hit: np.ndarray, pixels: np.ndarray) -> inne
 
 
 def mount_pixels(model: LinearisedModel, place: str) -> np.ndarray:
-    """(n, 2, 6) px per unit tangent by which corners move with a camera's mount."""
+    """(n, 2, 6) px of corner displacement per unit tangent of a camera's mount."""
     k = model.point
     o = k.observed.observations
     out = np.zeros((len(o), 2, 6))
@@ -219,7 +224,10 @@ def _viewed(
 ) -> PlatformScore:
     seen = [sensitivities.seen(candidate, node) for node in candidate.grid]
     solved = Solved.of(
-        [inner.solve_normal_equations(lasting(model, *sensitivities.touched(rows, quads))) for rows, quads in seen]
+        [
+            inner.solve_normal_equations(constant_displacement_normal(model, *sensitivities.touched(rows, quads)))
+            for rows, quads in seen
+        ]
     )
     best = int(np.argmax(solved.delta_chi2 - solved.rank * np.log(model.size)))
     if solved.delta_chi2[best] < least:

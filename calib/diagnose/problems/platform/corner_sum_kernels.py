@@ -8,7 +8,7 @@ from rig.compute.numba_kernels import njit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def onto(table: np.ndarray, rows: np.ndarray, V: np.ndarray, out: np.ndarray) -> None:
+def _row_projection(table: np.ndarray, rows: np.ndarray, V: np.ndarray, out: np.ndarray) -> None:
     """Into out (q, p) V^T times the rows (h,) of a table (n, p); V : (h, q)."""
     out[:] = 0.0
     for h in range(len(rows)):
@@ -20,7 +20,9 @@ def onto(table: np.ndarray, rows: np.ndarray, V: np.ndarray, out: np.ndarray) ->
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def by_frame(local: np.ndarray, rows: np.ndarray, frame: np.ndarray, V: np.ndarray, out: np.ndarray) -> None:
+def _row_projection_by_frame(
+    local: np.ndarray, rows: np.ndarray, frame: np.ndarray, V: np.ndarray, out: np.ndarray
+) -> None:
     """Into out (F, L, q), frame by frame, the rows (h,) of local (n, L) transposed times V (h, q); frame : (h,)"""
     out[:] = 0.0
     for h in range(len(rows)):

@@ -1,4 +1,4 @@
-"""Every effect of the catalogue at every place of a platform where a recording can be asked for it."""
+"""Candidates of a platform: every effect of the catalogue at every place that the recording can test."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -6,7 +6,7 @@ from enum import Enum
 import numpy as np
 
 from calib.diagnose.engine.candidate_score import Score
-from calib.diagnose.engine.candidates import Candidate, Node, NotAsked, Role, UsualRange
+from calib.diagnose.engine.selection_inputs import Candidate, Node, NotAsked, Role, UsualRange
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.requested_effects import RequestedEffects
 from rig.effects.framework.effect import Context, Effect
@@ -44,7 +44,7 @@ class PlatformCandidate(Candidate):
     @property
     def seen_alone(self) -> bool:
         """Whether it changes only what is seen, and moves nothing."""
-        return seen_alone(self.kind)
+        return affects_images_only(self.kind)
 
     @property
     def reach(self) -> Reach:
@@ -77,16 +77,16 @@ class PlatformCandidate(Candidate):
 PlatformScore = Score[PlatformCandidate]
 
 
-def seen_alone(kind: type[Effect] | Effect) -> bool:
-    """Whether an effect changes only what is seen, and moves nothing."""
+def affects_images_only(kind: type[Effect] | Effect) -> bool:
+    """Whether an effect affects the images only, and moves nothing."""
     return kind.stage in ("targets", "view")
 
 
 def platform_candidates(
     point: OperatingPoint, asked: RequestedEffects
 ) -> tuple[list[PlatformCandidate], list[NotAsked]]:
-    """(candidates, what cannot be asked) of an OperatingPoint, of the catalogue as far as it is asked for."""
-    out, skipped, sites, context = [], [], {}, context_of(point)
+    """(candidates, what cannot be tested) of an OperatingPoint, of the requested catalogue."""
+    out, skipped, sites, context = [], [], {}, effect_context(point)
     for kind in asked.kinds:
         if not asked.touches(kind.name):
             continue
@@ -97,7 +97,7 @@ def platform_candidates(
                 continue
             for place in sites[kind.name]:
                 if asked.place(kind.name, place):
-                    out += [candidate_of(spec) for spec in kind.candidates(place, context)]
+                    out += [platform_candidate(spec) for spec in kind.candidates(place, context)]
         except FileError:
             raise  # of a file that a user wrote
         except RigError as error:
@@ -106,7 +106,7 @@ def platform_candidates(
     return out, [s for s in skipped if asked.name(s.effect)]
 
 
-def context_of(point: OperatingPoint) -> Context:
+def effect_context(point: OperatingPoint) -> Context:
     """The effects' Context of an OperatingPoint."""
     k, seen = point, {}
     if k.seen is not None:
@@ -127,14 +127,14 @@ def context_of(point: OperatingPoint) -> Context:
     )
 
 
-def lacking(point: OperatingPoint, followed: tuple[tuple[str, ...], ...]) -> bool:
-    """Whether a temperature was not logged of those that an effect follows, each told by any of several channels."""
+def lacks_temperature_log(point: OperatingPoint, needed_channels: tuple[tuple[str, ...], ...]) -> bool:
+    """Whether the recording lacks a temperature log that an effect needs, each served by any of several channels."""
     logged = set(point.sensors.channels) if point.sensors is not None else set()
-    return not all(logged & set(channels) for channels in followed)
+    return not all(logged & set(channels) for channels in needed_channels)
 
 
-def candidate_of(spec: EffectCandidate) -> PlatformCandidate:
-    """PlatformCandidate of what an effect states, with what rigs show of its parameters."""
+def platform_candidate(spec: EffectCandidate) -> PlatformCandidate:
+    """PlatformCandidate of an effect's statement, with the usual ranges of its parameters."""
     node, parameters = spec.grid[0], spec.kind.parameters_at(spec.place)
     named = {column.name for column in spec.linear} | set(node)
     usual = tuple(
@@ -151,16 +151,14 @@ def candidate_of(spec: EffectCandidate) -> PlatformCandidate:
         tied=spec.tied,
         usual=usual,
         searched=any(p.role in SEARCHED and p.name in node for p in parameters),
-        bounds=bounds_of(spec),
+        bounds=coefficient_bounds(spec),
         vector=any(column.entry is not None for column in spec.linear),
         spec=spec,
     )
 
 
-def bounds_of(spec: EffectCandidate) -> tuple[np.ndarray, np.ndarray]:
-    """(low (q,), high (q,)) of the coefficients of linear parameters, where the parameters' bounds end; none for a
-    sinusoid's.
-    """
+def coefficient_bounds(spec: EffectCandidate) -> tuple[np.ndarray, np.ndarray]:
+    """(low (q,), high (q,)) bounds of the linear coefficients, from the parameters' bounds."""
     by, ends = {p.name: p for p in spec.kind.parameters_at(spec.place)}, []
     for column in spec.linear:
         if any(c.name == QUADRATURE for c in spec.linear):

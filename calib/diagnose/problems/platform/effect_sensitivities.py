@@ -1,10 +1,10 @@
-"""What effects do to axes and corners, at one operating point: the columns of the linear model."""
+"""Sensitivities of axes and corners to effects and their parameters: the columns of the linear model."""
 
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.diagnose.engine.candidates import Node
+from calib.diagnose.engine.selection_inputs import Node
 from calib.diagnose.problems.platform.effect_candidates import PlatformCandidate
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from rig.effects.framework.effect import COUNT, Effect, Linear, Motion

@@ -4,8 +4,8 @@ swallow.
 
 import numpy as np
 
-from calib.diagnose.engine.hypothesis_separation import Separation, hypothesis_separation
-from calib.models.platform.identification import PRIOR, loop_jacobian
+from calib.diagnose.engine.hypothesis_separation import Separation, _signal_separation
+from calib.models.platform.identification import PRIOR, loop_closure_jacobian
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
 from rig.model import motion_simulation
@@ -14,8 +14,8 @@ from rig.model.mechanisms import hexapod
 from rig.recording.recording_folder import Commands, Sensors
 
 
-def effect_separation(
-    text: str,
+def platform_effect_separation(
+    plan_name: str,
     design: Design,
     commands: Commands,
     t: np.ndarray,
@@ -23,7 +23,7 @@ def effect_separation(
     effects: list[Effect],
     sigma: tuple[float, float],
 ) -> Separation:
-    """Separation of two effects (each as large as it is expected to be) by one plan.
+    """Separation of two effects on a platform by one plan, each effect as large as expected.
 
     commands : Commands; t : (n,) s exposures; sensors : Sensors; effects : two Effects that move the platform
     sigma : (m, rad) standard deviation of a measured pose per axis. Raises RigError for what is no hexapod, and what
@@ -40,5 +40,5 @@ def effect_separation(
     for effect in effects:
         moved = motion_simulation.run_machine(design, commands, t, (effect,), sensors).T_base_platform
         parts.append((W @ (hexapod.inverse(moved, m) - hexapod.inverse(still.T_base_platform, m))[..., None]).ravel())
-    D = (W @ loop_jacobian(still.T_base_platform, m)).reshape(-1, 42)
-    return hypothesis_separation(text, len(t), (parts[0], parts[1]), D, np.full(42, PRIOR))
+    D = (W @ loop_closure_jacobian(still.T_base_platform, m)).reshape(-1, 42)
+    return _signal_separation(plan_name, len(t), (parts[0], parts[1]), D, np.full(42, PRIOR))

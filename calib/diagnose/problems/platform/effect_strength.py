@@ -18,13 +18,12 @@ from vision.corner_observations import observations_from_corners
 from vision.targets import marker_map
 
 
-def effect_strengths(
-    recording: Recording, true: Design, noise: float, effects: tuple[Effect, ...], sensors: Sensors
+def platform_effect_strengths(
+    recording: Recording, true_design: Design, noise: float, effects: tuple[Effect, ...], sensors: Sensors
 ) -> np.ndarray:
-    """(effects,) whitened length of what each effect does to all corners, the freedoms of cameras and geometry
-    projected out.
+    """(effects,) signal-to-noise of each effect in a platform's corners, cameras and geometry projected out.
 
-    recording : Recording with corners; true : Design as it really is; noise : px, standard deviation of a corner
+    recording : Recording with corners; true_design : Design as it really is; noise : px, standard deviation of a corner
     effects : all that are at work, of the catalogue or not; sensors : Sensors as they truly were
     Raises RigError where corners or commands are missing
     """
@@ -38,9 +37,9 @@ def effect_strengths(
 
     def world(acting: Iterable[Effect]) -> OperatingPoint:
         T = motion_simulation.run_machine(
-            true, commands, t, [e for e in acting if e.stage != "view"], sensors
+            true_design, commands, t, [e for e in acting if e.stage != "view"], sensors
         ).T_base_platform
-        point = OperatingPoint(true, stated, frames, t, T, {}, None, commands, sensors, None, tuple(acting))
+        point = OperatingPoint(true_design, stated, frames, t, T, {}, None, commands, sensors, None, tuple(acting))
         return replace(point, seen=group_sightings(observations, marker_map(stated)))
 
     out = []

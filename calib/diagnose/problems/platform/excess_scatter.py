@@ -4,35 +4,37 @@ stated of them.
 
 import numpy as np
 
-from calib.diagnose.engine.excess_scatter import detect_excess_scatter
-from calib.diagnose.engine.lack_of_fit import LackOfFit
-from calib.diagnose.problems.platform.lack_of_fit import within
+from calib.diagnose.engine.lack_of_fit import LackOfFit, detect_excess_scatter
+from calib.diagnose.problems.platform.lack_of_fit import is_at_place
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
-from calib.models.platform.identification import parameters
+from calib.models.platform.identification import geometric_parameters
 
 MIDDLE = 5.6 / 2  # a middle square has so many times the variance of a mean square over as many numbers
 
 
-def scatter_beyond_noise(model: LinearisedModel, left: list[LackOfFit]) -> list[LackOfFit]:
-    """[LackOfFit] of struts and corners that scatter beyond the noise, of places at which nothing else is left and no
-    admitted effect sits: what a name leaves at its own place in few frames is the name's. left : what functions
-    explain"""
+def excess_scatter(model: LinearisedModel, left: list[LackOfFit]) -> list[LackOfFit]:
+    """[LackOfFit] of excess scatter of struts and corners, at places with no other lack of fit.
+    left : what functions
+    explain
+    """
     known = {u.place for u in left}
-    found = [*(_struts(model) if model.point.axes else []), _corners(model)]
+    found = [*(_strut_scatter(model) if model.point.axes else []), _corners(model)]
     return [
         u
         for u in found
-        if u is not None and u.place not in known and not any(within(u, effect.place) for effect in model.point.effects)
+        if u is not None
+        and u.place not in known
+        and not any(is_at_place(u, effect.place) for effect in model.point.effects)
     ]
 
 
-def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
+def _strut_scatter(model: LinearisedModel) -> list[LackOfFit | None]:
     """Of each strut, by its closures."""
     k, F = model.point, model.frames
     inverse = np.linalg.inv(model.closures.W)
     residual = (inverse @ model.closure_residual[: F * k.axes].reshape(F, k.axes, 1))[..., 0]
     own = model.strut_noise() - model.closures.scatter**2
-    squares, freedom = (residual**2 / own).sum(axis=0), F - len(parameters(k.platform)) / k.axes
+    squares, freedom = (residual**2 / own).sum(axis=0), F - len(geometric_parameters(k.platform)) / k.axes
     noise = np.sqrt(own.mean(axis=0))
     return [
         detect_excess_scatter(f"strut {i + 1}", "m", float(noise[i]), float(squares[i]), freedom, k.axes)

@@ -13,10 +13,8 @@ BROUGHT_BACK = 0.2  # of that distance to which an exchange must bring it
 SHARE = 0.7  # of a marker's sightings that must be misplaced
 
 
-def swaps(point: OperatingPoint) -> list[MarkerSwap]:
-    """[MarkerSwap] that bring a marker's corners from whole sides away to where they are seen. point : OperatingPoint
-    with all corners in
-    """
+def find_marker_swaps(point: OperatingPoint) -> list[MarkerSwap]:
+    """[MarkerSwap] found from corners that lie whole marker sides from where they should be."""
     seen = point.seen
     if seen is None:
         return []
@@ -48,12 +46,12 @@ def swaps(point: OperatingPoint) -> list[MarkerSwap]:
     return out
 
 
-def exchanged(point: OperatingPoint, found: list[MarkerSwap]) -> OperatingPoint:
-    """OperatingPoint whose markers sit where [MarkerSwap] say, so that all else is asked of them there."""
-    if not found:
+def correct_marker_swaps(point: OperatingPoint, marker_swaps: list[MarkerSwap]) -> OperatingPoint:
+    """OperatingPoint with marker swaps corrected: each marker sits where [MarkerSwap] state."""
+    if not marker_swaps:
         return point
     seen, markers = point.observed, point.observed.markers
-    for effect in found:
+    for effect in marker_swaps:
         markers = effect.attach(markers)
     o = seen.observations
     o = replace(o, points=markers.corners[o.marker, o.corner], on_platform=markers.on_platform[o.marker])

@@ -1,6 +1,4 @@
-"""What a platform's effects are worth on stretches that they were not fitted to, in pixels of corners or metres of
-closures.
-"""
+"""Held-out validation of a platform's effects, in px of corners or m of closures."""
 
 from collections.abc import Sequence
 
@@ -11,10 +9,10 @@ from calib.diagnose.engine.cross_validation import (
     HeldOut,
     frame_folds,
     held_out_residuals,
-    summed_gain,
+    summed_gain_in_standard_errors,
 )
 from calib.diagnose.engine.linear_model import Column
-from calib.diagnose.problems.platform.effect_candidates import seen_alone
+from calib.diagnose.problems.platform.effect_candidates import affects_images_only
 from calib.diagnose.problems.platform.linearised_corners import edge_bias_freedoms
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined
@@ -22,15 +20,13 @@ from rig.effects.framework.effect import Effect
 
 
 def cross_validate(refined: Refined, numbers: set[int], block: int) -> CrossValidation:
-    """CrossValidation of some admitted effects (their numbers) together, in a block: CORNERS or CLOSURES, all else
-    fitted on the same stretches.
-    """
+    """CrossValidation of several admitted effects together, in one block: CORNERS or CLOSURES."""
     before, after, _ = _both(refined, numbers)
     return _compared(refined.model, before, after, (block,))[0]
 
 
 def cross_validate_blocks(refined: Refined, numbers: set[int], blocks: tuple[int, ...]) -> tuple[CrossValidation, ...]:
-    """The same in several blocks."""
+    """(CrossValidation, ..) of several admitted effects together, one for each block."""
     before, after, _ = _both(refined, numbers)
     return _compared(refined.model, before, after, blocks)
 
@@ -39,29 +35,32 @@ def _both(refined: Refined, numbers: set[int]) -> tuple[HeldOut, HeldOut, np.nda
     """(held out without the effects, with them, folds (F,))."""
     model, k = refined.model, refined.point
     asked = [k.effects[i] for i in sorted(numbers)]
-    fold = frame_folds(model.frames, any(e.sudden for e in asked), sides(asked, k.t))
+    fold = frame_folds(model.frames, any(e.sudden for e in asked), sides_of_sudden_changes(asked, k.t))
     with_all = refined.marginalised
     after = held_out_residuals(with_all.linear, tuple(b.residual for b in with_all.linear.blocks), fold)
     others = [i for i, c in enumerate(refined.coordinates) if c.effect not in numbers]
     bare = model.marginalise(refined.column.take(others)) if others and refined.column is not None else model
-    done = change(model, [e for i, e in enumerate(k.effects) if i not in numbers])
+    done = residual_change_column(model, [e for i, e in enumerate(k.effects) if i not in numbers])
     grown = tuple(
         b.residual if part is None else b.residual + part[:, 0] for b, part in zip(model.linear.blocks, done.parts)
     )
     return held_out_residuals(bare.linear, grown, fold), after, fold
 
 
-def sides(effects: Sequence[Effect], t: np.ndarray) -> list[np.ndarray]:
-    """[(F,) bool], which of the times t (F,) s lie after each moment at which what is seen changes, and which before;
-    not of what axes do: within one stretch they may do that for where they stand in it."""
+def sides_of_sudden_changes(effects: Sequence[Effect], t: np.ndarray) -> list[np.ndarray]:
+    """[(F,) bool] sides, after and before, of each sudden change of what is seen, at times t (F,) s."""
     moments = [
-        getattr(e, p.name) for e in effects if e.sudden and seen_alone(e) for p in e.parameters if p.role == "moment"
+        getattr(e, p.name)
+        for e in effects
+        if e.sudden and affects_images_only(e)
+        for p in e.parameters
+        if p.role == "moment"
     ]
     return [side for moment in moments for side in (t >= moment, t < moment)]
 
 
-def change(model: LinearisedModel, effects: Sequence[Effect]) -> Column:
-    """Column (1) of what residuals grow by where only these effects are left."""
+def residual_change_column(model: LinearisedModel, effects: Sequence[Effect]) -> Column:
+    """Column (1) of the change of residuals where only these effects are left."""
     k, left = model.point, tuple(effects)
     out = (
         model.lengthened((k.effective() - k.effective(left))[..., None]) if k.axes else Column((None, model.nothing(1)))
@@ -83,7 +82,7 @@ def _compared(
         )
         squares.append(per_frame + (closures.reshape(F, axes) ** 2).sum(axis=1))
     known = [held.beforehand[CLOSURES][finder] for held in (before, after)]  # priors' rows stand behind the closures
-    gain = summed_gain(squares[0] - squares[1], known[0] @ known[0] - known[1] @ known[1])
+    gain = summed_gain_in_standard_errors(squares[0] - squares[1], known[0] @ known[0] - known[1] @ known[1])
     return tuple(
         _corners(model, before, after, gain) if block == CORNERS else _closures(model, before, after, gain)
         for block in blocks

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.diagnose.engine.linear_model import Column, Projection, join_columns
-from calib.diagnose.problems.platform.effect_candidates import context_of
+from calib.diagnose.problems.platform.effect_candidates import effect_context
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
@@ -19,15 +19,16 @@ MOST = 2.0  # of what is tolerated, that a kind of it is taken to vary by
 ROUNDS, SETTLED = 100, 1e-3  # of the fixed point; the part of what is tolerated by which it may still change
 
 
-def widened(refined: Refined, sensitivities: Sensitivities) -> Refined:
-    """Refined whose covariance holds what temperatures' own errors and tolerances add."""
-    added = [half for half in (of_logs(refined), of_tolerances(refined, sensitivities)) if half is not None]
+def widen_intervals(refined: Refined, sensitivities: Sensitivities) -> Refined:
+    """Refined with intervals (its covariance) widened by temperature log errors and tolerances."""
+    added = [
+        half for half in (temperature_log_errors(refined), tolerance_errors(refined, sensitivities)) if half is not None
+    ]
     return replace(refined, covariance=refined.covariance + sum(half @ half.T for half in added))
 
 
-def of_logs(refined: Refined) -> np.ndarray | None:
-    """(c, k) by which the coordinates are off for each standard deviation of temperatures' own errors, see
-    `temperature_smoothing.smoothed`; None where nothing follows a temperature that has any."""
+def temperature_log_errors(refined: Refined) -> np.ndarray | None:
+    """(c, k) errors of the coordinates per standard deviation of temperature log errors, or None."""
     k, sensors, parts = refined.point, refined.point.sensors, []
     if sensors is None or refined.column is None:
         return None
@@ -35,7 +36,7 @@ def of_logs(refined: Refined) -> np.ndarray | None:
         next(name for name in names if name in sensors.channels)
         for e in k.effects
         if type(e) in WARM
-        for names in type(e).follows(e.place, context_of(k))
+        for names in type(e).follows(e.place, effect_context(k))
     }
     for channel in sorted(channels & k.log_errors.keys()):
         for error in k.log_errors[channel].T:
@@ -48,10 +49,11 @@ def of_logs(refined: Refined) -> np.ndarray | None:
     return refined.covariance @ refined.model.linear.project(both).gram[:own, own:]
 
 
-def of_tolerances(refined: Refined, sensitivities: Sensitivities) -> np.ndarray | None:
-    """(c, q) by which the coordinates are off for each standard deviation of what tolerances do, as large as the
-    recording shows them; None where nothing of the kind could be seen. What an effect is the size of is nothing that it
-    is off by."""
+def tolerance_errors(refined: Refined, sensitivities: Sensitivities) -> np.ndarray | None:
+    """(c, q) errors of the coordinates per standard deviation of what tolerances do, or None.
+    What an effect is the size of is nothing that it
+    is off by.
+    """
     found = tolerance_model(refined.marginalised, sensitivities)
     if found is None or refined.column is None:
         return None
@@ -59,7 +61,7 @@ def of_tolerances(refined: Refined, sensitivities: Sensitivities) -> np.ndarray 
     across = (
         found.with_column(refined.column) - linear.project(refined.column).onto.T @ found.projected(refined.model).onto
     )
-    off = refined.covariance @ across * told(found.projected(refined.marginalised), found)
+    off = refined.covariance @ across * observed_tolerance_sigmas(found.projected(refined.marginalised), found)
     for i, c in enumerate(refined.coordinates):
         effect = refined.point.effects[c.effect]
         for site in found.sites:
@@ -68,9 +70,8 @@ def of_tolerances(refined: Refined, sensitivities: Sensitivities) -> np.ndarray 
     return off
 
 
-def told(seen: Projection, found: ToleranceModel) -> np.ndarray:
-    """(q,) standard deviations of what tolerances do, each kind's as the residuals `seen` tell it, at the most MOST
-    times what is tolerated; of the side of all markers, a single number, what is tolerated.
+def observed_tolerance_sigmas(seen: Projection, found: ToleranceModel) -> np.ndarray:
+    """(q,) standard deviations of what tolerances do, of each kind as the residuals show it, at the most MOST
 
     Source: MacKay, Bayesian interpolation, Neural Computation 4, 1992, sec. 4
     """

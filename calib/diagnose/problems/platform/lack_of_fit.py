@@ -1,6 +1,4 @@
-"""What a platform still does when the catalogue has had its say: smooth functions and scatter at struts, cameras and
-markers.
-"""
+"""Lack of fit of a platform beyond all candidates: smooth functions, excess scatter, covariates of the rest."""
 
 from collections.abc import Callable
 from functools import partial
@@ -11,8 +9,12 @@ import scipy
 from calib.diagnose.engine.chance_probability import scan_p_value
 from calib.diagnose.engine.frame_inner_products import FrameProducts, solve_normal_equations
 from calib.diagnose.engine.lack_of_fit import ALPHA, LIKELY, LackOfFit, Test, significant_lack_of_fit, test_lack_of_fit
-from calib.diagnose.problems.platform.candidate_search import axis_products, corner_products, lasting
-from calib.diagnose.problems.platform.effect_candidates import context_of, lacking
+from calib.diagnose.problems.platform.candidate_search import (
+    axis_products,
+    constant_displacement_normal,
+    corner_products,
+)
+from calib.diagnose.problems.platform.effect_candidates import effect_context, lacks_temperature_log
 from calib.diagnose.problems.platform.linearised_corners import MEDIAN
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
@@ -20,10 +22,10 @@ from calib.diagnose.problems.platform.smooth_functions import (
     FAST,
     SLOW,
     edge_pixels,
-    one_marker,
-    strut_weights,
-    time_functions,
+    marker_corner_pixels,
+    smooth_strut_functions,
     view_pixels,
+    view_time_functions,
     warp_pixels,
 )
 from rig.compute.parallel_map import parallel_map
@@ -43,14 +45,13 @@ PARTS = {
 }  # of places that take in others
 
 
-def within(left: LackOfFit, place: str) -> bool:
-    """Whether what is left sits where an effect at a place does, or at a part of it."""
+def is_at_place(left: LackOfFit, place: str) -> bool:
+    """Whether a LackOfFit is at a place, or at a part of it."""
     return left.place == place or left.place.startswith(PARTS.get(place, ()))
 
 
 def lack_of_fit(model: LinearisedModel, place: str | None = None, alpha: float = ALPHA) -> list[LackOfFit]:
-    """[LackOfFit] that the residuals still hold, the most convincing first; admitted effects belong among the
-    nuisances.
+    """[LackOfFit] of the residuals at each place, the most significant first.
 
     place : where alone they are asked, None for everywhere; alpha : chance of any where there is nothing
     """
@@ -62,7 +63,9 @@ def lack_of_fit(model: LinearisedModel, place: str | None = None, alpha: float =
         edges = edge_pixels(k)
         asked += [partial(_marker, model, edges, number, count) for number, count in zip(ids.tolist(), counts.tolist())]
     found = [u for several in parallel_map(lambda question: question(), asked) for u in several]
-    return significant_lack_of_fit([u for u in found if u is not None and (place is None or within(u, place))], alpha)
+    return significant_lack_of_fit(
+        [u for u in found if u is not None and (place is None or is_at_place(u, place))], alpha
+    )
 
 
 def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
@@ -73,7 +76,7 @@ def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
         test_lack_of_fit(
             model.linear, products, Test(place, "m", (depends,), weights, each[weights.any(axis=(0, 2))].sum())
         )
-        for depends, strutwise in strut_weights(k)
+        for depends, strutwise in smooth_strut_functions(k)
         for place, weights in strutwise
     ]
     inverse, own = np.linalg.inv(model.closures.W), model.strut_noise()
@@ -117,7 +120,9 @@ def _camera(model: LinearisedModel, i: int) -> list[LackOfFit | None]:
         products = corner_products(model, view_pixels(model, place))
         out += [
             test_lack_of_fit(
-                model.linear, products, Test(place, "px", ("time",), time_functions(k, count)[:, :, part], information)
+                model.linear,
+                products,
+                Test(place, "px", ("time",), view_time_functions(k, count)[:, :, part], information),
             )
             for count in (SLOW, FAST)
             for part in _apart(k, place, count)
@@ -132,19 +137,22 @@ def _camera(model: LinearisedModel, i: int) -> list[LackOfFit | None]:
 
 
 def _apart(k: OperatingPoint, place: str, count: int) -> list[slice]:
-    """Which of the functions of `time_functions` at a camera are tested together: a mount's motion and the focal length
-    each for itself, but all together
+    """Which of the functions of `view_time_functions` at a camera are tested together: a mount's motion and the focal
+    length each for itself, but all together
     where an admitted effect moves the focal length, or one would by a temperature that was not logged: by what a log
     does not tell it comes and goes in time."""
     known = any(type(e).focal is not Effect.focal and e.at(place) for e in k.effects)
-    if known or any(kind.focal is not Effect.focal and lacking(k, kind.follows(place, context_of(k))) for kind in ALL):
+    if known or any(
+        kind.focal is not Effect.focal and lacks_temperature_log(k, kind.follows(place, effect_context(k)))
+        for kind in ALL
+    ):
         return [slice(None)]
     return [slice(6 * count), slice(6 * count, None)]
 
 
 def _marker(model: LinearisedModel, edges: np.ndarray, number: int, count: int) -> list[LackOfFit | None]:
     """Of a marker seen so many times. edges : see `edge_pixels`"""
-    hit, moved = one_marker(model.point, edges, number)
+    hit, moved = marker_corner_pixels(model.point, edges, number)
     return [_still(model, hit, moved, f"marker {number}", "place on the marker", 4 * count / model.corner_noise() ** 2)]
 
 
@@ -153,7 +161,7 @@ def _still(
 ) -> LackOfFit | None:
     """LackOfFit of displacements (h, 2, q) px of observed corners (h,) that are the same in every frame; where they are
     likely by chance, as without dispersion."""
-    solved = solve_normal_equations(lasting(model, hit, moved))
+    solved = solve_normal_equations(constant_displacement_normal(model, hit, moved))
     delta, rank = float(solved.delta_chi2[0]), int(solved.rank[0])
     chance = scan_p_value(solved.delta_chi2, rank, np.inf)
     if rank and chance > LIKELY:

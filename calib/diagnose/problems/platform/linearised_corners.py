@@ -1,6 +1,4 @@
-"""Corners at an operating point: whitened residuals and derivatives frame by frame, and what standing corners
-repeat.
-"""
+"""Corners linearised at an operating point: whitened residuals and derivatives, freedoms of cubes and edges."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -70,31 +68,31 @@ class _Nuisances:
         self.priors += priors
 
 
-def corner_rows(k: OperatingPoint) -> CornerRows:
+def corner_rows(point: OperatingPoint) -> CornerRows:
     """CornerRows of an OperatingPoint that has seen corners."""
-    o = k.observed.observations
-    n, L = len(o), 6 + 6 * len(k.moving)
-    weights = _weights(o, k)
+    o = point.observed.observations
+    n, L = len(o), 6 + 6 * len(point.moving)
+    weights = _weights(o, point)
     whitener = np.linalg.inv(np.linalg.cholesky(weights))
-    rho = np.einsum("nij,nj->ni", whitener, o.uv - k.pixels())
+    rho = np.einsum("nij,nj->ni", whitener, o.uv - point.pixels())
     order = np.lexsort((o.camera, o.frame))
-    edges = np.searchsorted(o.frame[order], np.arange(len(k.t) + 1))
+    edges = np.searchsorted(o.frame[order], np.arange(len(point.t) + 1))
     at = np.argsort(order)  # where each corner stands, frame by frame
     J_local, found = np.zeros((n, 2, L)), _Nuisances()
-    for i, rows, J_platform, J_camera, J_lens in corner_jacobians(o, k.state):
-        camera = k.stated.cameras[i]
+    for i, rows, J_platform, J_camera, J_lens in corner_jacobians(o, point.state):
+        camera = point.stated.cameras[i]
         J_local[at[rows], :, :6] = whitener[rows] @ J_platform
         blocks = [(J_lens, lens.terms(camera.distortion), (1 / lens_prior(camera)).tolist())]
-        if i in k.moving:
-            own = 6 + 6 * sorted(k.moving).index(i)
+        if i in point.moving:
+            own = 6 + 6 * sorted(point.moving).index(i)
             J_local[at[rows], :, own : own + 6] = whitener[rows] @ J_camera
         else:
             blocks.insert(0, (J_camera, ("x", "y", "z", "rx", "ry", "rz"), [0.0] * 6))
         for block, labels, prior in blocks:
             found.camera_columns.setdefault(i, []).extend(range(len(found.names), len(found.names) + len(labels)))
             found.add(at[rows], whitener[rows] @ block, camera.name, labels, prior)
-    _add_finder(k, found, at, whitener)
-    _add_seats(k, found, at, whitener)
+    _add_finder(point, found, at, whitener)
+    _add_seats(point, found, at, whitener)
     table, start = np.zeros((n, 2, 1 + len(found.names))), 1
     table[:, :, 0] = rho[order]
     for at_rows, block in found.shared:

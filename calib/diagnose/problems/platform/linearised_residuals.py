@@ -1,5 +1,4 @@
-"""An operating point -> whitened residuals of corners and of loop closures, with calibration's own freedoms projected
-out of both.
+"""Residuals of corners and loop closures, linearised, with calibration's freedoms projected out.
 
 Corners say what is left when every frame's pose is free; closures say what the poses so found ask of the struts against
 the commands. Corners' noise splits into the two without correlation, so together they are the whole likelihood, and a
@@ -19,7 +18,12 @@ from calib.diagnose.problems.platform.linearised_corners import (
     seat_freedoms,
 )
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
-from calib.models.platform.identification import PRIOR, loop_jacobian, parameters, strut_jacobian
+from calib.models.platform.identification import (
+    PRIOR,
+    geometric_parameters,
+    loop_closure_jacobian,
+    strut_length_jacobian,
+)
 from rig.compute.parallel_map import thread_map
 from rig.model.manufacturing_tolerances import FINDER, SEAT
 
@@ -178,7 +182,7 @@ def linearise(point: OperatingPoint) -> LinearisedModel:
         table, names, priors, camera_columns = np.zeros((0, 1)), [], [], {}
     closures = _closures(k, frames) if k.axes else _no_closures(k, frames, table)
     if k.axes:
-        p = len(parameters(k.platform))
+        p = len(geometric_parameters(k.platform))
         names += [("geometry", j) for j in range(p)]
         priors += [1 / PRIOR] * p
     beforehand = np.column_stack([np.zeros(len(priors)), np.diag(np.array(priors))])
@@ -189,7 +193,7 @@ def linearise(point: OperatingPoint) -> LinearisedModel:
         beforehand[at[seat.place], 0] = -np.array(seat.motion) / np.repeat(SEAT, 3)
     if k.axes and k.known is not None:
         mechanism, root = k.known
-        beforehand[-len(root) :, 0] = root @ (parameters(mechanism) - parameters(k.platform))
+        beforehand[-len(root) :, 0] = root @ (geometric_parameters(mechanism) - geometric_parameters(k.platform))
         beforehand[-len(root) :, -len(root) :] = root
     return _weighed(k, frames, table, closures, beforehand, tuple(names), camera_columns)
 
@@ -222,12 +226,16 @@ def _without_poses(k: OperatingPoint, rows: CornerRows) -> tuple[CornerFrames, n
 
 def _closures(k: OperatingPoint, frames: CornerFrames) -> _Closures:
     m = k.platform
-    A = strut_jacobian(k.T, m)
+    A = strut_length_jacobian(k.T, m)
     to_length = A @ frames.to_local[:, :6]  # (F, axes, L): local coordinates to struts' lengths
     covariance = to_length @ np.swapaxes(to_length, 1, 2) if k.own is None else A @ k.own @ np.swapaxes(A, 1, 2)
     inner = frames.inner
     rows = np.concatenate(
-        [(k.closures()[..., None] + to_length @ inner[..., :1]), to_length @ inner[..., 1:], loop_jacobian(k.T, m)],
+        [
+            (k.closures()[..., None] + to_length @ inner[..., :1]),
+            to_length @ inner[..., 1:],
+            loop_closure_jacobian(k.T, m),
+        ],
         axis=2,
     )
     return _Closures(covariance, rows, to_length)

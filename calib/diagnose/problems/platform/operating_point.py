@@ -1,4 +1,4 @@
-"""What is taken as known while the rest is questioned: cameras, geometry, poses and the effects admitted so far."""
+"""The operating point of the linearisation: cameras, geometry, poses and the effects admitted so far."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace

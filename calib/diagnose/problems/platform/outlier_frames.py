@@ -10,18 +10,18 @@ from scipy.spatial import cKDTree
 
 from calib.diagnose.engine.excluded_outliers import Crowd, LeftOut
 from calib.diagnose.problems.platform.operating_point import OperatingPoint, group_sightings
-from calib.diagnose.problems.remainder_covariates import cosines, scaled_to_unit_interval, speed
+from calib.diagnose.problems.remainder_covariates import axis_speeds, scaled_to_unit_interval, time_cosines
 from calib.identify.robust_fit import (
     ALIKE,
     CONSISTENT,
     IN_PLACE,
     IN_TIME,
     MOST,
-    many_deviations,
+    has_many_deviations,
     outlier_rows,
     robust_fit,
 )
-from calib.models.platform.identification import loop_jacobian, strut_jacobian
+from calib.models.platform.identification import loop_closure_jacobian, strut_length_jacobian
 from rig.model import mechanisms
 from rig.recording.recording_folder import PAYLOAD
 from vision.corner_observations import observations_of_frames
@@ -64,18 +64,18 @@ class Outliers:
 
 
 def fit_without_outliers(
-    point: OperatingPoint, covariance: np.ndarray, explained: Callable[[OperatingPoint], tuple[E, OperatingPoint]]
+    point: OperatingPoint, covariance: np.ndarray, fit: Callable[[OperatingPoint], tuple[E, OperatingPoint]]
 ) -> tuple[E, Outliers]:
-    """(what explains an OperatingPoint without its wild rows, Outliers). covariance : (F, 6, 6) of its poses
+    """(fit of an OperatingPoint without its outliers, Outliers). covariance : (F, 6, 6) of its poses
 
-    explained : OperatingPoint -> (what explains it, OperatingPoint with that admitted), at which rows show as wild that
+    fit : OperatingPoint -> (what explains it, OperatingPoint with that admitted), at which rows show as wild that
     a large effect hid; then all is explained anew without them
     """
     first = point.frames
-    wild = find_outliers(point, covariance)
+    wild = _find_outliers(point, covariance)
     for turn in range(ROUNDS):
-        found, at = explained(without_outliers(point, wild))
-        more = Outliers() if turn == ROUNDS - 1 else find_outliers(at, covariance[np.searchsorted(first, at.frames)])
+        found, at = fit(_without_outliers(point, wild))
+        more = Outliers() if turn == ROUNDS - 1 else _find_outliers(at, covariance[np.searchsorted(first, at.frames)])
         both = wild.with_more(more, len(first))
         if both.left_out == wild.left_out:
             break
@@ -83,7 +83,7 @@ def fit_without_outliers(
     return found, both
 
 
-def find_outliers(point: OperatingPoint, covariance: np.ndarray) -> Outliers:
+def _find_outliers(point: OperatingPoint, covariance: np.ndarray) -> Outliers:
     """Outliers of an OperatingPoint, with the effects that it has. covariance : (F, 6, 6) of its poses"""
     wild = _wild_corners(point) if point.seen is not None else Outliers()
     if not point.axes:
@@ -91,7 +91,7 @@ def find_outliers(point: OperatingPoint, covariance: np.ndarray) -> Outliers:
     return wild.with_more(_wild_frames(point, covariance), len(point.frames))
 
 
-def without_outliers(point: OperatingPoint, wild: Outliers) -> OperatingPoint:
+def _without_outliers(point: OperatingPoint, wild: Outliers) -> OperatingPoint:
     """OperatingPoint without what is wild; what was commanded stays, since it moved the rig."""
     seen = point.seen
     if seen is not None and wild.sightings:
@@ -122,7 +122,7 @@ def _wild_frames(k: OperatingPoint, covariance: np.ndarray) -> Outliers:
     may do is asked at the poses that commands give: at a pose that is wild it may do anything."""
     m, closures = k.platform, k.closures()
     T = mechanisms.kinematics_of(m).forward(k.commanded.at(k.t), m)
-    A, loops, smooth = strut_jacobian(T, m), loop_jacobian(T, m), _smooth(k)
+    A, loops, smooth = strut_length_jacobian(T, m), loop_closure_jacobian(T, m), _smooth(k)
     sigma = np.sqrt(np.einsum("fij,fjk,fik->fi", A, covariance, A))
     parts = []
     for i in range(k.axes):
@@ -131,7 +131,7 @@ def _wild_frames(k: OperatingPoint, covariance: np.ndarray) -> Outliers:
         columns = np.column_stack([own, smooth[:, i, :free]])
         parts.append(((closures[:, i] / sigma[:, i])[:, None], (columns / sigma[:, i, None])[:, None]))
     found = robust_fit(parts)
-    far = outlier_rows(found.relative, k.t, k.commanded.at(k.t), GATE) & many_deviations(found.relative, GATE)
+    far = outlier_rows(found.relative, k.t, k.commanded.at(k.t), GATE) & has_many_deviations(found.relative, GATE)
     if far.sum() > MOST * len(far):
         return Outliers(crowd=Crowd("frames", int(far.sum()), len(far)))
     told = []
@@ -145,7 +145,7 @@ def _wild_frames(k: OperatingPoint, covariance: np.ndarray) -> Outliers:
 def _smooth(k: OperatingPoint) -> np.ndarray:
     """(F, axes, q) what may lengthen struts besides their geometry, the plainest first."""
     path = k.motion(()).path
-    pace = speed(k.commanded, k.t)
+    pace = axis_speeds(k.commanded, k.t)
     names = list(k.sensors.channels) if k.sensors is not None else []
     logged = {name: k.sensors.at(k.t, name) for name in names} if k.sensors is not None else {}
     varying = {name: values for name, values in logged.items() if np.ptp(values) > 0}
@@ -155,7 +155,7 @@ def _smooth(k: OperatingPoint) -> np.ndarray:
         out.append(np.broadcast_to(scaled_to_unit_interval(values)[:, None], lengths.shape))
         if name == PAYLOAD:
             out.append(scaled_to_unit_interval(values)[:, None] * (lengths - lengths.mean(axis=0)))
-    out += [np.broadcast_to(c[:, None], lengths.shape) for c in cosines(k.t, SLOW).T]
+    out += [np.broadcast_to(c[:, None], lengths.shape) for c in time_cosines(k.t, SLOW).T]
     out.append(path.last_step)
     scaled = [values / max(np.abs(values).max(), 1e-300) for values in out if np.any(values)]
     return np.stack(scaled, axis=2) if scaled else np.zeros((*lengths.shape, 0))

@@ -3,7 +3,7 @@
 import numpy as np
 
 from calib.diagnose.engine.linear_model import Column, join_columns
-from calib.diagnose.problems.platform.effect_candidates import seen_alone
+from calib.diagnose.problems.platform.effect_candidates import affects_images_only
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
 from rig.effects.framework.effect import COUNT, Effect, Linear
@@ -13,12 +13,17 @@ from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of
 def parameter_directions(
     model: LinearisedModel, sensitivities: Sensitivities
 ) -> tuple[list[Coordinate], Column | None]:
-    """(coordinates, Column of their directions) of the admitted effects at a linearisation."""
+    """(coordinates, Column of directions) of the continuous parameters of the admitted effects."""
     k, parts = model.point, []
     sensitivities, coordinates = sensitivities.at(k), coordinates_of(k.effects)
     for number, effect in enumerate(k.effects):
         own = [c for c in coordinates if c.effect == number]
-        if seen_alone(effect) and type(effect).mount is Effect.mount and own and all(c.role == "linear" for c in own):
+        if (
+            affects_images_only(effect)
+            and type(effect).mount is Effect.mount
+            and own
+            and all(c.role == "linear" for c in own)
+        ):
             pixels = [sensitivities.corners(*_still(effect, c, sensitivities)) for c in own]
             parts.append(model.fold(np.concatenate(pixels, axis=2)))
             continue
@@ -26,7 +31,7 @@ def parameter_directions(
             ends = c.around(effect)
             both = [k.effects[:number] + (c.written(effect, end),) + k.effects[number + 1 :] for end in ends]
             apart = ends[0] - ends[1]
-            if seen_alone(effect):
+            if affects_images_only(effect):
                 parts.append(model.fold(((k.pixels(both[0]) - k.pixels(both[1])) / apart)[..., None]))
             else:
                 parts.append(model.lengthened(((k.effective(both[0]) - k.effective(both[1])) / apart)[..., None]))

@@ -1,6 +1,4 @@
-"""A platform's recording, or a hand-moved body's, -> its Diagnosis: which effect sits where, how large, how sure, what
-nobody can name.
-"""
+"""Diagnosis of a platform's, or a hand-moved body's, recording: findings, intervals, and what is unexplained."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -9,19 +7,17 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from calib.certify.calibration import Calibration
-from calib.diagnose.engine.candidates import NotAsked
-from calib.diagnose.engine.covariate_ranking import Covariate
 from calib.diagnose.engine.cross_validation import CrossValidation
-from calib.diagnose.engine.lack_of_fit import LackOfFit
+from calib.diagnose.engine.lack_of_fit import Covariate, LackOfFit
 from calib.diagnose.engine.problem_interface import Progress
-from calib.diagnose.engine.stated_terms import UNSAID, Given
+from calib.diagnose.engine.selection_inputs import NO_STATED_TERMS, NotAsked, StatedTerms
 from calib.diagnose.engine.term_selection import remove_unsupported_findings, select_terms
 from calib.diagnose.problems.formula_suggestion import Suggestion
 from calib.diagnose.problems.platform.effect_candidates import platform_candidates
-from calib.diagnose.problems.platform.excess_scatter import scatter_beyond_noise
-from calib.diagnose.problems.platform.exchanged_markers import exchanged, swaps
+from calib.diagnose.problems.platform.excess_scatter import excess_scatter
+from calib.diagnose.problems.platform.exchanged_markers import correct_marker_swaps, find_marker_swaps
 from calib.diagnose.problems.platform.held_out_validation import cross_validate_blocks
-from calib.diagnose.problems.platform.interval_widening import widened
+from calib.diagnose.problems.platform.interval_widening import widen_intervals
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.operating_point import (
     OperatingPoint,
@@ -30,11 +26,11 @@ from calib.diagnose.problems.platform.operating_point import (
 )
 from calib.diagnose.problems.platform.outlier_frames import Outliers, fit_without_outliers
 from calib.diagnose.problems.platform.platform_problem import PlatformProblem, PlatformSelection
-from calib.diagnose.problems.platform.remainder_covariates import remainder_covariates
+from calib.diagnose.problems.platform.remainder_covariates import ranked_covariates
 from calib.diagnose.problems.platform.temperature_alternatives import add_temperature_alternatives
 from calib.diagnose.problems.platform.tolerable_findings import Remarks, separate_tolerable_findings
-from calib.diagnose.problems.platform.unlisted_strut_effects import formula_suggestions
-from calib.diagnose.problems.requested_effects import RequestedEffects, require_answerable
+from calib.diagnose.problems.platform.unlisted_strut_effects import suggest_strut_formulas
+from calib.diagnose.problems.requested_effects import RequestedEffects, require_assumed_effects_testable
 from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
 from calib.samples.recording_samples import Sampled
 from rig.effects.catalogue.effect_list import ALL
@@ -98,7 +94,7 @@ class PlatformDiagnosis:
     noise: Noise
     covariates: list[Covariate]
     origin: Origin = Origin()
-    given: Given = Given()
+    given: StatedTerms = StatedTerms()
     said: tuple[str, ...] = ()
     parts: tuple[Part, ...] = ()
     own: tuple[Plugin, ...] = ()
@@ -126,7 +122,7 @@ def diagnose_platform(
     without: tuple[str, ...] = (),
     progress: Progress | None = None,
     calibration: Calibration | None = None,
-    given: Given = UNSAID,
+    given: StatedTerms = NO_STATED_TERMS,
     sampled: Sampled | None = None,
     kinds: tuple[type[Effect], ...] = ALL,
 ) -> PlatformDiagnosis:
@@ -150,7 +146,7 @@ def diagnose_platform(
         if measured is not None and measured.places_free
         else []
     )
-    swapped = [s for s in swaps(point) if _exchange_asked(s, asked)] if asked.name(MarkerSwap.name) else []
+    swapped = [s for s in find_marker_swaps(point) if _exchange_asked(s, asked)] if asked.name(MarkerSwap.name) else []
     covariance = (
         measured.covariance if measured is not None else np.zeros((0, 6, 6)) if point.own is None else point.own
     )
@@ -160,15 +156,15 @@ def diagnose_platform(
         return found, found.selection.fit.refined.point
 
     (problem, selection, left, remarks, not_asked), wild = fit_without_outliers(
-        exchanged(point, swapped), covariance, explained
+        correct_marker_swaps(point, swapped), covariance, explained
     )
     selection = add_temperature_alternatives(problem, selection)
-    suggested = tuple(formula_suggestions(problem, selection.fit, left, progress))
+    suggested = tuple(suggest_strut_formulas(problem, selection.fit, left, progress))
     selection = replace(
-        selection, fit=replace(selection.fit, refined=widened(selection.fit.refined, problem.sensitivities))
+        selection, fit=replace(selection.fit, refined=widen_intervals(selection.fit.refined, problem.sensitivities))
     )
     refined = selection.fit.refined
-    left += scatter_beyond_noise(problem.residual(selection.fit), left)
+    left += excess_scatter(problem.residual(selection.fit), left)
     proofs = [problem.cross_validation(selection.fit, f.number) for f in selection.findings]
     blocks = {"corners": CORNERS} if point.seen is not None else {}
     blocks |= {"closures": CLOSURES} if point.axes else {}
@@ -185,7 +181,7 @@ def diagnose_platform(
         remarks,
         not_asked,
         _noise(refined.model),
-        remainder_covariates(selection.before.refined.model, refined.marginalised),
+        ranked_covariates(selection.before.refined.model, refined.marginalised),
         recording.origin,
         given,
         parts=recording.parts,
@@ -195,10 +191,12 @@ def diagnose_platform(
     )
 
 
-def _explained(point: OperatingPoint, asked: RequestedEffects, given: Given, progress: Progress | None) -> Explained:
+def _explained(
+    point: OperatingPoint, asked: RequestedEffects, given: StatedTerms, progress: Progress | None
+) -> Explained:
     """Explained of an OperatingPoint with nothing admitted."""
     candidates, not_asked = platform_candidates(point, asked)
-    problem = PlatformProblem(point, candidates, given=require_answerable(given, candidates, not_asked))
+    problem = PlatformProblem(point, candidates, given=require_assumed_effects_testable(given, candidates, not_asked))
     selection = select_terms(problem, progress)
     left = problem.lack_of_fit(problem.residual(selection.fit))
     stood = len(selection.findings)

@@ -1,6 +1,4 @@
-"""A platform seen by cameras, commanded by struts' lengths, or both, as the engine asks it: effects are fitted with
-cameras, geometry, poses.
-"""
+"""The platform as Problem of the engine: effects fitted with cameras, geometry and poses."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -11,12 +9,11 @@ from calib.diagnose.engine.cross_validation import CrossValidation
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.linear_model import Column, LinearModel
 from calib.diagnose.engine.problem_interface import Wald
-from calib.diagnose.engine.selection_policy import PLATFORM, SelectionPolicy
-from calib.diagnose.engine.stated_terms import Given
+from calib.diagnose.engine.selection_inputs import PLATFORM, SelectionPolicy, StatedTerms
 from calib.diagnose.engine.term_selection import Selection
 from calib.diagnose.problems.platform import lack_of_fit as remainder
 from calib.diagnose.problems.platform import tolerance_columns
-from calib.diagnose.problems.platform.candidate_search import column_of, search
+from calib.diagnose.problems.platform.candidate_search import candidate_column, search_candidates
 from calib.diagnose.problems.platform.effect_candidates import PlatformCandidate, PlatformScore
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.held_out_validation import cross_validate
@@ -27,7 +24,7 @@ from calib.diagnose.problems.platform.simultaneous_refinement import (
     Refined,
     add_term,
     refine,
-    refine_standing,
+    refine_at_fixed_repeated_error,
     remove_term,
 )
 from calib.diagnose.problems.platform.smooth_functions import model_with_smooth_functions, smooth_function_columns
@@ -55,7 +52,7 @@ class PlatformProblem:
     point: OperatingPoint
     candidates: list[PlatformCandidate]
     policy: SelectionPolicy = PLATFORM
-    given: Given = Given()
+    given: StatedTerms = StatedTerms()
     sensitivities: Sensitivities = field(init=False)
     tolerance_model: bool = field(init=False, default=False)
 
@@ -97,7 +94,7 @@ class PlatformProblem:
         and what it does would no longer be linear."""
         k = fit.refined.point
         if fit.terms[number].seen_alone:
-            return refine_standing(remove_term(fit.refined, number), self.sensitivities).model
+            return refine_at_fixed_repeated_error(remove_term(fit.refined, number), self.sensitivities).model
         return linearise(k.with_effects(e for i, e in enumerate(k.effects) if i != number))
 
     def marginalised(self, model: LinearisedModel) -> LinearisedModel:
@@ -128,7 +125,7 @@ class PlatformProblem:
         progress: Callable[[int, int], None] | None = None,
     ) -> list[PlatformScore]:
         self.sensitivities = self.sensitivities.at(model.point)
-        return search(model, candidates, self.sensitivities, least, progress)
+        return search_candidates(model, candidates, self.sensitivities, least, progress)
 
     def rescored(self, model: LinearisedModel, fit: PlatformFit, number: int) -> PlatformScore:
         return self.search(model, [fit.terms[number]])[0]
@@ -137,7 +134,7 @@ class PlatformProblem:
         return []
 
     def column(self, model: LinearisedModel, score: PlatformScore) -> Column:
-        column = column_of(model, score.candidate, score.node, self.sensitivities.at(model.point))
+        column = candidate_column(model, score.candidate, score.node, self.sensitivities.at(model.point))
         theta = score.coefficients if len(score.coefficients) else np.ones(1)
         return Column(column.parts) @ theta[:, None]
 
@@ -188,4 +185,4 @@ class PlatformProblem:
         return remainder.lack_of_fit(model) if place is None else remainder.lack_of_fit(model, place, self.policy.alpha)
 
     def within(self, left: LackOfFit, place: str) -> bool:
-        return remainder.within(left, place)
+        return remainder.is_at_place(left, place)

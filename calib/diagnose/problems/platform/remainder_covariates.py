@@ -4,7 +4,7 @@ and dwell.
 
 import numpy as np
 
-from calib.diagnose.engine.covariate_ranking import Covariate, Share, explained_share, rank_covariates
+from calib.diagnose.engine.lack_of_fit import Covariate, Share, explained_share, rank_covariates
 from calib.diagnose.problems.platform.candidate_search import axis_products, corner_products
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.smooth_functions import view_pixels
@@ -14,8 +14,8 @@ from rig.compute.parallel_map import parallel_map
 STRUTS, IMAGES = "struts", "images"
 
 
-def remainder_covariates(before: LinearisedModel, after: LinearisedModel) -> list[Covariate]:
-    """[Covariate] of what is left with nothing admitted and with all, the one that explained most before first."""
+def ranked_covariates(before: LinearisedModel, after: LinearisedModel) -> list[Covariate]:
+    """[Covariate] ranked by the share of residuals they explain, without effects and with them."""
     return rank_covariates(*parallel_map(_shares, [before, after], few=1))
 
 

@@ -1,5 +1,4 @@
-"""All that is admitted fitted together: cameras, geometry, poses and effects' parameters, by Gauss-Newton on corners
-and closures.
+"""Simultaneous refinement of cameras, geometry, poses and effects' parameters, by Gauss-Newton.
 
 Parameters stay within their bounds: one that the data pull beyond stands at its bound, and the others make the best of
 it there.
@@ -13,15 +12,15 @@ from scipy.linalg import block_diag
 
 from calib.diagnose.engine.chance_probability import Z95
 from calib.diagnose.engine.linear_model import Column, join_columns
-from calib.diagnose.problems.platform.candidate_search import column_of
-from calib.diagnose.problems.platform.effect_candidates import SIZED, PlatformScore, bounds_of
+from calib.diagnose.problems.platform.candidate_search import candidate_column
+from calib.diagnose.problems.platform.effect_candidates import SIZED, PlatformScore, coefficient_bounds
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.linearised_corners import edge_bias_freedoms, repeated_corner_error, seat_freedoms
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel, linearise
 from calib.diagnose.problems.platform.operating_point import OperatingPoint, move_operating_point
 from calib.diagnose.problems.platform.parameter_directions import parameter_directions
-from calib.identify.bounded_step import bounded_step
-from calib.models.platform.identification import parameters, with_parameters
+from calib.identify.least_squares import bounded_least_squares_step
+from calib.models.platform.identification import geometric_parameters, mechanism_with_parameters
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_validity import check_effect
 from rig.effects.framework.fit_coordinates import Coordinate, constrained_sums, prior_precision, priors_cost
@@ -137,11 +136,9 @@ class _Freedom:
 
 
 def add_term(refined: Refined, score: PlatformScore, sensitivities: Sensitivities) -> Refined:
-    """Refined with a Score's effect besides: all that is free moves with it from the start, so that even a large one
-    fits in.
-    """
+    """Refined with a Score's effect added, all that is free moved with it from the start."""
     model, k = refined.model, refined.point
-    column, theta = column_of(model, score.candidate, score.node, sensitivities), score.coefficients
+    column, theta = candidate_column(model, score.candidate, score.node, sensitivities), score.coefficients
     own = None if refined.column is None else _Freedom.of(refined.coordinates, k.effects, refined.column)
     if not len(theta):  # its size is its node's: the rest makes room
         parts = join_columns([c for c in (refined.column, column) if c is not None])
@@ -151,7 +148,7 @@ def add_term(refined: Refined, score: PlatformScore, sensitivities: Sensitivitie
         priors = np.array(
             [prior_precision(by[name], index) if name in by else 0.0 for name, index, _ in score.candidate.spec.linear]
         )
-        low, high = bounds_of(score.candidate.spec)
+        low, high = coefficient_bounds(score.candidate.spec)
         new = _Freedom(column, np.zeros(len(theta)), priors, low, high, np.zeros((0, len(theta))))
         free = new if own is None else own.beside(new)
         parts, step = free.column, _step(model, free)[0]
@@ -166,9 +163,7 @@ def add_term(refined: Refined, score: PlatformScore, sensitivities: Sensitivitie
 
 
 def remove_term(refined: Refined, number: int) -> OperatingPoint:
-    """OperatingPoint without an admitted effect, all that is free moved to where it makes up for it: the reverse of
-    `add_term`.
-    """
+    """OperatingPoint with an admitted effect removed, all that is free moved to make up for it."""
     model, effects = refined.model, refined.point.effects
     if refined.column is None:
         return refined.point.with_effects(e for i, e in enumerate(effects) if i != number)
@@ -187,13 +182,13 @@ def refine(point: OperatingPoint, sensitivities: Sensitivities) -> Refined:
     Standing corners are first taken at their covariance; only what they then still miss together, in every frame,
     loosens them.
     """
-    refined = refine_standing(replace(point, standing=0.0), sensitivities)
+    refined = refine_at_fixed_repeated_error(replace(point, standing=0.0), sensitivities)
     left = repeated_corner_error(refined.point)
-    return refine_standing(replace(refined.point, standing=left), sensitivities) if left else refined
+    return refine_at_fixed_repeated_error(replace(refined.point, standing=left), sensitivities) if left else refined
 
 
-def refine_standing(point: OperatingPoint, sensitivities: Sensitivities) -> Refined:
-    """Refined as by `refine`, standing corners repeating as many px as the OperatingPoint already says."""
+def refine_at_fixed_repeated_error(point: OperatingPoint, sensitivities: Sensitivities) -> Refined:
+    """Refined as by `refine`, with the repeated error of standing corners fixed at the OperatingPoint's."""
     model = linearise(point)
     coordinates, column = parameter_directions(model, sensitivities)
     freedom = partial(_Freedom.of, coordinates)
@@ -220,7 +215,7 @@ def _step(model: LinearisedModel, free: _Freedom) -> tuple[np.ndarray, np.ndarra
     """Step (c,) of coordinates, to a bound at the most, and their covariance (c, c), of which bounds know nothing."""
     found = model.linear.project(free.column)
     b, G = found.right - free.loose**2 * free.values, found.gram + np.diag(free.loose**2)
-    return bounded_step(b, G, free.values, np.stack([free.low, free.high], axis=1), free.kept)
+    return bounded_least_squares_step(b, G, free.values, np.stack([free.low, free.high], axis=1), free.kept)
 
 
 def _try(
@@ -284,10 +279,12 @@ def _apply(
         for s in k.seats
     )
     if k.axes:
-        m, p = k.platform, parameters(k.platform)
+        m, p = k.platform, geometric_parameters(k.platform)
         k = replace(
             k,
-            design=replace(k.design, mechanism=with_parameters(m, p + freedoms[len(model.nuisances.names) - len(p) :])),
+            design=replace(
+                k.design, mechanism=mechanism_with_parameters(m, p + freedoms[len(model.nuisances.names) - len(p) :])
+            ),
         )
     if k.seen is None:
         local = np.zeros((model.frames, 6))

@@ -1,6 +1,4 @@
-"""Smooth functions that nobody named: of pose, time, history, speed, sensors at the struts; of time and place at
-cameras and markers.
-"""
+"""Smooth functions without a name at struts, cameras and markers: of pose, time, history, speed and sensors."""
 
 from dataclasses import replace
 
@@ -11,7 +9,12 @@ from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.problems.platform.candidate_search import mount_pixels
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel, linearise
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
-from calib.diagnose.problems.remainder_covariates import cosines, powers, scaled_to_unit_interval, speed
+from calib.diagnose.problems.remainder_covariates import (
+    axis_speeds,
+    scaled_powers,
+    scaled_to_unit_interval,
+    time_cosines,
+)
 from rig.effects.catalogue.lens_distortion import products
 from rig.model.pose import pose_difference
 
@@ -21,40 +24,38 @@ ROUNDS = 3  # of taking what smooth functions explain off the corners
 SEEN = 1e-3  # share of a function's square that the nuisances must leave for it to be taken off
 
 
-def strut_weights(k: OperatingPoint) -> list[tuple[str, list[tuple[str, np.ndarray]]]]:
-    """[(depends on, [(place, (F, axes, q) m of the struts under smooth functions of it) for each strut, or for all
-    alike])] of a OperatingPoint.
-    """
-    F, ones = len(k.t), np.ones(k.axes)
+def smooth_strut_functions(point: OperatingPoint) -> list[tuple[str, list[tuple[str, np.ndarray]]]]:
+    """[(depends on, [(place, (F, axes, q) m)])] of smooth functions of struts at an OperatingPoint."""
+    F, ones = len(point.t), np.ones(point.axes)
     bases = [
-        ("pose", _alike(_pose(k), ones)),
-        ("time", _alike(cosines(k.t, SLOW), ones)),
-        ("time", _alike(cosines(k.t, FAST), ones)),
+        ("pose", _alike(_pose(point), ones)),
+        ("time", _alike(time_cosines(point.t, SLOW), ones)),
+        ("time", _alike(time_cosines(point.t, FAST), ones)),
     ]
     for name, values, times in (
-        ((n, v, k.sensors.t) for n, v in k.sensors.channels.items()) if k.sensors is not None else ()
+        ((n, v, point.sensors.t) for n, v in point.sensors.channels.items()) if point.sensors is not None else ()
     ):
-        series = np.interp(k.t, times, values)
+        series = np.interp(point.t, times, values)
         if np.ptp(series) > 0:
-            bases.append((name, _alike(powers(series, 2), ones)))
-    motion = k.motion(())
+            bases.append((name, _alike(scaled_powers(series, 2), ones)))
+    motion = point.motion(())
     lengths, way_last = motion.lengths, motion.path.direction
-    for j in range(k.axes):
-        bases.append((f"strut {j + 1}'s position", _alike(powers(lengths[:, j], 4), ones)))
+    for j in range(point.axes):
+        bases.append((f"strut {j + 1}'s position", _alike(scaled_powers(lengths[:, j], 4), ones)))
     scaled = np.stack([scaled_to_unit_interval(column) for column in lengths.T], axis=1)
     bases.append(("history", np.stack([way_last, way_last * scaled], axis=2)))
     way = motion.path.way
     if np.ptp(way, axis=0).min(initial=np.inf) > 0:
-        bases.append(("way travelled", np.stack([powers(column, 2) for column in way.T], axis=1)))
-    pace = speed(k.commanded, k.t)
+        bases.append(("way travelled", np.stack([scaled_powers(column, 2) for column in way.T], axis=1)))
+    pace = axis_speeds(point.commanded, point.t)
     speeds = np.stack([pace, pace * np.abs(pace) / max(np.abs(pace).max(), 1e-300)], axis=2)
     if pace.any():
         bases.append(("speed", speeds))
     out = []
     for depends, functions in bases:  # (F, axes, q), each strut's own
         strutwise = []
-        for i in range(k.axes):
-            weights = np.zeros((F, k.axes, functions.shape[2]))
+        for i in range(point.axes):
+            weights = np.zeros((F, point.axes, functions.shape[2]))
             weights[:, i] = functions[:, i]
             strutwise.append((f"strut {i + 1}", weights))
         out.append((depends, strutwise))
@@ -74,36 +75,36 @@ def view_pixels(model: LinearisedModel, place: str) -> np.ndarray:
     return out
 
 
-def time_functions(k: OperatingPoint, count: int) -> np.ndarray:
-    """(F, 7, 7 count) of what `view_pixels` weighs: each as a sum of so many cosines of time."""
-    return np.einsum("fk,ab->fabk", cosines(k.t, count), np.eye(7)).reshape(len(k.t), 7, -1)
+def view_time_functions(point: OperatingPoint, count: int) -> np.ndarray:
+    """(F, 7, 7 count) cosines of time for each view parameter of `view_pixels`."""
+    return np.einsum("fk,ab->fabk", time_cosines(point.t, count), np.eye(7)).reshape(len(point.t), 7, -1)
 
 
-def warp_pixels(k: OperatingPoint, i: int) -> np.ndarray:
+def warp_pixels(point: OperatingPoint, camera: int) -> np.ndarray:
     """(n, 2, q) px of corners under smooth warps of camera i's image; where corners should be, since where they are
     seen holds their noise.
     """
-    rows = k.observed.observations.camera == i
-    basis = products(k.design.cameras[i], k.pixels()[rows], WARP)
+    rows = point.observed.observations.camera == camera
+    basis = products(point.design.cameras[camera], point.pixels()[rows], WARP)
     pixels = np.zeros((len(rows), 2, 2 * basis.shape[1]))
     pixels[rows, 0, : basis.shape[1]] = basis
     pixels[rows, 1, basis.shape[1] :] = basis
     return pixels
 
 
-def marker_pixels(k: OperatingPoint, ids: np.ndarray) -> np.ndarray:
+def _marker_pixels(k: OperatingPoint, ids: np.ndarray) -> np.ndarray:
     """(n, 2, 8 len(ids)) px of corners: each corner of each marker moved along its two edges, per side."""
     edges = edge_pixels(k)
     out = np.zeros((len(edges), 2, 8 * len(ids)))
     for j, number in enumerate(ids):
-        rows, moved = one_marker(k, edges, number)
+        rows, moved = marker_corner_pixels(k, edges, number)
         out[rows, :, 8 * j : 8 * j + 8] = moved
     return out
 
 
-def edge_pixels(k: OperatingPoint) -> np.ndarray:
+def edge_pixels(point: OperatingPoint) -> np.ndarray:
     """(n, 2, 2) px of corners moved along the two edges of their marker, per side."""
-    seen, quads = k.observed, k.pixels(rows=np.arange(len(k.observed.sightings.frame)))
+    seen, quads = point.observed, point.pixels(rows=np.arange(len(point.observed.sightings.frame)))
     depth = _depths(quads)
     edges = np.stack(
         [(np.roll(depth, s, axis=1) / depth)[..., None] * (np.roll(quads, s, axis=1) - quads) for s in (-1, 1)], axis=-1
@@ -111,12 +112,12 @@ def edge_pixels(k: OperatingPoint) -> np.ndarray:
     return edges[seen.row, seen.observations.corner]
 
 
-def one_marker(k: OperatingPoint, edges: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray]:
+def marker_corner_pixels(point: OperatingPoint, edges: np.ndarray, marker: int) -> tuple[np.ndarray, np.ndarray]:
     """(observed corners (h,), (h, 2, 8) px of them) of one marker: each of its corners moved along its edges, as
     `edge_pixels` has them.
     """
-    seen = k.observed
-    rows = np.flatnonzero((seen.markers.id == number)[seen.sightings.marker][seen.row])
+    seen = point.observed
+    rows = np.flatnonzero((seen.markers.id == marker)[seen.sightings.marker][seen.row])
     corner, out = seen.observations.corner[rows], np.zeros((len(rows), 2, 8))
     for c in range(4):
         out[corner == c, :, 2 * c : 2 * c + 2] = edges[rows[corner == c]]
@@ -124,7 +125,7 @@ def one_marker(k: OperatingPoint, edges: np.ndarray, number: int) -> tuple[np.nd
 
 
 def _distortions() -> np.ndarray:
-    """(8, 5) of what `marker_pixels` moves a marker's corners by: what no shift nor turn of the marker in its plane
+    """(8, 5) of what `_marker_pixels` moves a marker's corners by: what no shift nor turn of the marker in its plane
     does, which is no printing.
     """
     corners = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
@@ -150,7 +151,9 @@ def smooth_function_columns(
     all struts where it is struts, at all markers where it is one, else at the cameras themselves."""
     k = model.point
     weights = (
-        {depends: strutwise for depends, strutwise in strut_weights(k) if len(strutwise) == k.axes} if k.axes else {}
+        {depends: strutwise for depends, strutwise in smooth_strut_functions(k) if len(strutwise) == k.axes}
+        if k.axes
+        else {}
     )  # the finest of each
     named = {
         "pose" if d.endswith("position") else d
@@ -163,14 +166,14 @@ def smooth_function_columns(
     for u in left:
         if u.place.startswith("camera") and u.depends_on == ("time",):
             moved = np.einsum(
-                "nca,nak->nck", view_pixels(model, u.place), time_functions(k, FAST)[k.observed.observations.frame]
+                "nca,nak->nck", view_pixels(model, u.place), view_time_functions(k, FAST)[k.observed.observations.frame]
             )
             pixels.append(moved)
         elif u.place.startswith("camera") and u.depends_on == ("image position",):
             pixels.append(warp_pixels(k, [f"camera {c.name}" for c in k.design.cameras].index(u.place)))
     if any(u.place.startswith("marker") for u in left):
         ids = np.unique(k.observed.markers.id[k.observed.sightings.marker])
-        pixels.append(marker_pixels(k, ids) @ np.kron(np.eye(len(ids)), _distortions()))
+        pixels.append(_marker_pixels(k, ids) @ np.kron(np.eye(len(ids)), _distortions()))
     return np.concatenate(pixels, axis=2) if pixels else None, np.concatenate(parts, axis=2) if parts else None
 
 

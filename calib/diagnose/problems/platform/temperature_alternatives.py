@@ -1,5 +1,4 @@
-"""Effects that follow a temperature: whatever they would explain as well has them for alternatives: where none was
-logged, under a smooth course of it; where one was, under any course that its log's own errors leave open."""
+"""Temperature effects as alternatives of findings, where temperature was not logged, or its log has errors."""
 
 import inspect
 from dataclasses import replace
@@ -12,15 +11,15 @@ from calib.diagnose.engine.term_selection import Finding, is_finding_significant
 from calib.diagnose.problems.platform.effect_candidates import (
     PlatformCandidate,
     PlatformScore,
-    candidate_of,
-    context_of,
-    lacking,
+    effect_context,
+    lacks_temperature_log,
+    platform_candidate,
 )
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.platform_problem import PlatformProblem, PlatformSelection
 from calib.diagnose.problems.platform.smooth_functions import SLOW
-from calib.diagnose.problems.remainder_covariates import cosines
+from calib.diagnose.problems.remainder_covariates import time_cosines
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import AXES, REFERENCE_TEMPERATURE, Effect
 from rig.effects.framework.search_candidate import Candidate as EffectCandidate
@@ -37,13 +36,11 @@ DECADES = 1.0  # beyond
 
 
 def add_temperature_alternatives(problem: PlatformProblem, selection: PlatformSelection) -> PlatformSelection:
-    """Selection in which every finding has those effects of a temperature among its alternatives that would explain as
-    much.
-    """
-    return noisy_log_temperature_alternatives(problem, unlogged_temperature_alternatives(problem, selection))
+    """Selection with temperature effects added to the alternatives of every finding that they explain as well."""
+    return _noisy_log_temperature_alternatives(problem, _unlogged_temperature_alternatives(problem, selection))
 
 
-def unlogged_temperature_alternatives(problem: PlatformProblem, selection: PlatformSelection) -> PlatformSelection:
+def _unlogged_temperature_alternatives(problem: PlatformProblem, selection: PlatformSelection) -> PlatformSelection:
     """Selection in which every finding that could as well be an effect of a temperature, had it run as some smooth
     function of time, has that effect among its alternatives, at its own place or at the whole machine; effects whose
     temperature was logged are not asked for."""
@@ -55,7 +52,7 @@ def unlogged_temperature_alternatives(problem: PlatformProblem, selection: Platf
             (kind, place)
             for kind in kinds
             for place in _places(kind, f.score.candidate.place)
-            if lacking(k, kind.follows(place, context_of(k)))
+            if lacks_temperature_log(k, kind.follows(place, effect_context(k)))
         ]
         findings.append(_beside_temperatures(problem, selection, f, asked) if asked else f)
     return replace(selection, findings=findings)
@@ -73,7 +70,7 @@ def _beside_temperatures(
             continue
         delta = alone.linear.cost() - warm.linear.cost()
         score = Score(
-            candidate_of(EffectCandidate(kind, place, [{}], [])),
+            platform_candidate(EffectCandidate(kind, place, [{}], [])),
             {},
             np.zeros(0),
             delta,
@@ -88,7 +85,7 @@ def _beside_temperatures(
     return replace(finding, alternatives=alternatives)
 
 
-def noisy_log_temperature_alternatives(problem: PlatformProblem, selection: PlatformSelection) -> PlatformSelection:
+def _noisy_log_temperature_alternatives(problem: PlatformProblem, selection: PlatformSelection) -> PlatformSelection:
     """The same of effects whose temperature was logged, had it run as its log's own errors allow; not those listed by
     what the log says.
     """
@@ -127,8 +124,10 @@ def _courses(model: LinearisedModel, kind: type[Effect], place: str) -> Column:
     k, parts = model.point, []
     order = np.argsort(k.t)
     logged = {name: k.sensors.at(k.t[order], name) for name in k.sensors.channels} if k.sensors is not None else {}
-    for course in cosines(k.t, SLOW).T:
-        warmth = {channels[0]: REFERENCE_TEMPERATURE + course[order] for channels in kind.follows(place, context_of(k))}
+    for course in time_cosines(k.t, SLOW).T:
+        warmth = {
+            channels[0]: REFERENCE_TEMPERATURE + course[order] for channels in kind.follows(place, effect_context(k))
+        }
         parts.append(_per_kelvin(model, kind, place, Sensors(k.t[order], {**logged, **warmth})))
     return join_columns(parts)
 
@@ -147,7 +146,7 @@ def _channels(k: OperatingPoint, candidate: PlatformCandidate) -> set[str]:
     logged = k.sensors.channels if k.sensors is not None else {}
     return {
         next(name for name in names if name in logged)
-        for names in candidate.kind.follows(candidate.place, context_of(k))
+        for names in candidate.kind.follows(candidate.place, effect_context(k))
     }
 
 

@@ -10,8 +10,8 @@ import scipy
 from calib.diagnose.engine.candidate_score import Score
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.term_selection import Finding, is_significant
-from calib.diagnose.problems.platform.candidate_search import column_of
-from calib.diagnose.problems.platform.held_out_validation import change
+from calib.diagnose.problems.platform.candidate_search import candidate_column
+from calib.diagnose.problems.platform.held_out_validation import residual_change_column
 from calib.diagnose.problems.platform.linearised_residuals import CORNERS
 from calib.diagnose.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
 from calib.diagnose.problems.platform.tolerance_columns import (
@@ -25,7 +25,7 @@ from rig.model.manufacturing_tolerances import STILL
 
 LASTING = ("image position", "place on the marker")  # what is left and depends on these is the same in every frame
 LASTING_VIEWS = ("map", "outward", "markers", "targets")  # effects that residuals show so are, too
-TOGETHER = "printed markers, the corner finder and thermometers may do on their own"
+REASON_TOGETHER = "printed markers, the corner finder and thermometers may do on their own"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,12 +40,12 @@ class Remarks:
 
 
 def separate_tolerable_findings(
-    problem: PlatformProblem, selection: PlatformSelection, left: list[LackOfFit]
+    problem: PlatformProblem, selection: PlatformSelection, unexplained: list[LackOfFit]
 ) -> tuple[PlatformSelection, list[LackOfFit], Remarks]:
-    """(Selection of what matters, what is left and matters, Remarks)."""
+    """(Selection of findings beyond tolerances, unexplained beyond them, Remarks on those that are tolerable)."""
     fit, known = selection.fit, problem.tolerance_model
-    if not known and not selection.findings and not left:
-        return selection, left, Remarks([], [], [])
+    if not known and not selection.findings and not unexplained:
+        return selection, unexplained, Remarks([], [], [])
     matters, small = [], []
     for f in selection.findings:
         reason = None if problem.given.holds(f.score.candidate) else _reason(problem, selection, f, known)
@@ -54,9 +54,9 @@ def separate_tolerable_findings(
         else:
             small.append((f, reason))
     model = fit.refined.marginalised
-    found = tolerance_model(model, problem.sensitivities) if known or left else None
-    stays = left if known or found is None else problem.lack_of_fit(model_with_tolerances(model, found))
-    gone = [(u, TOGETHER) for u in left if not any(u.place == v.place for v in stays)]
+    found = tolerance_model(model, problem.sensitivities) if known or unexplained else None
+    stays = unexplained if known or found is None else problem.lack_of_fit(model_with_tolerances(model, found))
+    gone = [(u, REASON_TOGETHER) for u in unexplained if not any(u.place == v.place for v in stays)]
     tiny = [
         (u, STILL.reason)
         for u in stays
@@ -75,7 +75,7 @@ def _reason(problem: PlatformProblem, selection: PlatformSelection, finding: Fin
     if (
         kind.view in LASTING_VIEWS
         and problem.block(fit.terms[finding.number]) == CORNERS
-        and corner_displacement(fit, finding.number) < STILL.limit
+        and _corner_displacement(fit, finding.number) < STILL.limit
     ):
         return STILL.reason
     if known:
@@ -86,29 +86,29 @@ def _reason(problem: PlatformProblem, selection: PlatformSelection, finding: Fin
         return None
     score, kept = finding.score, problem.sensitivities.at(model.point)
     share = share_not_explained_by_tolerances(
-        model, found, column_of(model, score.candidate, score.node, kept), not len(score.coefficients)
+        model, found, candidate_column(model, score.candidate, score.node, kept), not len(score.coefficients)
     )
-    if is_significant(weaken_score(score, share), selection.asked, problem.size(fit), problem.policy):
+    if is_significant(_weaken_score(score, share), selection.asked, problem.size(fit), problem.policy):
         return None
     own = (
         s.tolerance.reason for s in found.sites if (s.effect, s.place) == (score.candidate.name, score.candidate.place)
     )
-    return next(own, TOGETHER)
+    return next(own, REASON_TOGETHER)
 
 
-def weaken_score(score: Score, share: float) -> Score:
+def _weaken_score(score: Score, share: float) -> Score:
     """A Score of which tolerances leave a share of its delta chi-square."""
     delta = score.delta_chi2 * min(share, 1.0)
     chance = float(scipy.special.chdtrc(score.freedom, delta))
     return score if share >= 1 else replace(score, delta_chi2=delta, p_value=max(score.p_value, chance))
 
 
-def corner_displacement(fit: PlatformFit, number: int) -> float:
+def _corner_displacement(fit: PlatformFit, number: int) -> float:
     """px RMS by which an admitted effect moves the corners that it moves at all, cameras and poses having taken what
     they can.
     """
     k, model = fit.refined.point, fit.refined.model
     others = [e for i, e in enumerate(k.effects) if i != number]
-    square = model.linear.project(change(model, others)).gram[0, 0]
+    square = model.linear.project(residual_change_column(model, others)).gram[0, 0]
     touched = np.count_nonzero((k.pixels() != k.pixels(tuple(others))).any(axis=1))
     return float(model.corner_noise() * np.sqrt(max(square, 0.0) / max(touched, 1)))

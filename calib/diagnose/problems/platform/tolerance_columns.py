@@ -1,6 +1,4 @@
-"""What tolerances do to corners and struts, each with its prior: held beside findings, so that what they may do on
-their own is no finding.
-"""
+"""Columns of manufacturing tolerances, each with its prior: what they do to corners and struts."""
 
 from dataclasses import dataclass, replace
 
@@ -19,7 +17,7 @@ from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.smooth_functions import SLOW
-from calib.diagnose.problems.remainder_covariates import cosines
+from calib.diagnose.problems.remainder_covariates import time_cosines
 from rig.effects.catalogue.face_misplacement import FaceMisplacement
 from rig.effects.catalogue.print_scale import PrintScale
 from rig.effects.framework.effect import Linear
@@ -169,20 +167,17 @@ def _markers(model: LinearisedModel, kept: Sensitivities) -> tuple[list[Site], l
 
 def _courses(k: OperatingPoint) -> np.ndarray:
     """(F, axes, axes SLOW) of each strut on its own, longer as slow cosines of time."""
-    return np.einsum("fs,ab->fabs", cosines(k.t, SLOW), np.eye(k.axes)).reshape(len(k.t), k.axes, -1)
+    return np.einsum("fs,ab->fabs", time_cosines(k.t, SLOW), np.eye(k.axes)).reshape(len(k.t), k.axes, -1)
 
 
 def tolerances_explain_residuals(seen: Projection, sigma: np.ndarray) -> bool:
-    """Whether tolerances, as they are projected on a model, all together and each within its own sigma (q,), explain
-    more than chance does.
-    """
+    """Whether tolerances together, each within its sigma (q,), explain a model's residuals."""
     solved = solve_with_prior(Normal(seen.right[None], seen.gram[None], np.diag(seen.gram)[None]), sigma)
     return bool(scipy.special.chdtrc(max(solved.rank[0], 1.0), solved.delta_chi2[0]) < ALPHA)
 
 
 def tolerance_log_likelihood_ratio(seen: Projection, sigma: np.ndarray) -> float:
-    """Twice the logarithm of how much likelier the residuals of a model are beside tolerances, as they are projected on
-    it, than without: their marginal likelihood, sizes normal with standard deviations sigma (q,).
+    """Twice the log likelihood ratio of a model's residuals with tolerances to those without.
 
     Source: MacKay, Information theory, inference and learning algorithms, 2003, ch. 28
     """
@@ -192,14 +187,14 @@ def tolerance_log_likelihood_ratio(seen: Projection, sigma: np.ndarray) -> float
 
 
 def share_not_explained_by_tolerances(
-    model: LinearisedModel, found: ToleranceModel, column: Column, sized: bool
+    model: LinearisedModel, tolerance_effects: ToleranceModel, column: Column, sized: bool
 ) -> float:
-    """Of the delta chi-square that a Column (q) explains, the share that it explains beside tolerances. sized : whether
-    its size is its own
-    """
-    alone, tolerances = model.linear.project(column), found.projected(model)
-    cross = found.with_column(column) - alone.onto.T @ tolerances.onto
-    taken = np.linalg.solve(tolerances.gram + np.diag(found.sigma**-2.0), np.column_stack([tolerances.right, cross.T]))
+    """Share of a Column's explained chi-square that tolerances do not explain."""
+    alone, tolerances = model.linear.project(column), tolerance_effects.projected(model)
+    cross = tolerance_effects.with_column(column) - alone.onto.T @ tolerances.onto
+    taken = np.linalg.solve(
+        tolerances.gram + np.diag(tolerance_effects.sigma**-2.0), np.column_stack([tolerances.right, cross.T])
+    )
     right, gram = alone.right - cross @ taken[:, 0], alone.gram - cross @ taken[:, 1:]
     deltas = [
         (solve_fixed_size if sized else solve_normal_equations)(
@@ -210,30 +205,30 @@ def share_not_explained_by_tolerances(
     return float(deltas[1] / deltas[0])
 
 
-def model_with_tolerances(model: LinearisedModel, found: ToleranceModel) -> LinearisedModel:
-    """The LinearisedModel with what tolerances do among the nuisances, each known beforehand to its prior."""
-    linear, more = model.linear, len(found.sigma)
+def model_with_tolerances(model: LinearisedModel, tolerance_effects: ToleranceModel) -> LinearisedModel:
+    """The LinearisedModel with tolerances among the nuisances, each held by its prior."""
+    linear, more = model.linear, len(tolerance_effects.sigma)
     closures = linear.blocks[CLOSURES]
     closures = replace(closures, residual=np.r_[closures.residual, np.zeros(more)])
     bases = list(linear.columns.whole)
     bases[CLOSURES] = np.concatenate([bases[CLOSURES], np.zeros((more, bases[CLOSURES].shape[1]))])
     blocks = tuple(closures if i == CLOSURES else block for i, block in enumerate(linear.blocks))
     grown = replace(linear, blocks=blocks, columns=Column(tuple(bases)), size=linear.size + more)
-    parts = list(found.column(model).parts)
-    parts[CLOSURES] = np.concatenate([found.closures, np.diag(1 / found.sigma)])
+    parts = list(tolerance_effects.column(model).parts)
+    parts[CLOSURES] = np.concatenate([tolerance_effects.closures, np.diag(1 / tolerance_effects.sigma)])
     return replace(model, linear=grown.marginalise(Column(tuple(parts))))
 
 
-def significant_tolerances(model: LinearisedModel, found: ToleranceModel) -> list[SignificantTolerance]:
+def significant_tolerances(model: LinearisedModel, tolerance_effects: ToleranceModel) -> list[SignificantTolerance]:
     """[SignificantTolerance] of what tolerances are beyond chance, the surest first; what is admitted belongs among the
     nuisances.
     """
-    seen = found.projected(model)
-    covariance = np.linalg.inv(seen.gram + np.diag(found.sigma**-2.0))
+    seen = tolerance_effects.projected(model)
+    covariance = np.linalg.inv(seen.gram + np.diag(tolerance_effects.sigma**-2.0))
     values, out = covariance @ seen.right, []
-    for site in found.sites:
+    for site in tolerance_effects.sites:
         own, block = values[site.columns], covariance[site.columns, site.columns]
-        p = float(scipy.special.chdtrc(len(own), own @ np.linalg.solve(block, own))) * len(found.sites)
+        p = float(scipy.special.chdtrc(len(own), own @ np.linalg.solve(block, own))) * len(tolerance_effects.sites)
         if p < ALPHA:
             out.append(SignificantTolerance(site, own, np.sqrt(np.diag(block)), p))
     return sorted(out, key=lambda s: s.p_value)

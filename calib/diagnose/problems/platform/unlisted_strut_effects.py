@@ -1,13 +1,11 @@
-"""A formula for what a platform's struts do and nobody named: of one strut, of all alike, or of the platform that they
-carry.
-"""
+"""Unlisted effects of struts: formula suggestions for what the catalogue does not explain."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.certify.platform_certification import silent_progress
-from calib.diagnose.engine.cross_validation import frame_folds, held_out_residuals, summed_gain
+from calib.diagnose.engine.cross_validation import frame_folds, held_out_residuals, summed_gain_in_standard_errors
 from calib.diagnose.engine.formula_library import Library
 from calib.diagnose.engine.formula_search import Formula, Search
 from calib.diagnose.engine.frame_inner_products import FrameProducts
@@ -20,12 +18,12 @@ from calib.diagnose.problems.formula_suggestion import (
     GAIN,
     NAME,
     Suggestion,
-    formula_library,
     formula_quantities,
-    written,
+    formula_text,
+    library_of_quantities,
 )
 from calib.diagnose.problems.platform.candidate_search import axis_products
-from calib.diagnose.problems.platform.held_out_validation import change
+from calib.diagnose.problems.platform.held_out_validation import residual_change_column
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, LinearisedModel, linearise
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.parameter_directions import parameter_directions
@@ -70,19 +68,18 @@ class Site:
 
     def written(self, formula: Formula) -> Written:
         """Written of a Formula here."""
-        return written(formula, self.library, "strut", self.place == "rig" and not self.library.apart)
+        return formula_text(formula, self.library, "strut", self.place == "rig" and not self.library.apart)
 
 
-def formula_suggestions(
-    problem: PlatformProblem, fit: PlatformFit, left: list[LackOfFit], progress: Progress | None = None
+def suggest_strut_formulas(
+    problem: PlatformProblem, fit: PlatformFit, unexplained: list[LackOfFit], progress: Progress | None = None
 ) -> list[Suggestion]:
-    """[Suggestion] for what is left of the struts: of each that something is left of, or of all together where that
-    says it shorter.
+    """[Suggestion] of formulas for the unexplained part of single struts, of all alike, or of the platform.
 
     progress : called with (label, done, of), or None
     """
     k = fit.refined.point
-    places = list(dict.fromkeys(u.place for u in left if u.place.startswith("strut") or u.place == "rig"))
+    places = list(dict.fromkeys(u.place for u in unexplained if u.place.startswith("strut") or u.place == "rig"))
     model = problem.residual(fit)
     if not k.axes or not places:
         return []
@@ -107,7 +104,7 @@ def _of_strut(k: OperatingPoint, i: int) -> Site:
         f"strut {i + 1}",
         [i],
         np.broadcast_to(np.eye(k.axes)[:, [i]], (len(k.t), k.axes, 1)),
-        formula_library(k.motion(()), i),
+        library_of_quantities(k.motion(()), i),
     )
 
 
@@ -116,14 +113,16 @@ def _of_all(k: OperatingPoint) -> Site:
         "rig",
         list(range(k.axes)),
         np.broadcast_to(np.eye(k.axes), (len(k.t), k.axes, k.axes)),
-        formula_library(k.motion(()), None, k.axes),
+        library_of_quantities(k.motion(()), None, k.axes),
     )
 
 
 def _of_platform(k: OperatingPoint) -> Site:
     motion = k.motion(())
     ways = [k.swayed(motion.tangents(np.broadcast_to(way, (len(k.t), 6)))) for way in np.eye(len(POSE))]
-    return Site("rig", list(range(k.axes)), np.stack(ways, axis=2), formula_library(motion, None, len(POSE), True))
+    return Site(
+        "rig", list(range(k.axes)), np.stack(ways, axis=2), library_of_quantities(motion, None, len(POSE), True)
+    )
 
 
 Found = tuple[Site, Formula, LinearisedModel]
@@ -178,7 +177,7 @@ def _weighed_beside(problem: PlatformProblem, fit: PlatformFit, site: Site, form
     """LinearisedModel in which nothing of a Formula is taken off, and struts count for what they scatter beside it."""
     k = fit.refined.point
     new, bare = _with(problem, fit, k.with_effects((*k.effects, _effect(site, formula))))
-    return replace(new, linear=_grown(new.linear, change(bare, k.effects).parts))
+    return replace(new, linear=_grown(new.linear, residual_change_column(bare, k.effects).parts))
 
 
 def _grown(linear: LinearModel, parts: tuple) -> LinearModel:
@@ -219,7 +218,7 @@ def _suggested(
             ).frames[CLOSURES]
             withit[rows == h] = predicted[rows == h]
     squares = [(left.reshape(model.frames, -1) ** 2).sum(axis=1) for left in (without, withit)]
-    gain = summed_gain(squares[0] - squares[1])
+    gain = summed_gain_in_standard_errors(squares[0] - squares[1])
     if gain < GAIN or sum(one is not None for one in chosen) < AGREE * len(chosen):
         return None
     k, struts = fit.refined.point, site.struts

@@ -1,6 +1,4 @@
-"""The frequency of a shaking platform: a coarse spectrum of all directions, then the exact score of one about its
-greatest peaks.
-"""
+"""Frequency of a vibrating platform: a coarse spectrum of all directions, then the exact score near its peak."""
 
 import numpy as np
 import scipy

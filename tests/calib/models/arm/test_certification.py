@@ -12,7 +12,7 @@ from calib.certify.calibration import Calibration
 from calib.files import calibration_file
 from calib.models.arm import certification as certifying
 from calib.models.arm import error_model
-from calib.models.arm.certification import calibrate, certify
+from calib.models.arm.certification import calibrate_arm, certify_arm
 from rig.cli import command_line
 from rig.errors import NotEnoughData, Unreachable
 from rig.model.pose import exp, pose_difference, pose_to_vector
@@ -35,7 +35,7 @@ def plain():
     rng = np.random.default_rng(0)
     true = worlds.secret(UR10, rng)
     samples = worlds.tracked(true, UR10, 150, rng)
-    return true, samples, certify(samples, UR10, worlds.TRACKER, np.random.default_rng(0))
+    return true, samples, certify_arm(samples, UR10, worlds.TRACKER, np.random.default_rng(0))
 
 
 def test_held_out_poses_are_as_good_as_they_are_measured(plain):
@@ -49,16 +49,16 @@ def test_held_out_poses_are_as_good_as_they_are_measured(plain):
 def test_commands_give_wanted_poses_of_the_real_arm(nominal):
     rng = np.random.default_rng(1)
     true = worlds.secret(nominal, rng)
-    correction, found = calibrate(worlds.tracked(true, nominal, 120, rng), nominal, worlds.TRACKER, False)
+    correction, found = calibrate_arm(worlds.tracked(true, nominal, 120, rng), nominal, worlds.TRACKER, False)
     q = configurations(nominal, 60, rng, 0.4)
     bent = (
         np.abs(q[:, len(q[0]) - 4]) > 0.3
     )  # a stretched elbow's poses may be out of the fitted arm's reach by micrometres
-    wanted = error_model.predicted(q[bent], true)
+    wanted = error_model.predicted_target_poses(q[bent], true)
     commands = correction.inverse(wanted)
     assert np.abs(pose_difference(correction.predict(commands), wanted)).max() < 1e-10
-    errors = pose_difference(error_model.predicted(commands, true), wanted)
-    before = pose_difference(error_model.predicted(correction.uncorrected(wanted), true), wanted)
+    errors = pose_difference(error_model.predicted_target_poses(commands, true), wanted)
+    before = pose_difference(error_model.predicted_target_poses(correction.uncorrected(wanted), true), wanted)
     assert np.linalg.norm(errors[:, :3], axis=1).max() < 5e-5 < np.linalg.norm(before[:, :3], axis=1).mean()
 
 
@@ -84,15 +84,15 @@ def test_joint_profiles_are_found_where_they_pay():
     rng = np.random.default_rng(2)
     true = worlds.secret(UR10, rng)
     samples = worlds.tracked(true, UR10, 400, rng, deviation=geared)
-    done = certify(samples, UR10, worlds.TRACKER, np.random.default_rng(0))
+    done = certify_arm(samples, UR10, worlds.TRACKER, np.random.default_rng(0))
     assert (
         done.held_out.after.mean[0] < 0.5 * done.geometry.after.mean[0]
         and done.held_out.after.position[0] < 1.5 * done.held_out.floor[0]
     )
     q = configurations(UR10, 50, rng, 0.45)
-    error = pose_difference(done.correction.predict(q), error_model.predicted(q + geared(q), true))
+    error = pose_difference(done.correction.predict(q), error_model.predicted_target_poses(q + geared(q), true))
     assert np.linalg.norm(error[:, :3], axis=1).mean() < 5e-5
-    wanted = error_model.predicted(q, true)
+    wanted = error_model.predicted_target_poses(q, true)
     np.testing.assert_allclose(
         pose_difference(done.correction.predict(done.correction.inverse(wanted)), wanted), 0, atol=1e-10
     )
@@ -105,7 +105,7 @@ def test_profiles_that_do_not_pay_are_dropped():
     samples = worlds.tracked(
         true, UR10, 150, rng, deviation=lambda q: np.linspace(0, 2e-4, len(q))[:, None] * np.array([0, 1.0, 0, 0, 0, 0])
     )
-    assert certify(samples, UR10, worlds.TRACKER, np.random.default_rng(0)).correction.remainder == (None,) * 6
+    assert certify_arm(samples, UR10, worlds.TRACKER, np.random.default_rng(0)).correction.remainder == (None,) * 6
 
 
 def test_poses_in_the_rigs_own_frames_need_no_placing():
@@ -113,7 +113,7 @@ def test_poses_in_the_rigs_own_frames_need_no_placing():
     true = worlds.secret(UR10, rng)
     known = type(UR10)(UR10.joints, UR10.limits, worlds.BASE, worlds.TOOL)
     samples = worlds.tracked(true, UR10, 120, rng)
-    done = certify(samples, known, None, np.random.default_rng(0))
+    done = certify_arm(samples, known, None, np.random.default_rng(0))
     assert done.correction.nominal is known and done.held_out.after.position[0] < 1.3 * done.held_out.floor[0]
 
 
@@ -121,8 +121,8 @@ def test_stated_uncertainty_of_a_command_covers_its_error(plain):
     true, samples, done = plain
     calibration = Calibration(done.correction, done.found.covariance, done.found.scatter, (), (), done.held_out, {})
     q = configurations(UR10, 200, np.random.default_rng(5), 0.5)
-    covariance = certifying.model_covariance(calibration, q)
-    error = pose_difference(done.correction.predict(q), error_model.predicted(q, true))
+    covariance = certifying.arm_pose_covariance(calibration, q)
+    error = pose_difference(done.correction.predict(q), error_model.predicted_target_poses(q, true))
     nees = np.einsum("mi,mij,mj->m", error, np.linalg.inv(covariance), error)
     assert 1.5 < nees.mean() < 18  # one draw of 30 parameters, so not 6 exactly
 
@@ -172,7 +172,7 @@ def test_a_recording_through_the_commands(base, tool, alone, tmp_path, capsys):
     if alone:
         return
     q = np.array([[0.4, 0.3, 1.0, -0.7, 0.9, 0.2], [-0.8, -0.6, -1.2, 0.5, -1.1, 1.0]])
-    wanted = error_model.predicted(q, true)
+    wanted = error_model.predicted_target_poses(q, true)
     rows = [",".join([str(i), *(f"{x:.12f}" for x in row)]) for i, row in enumerate(pose_to_vector(wanted))]
     (tmp_path / "wanted.csv").write_text("\n".join(["frame,x,y,z,rx,ry,rz", *rows]) + "\n")
     assert (
@@ -189,7 +189,10 @@ def test_a_recording_through_the_commands(base, tool, alone, tmp_path, capsys):
         == 0
     )
     commands = np.loadtxt(tmp_path / "q.csv", delimiter=",", skiprows=1)[:, 1:]
-    assert np.linalg.norm(pose_difference(error_model.predicted(commands, true), wanted)[:, :3], axis=1).max() < 5e-5
+    assert (
+        np.linalg.norm(pose_difference(error_model.predicted_target_poses(commands, true), wanted)[:, :3], axis=1).max()
+        < 5e-5
+    )
 
 
 def test_an_instrument_that_is_not_where_it_says_is_an_error(tmp_path, capsys):
@@ -221,14 +224,14 @@ def test_few_poses_are_fitted_or_say_what_it_takes(count):
     samples = worlds.tracked(worlds.secret(UR10, rng), UR10, count, rng)
     if count < 6:
         with pytest.raises(NotEnoughData, match="it takes 6 different poses at the least"):
-            certify(samples, UR10, worlds.TRACKER, rng)
+            certify_arm(samples, UR10, worlds.TRACKER, rng)
         return
     if count > 9 and count % 5:
-        done = calibrate(samples, UR10, worlds.TRACKER, False)[1]  # the folds of these are tried at 8, 9, 10 and 15
+        done = calibrate_arm(samples, UR10, worlds.TRACKER, False)[1]  # the folds of these are tried at 8, 9, 10 and 15
         assert done.rank.free.sum() == 30
         return
-    done = certify(samples, UR10, worlds.TRACKER, rng)
-    claim = certifying.workspace_claim_of(samples, done, rng)
+    done = certify_arm(samples, UR10, worlds.TRACKER, rng)
+    claim = certifying.arm_workspace_claim(samples, done, rng)
     assert claim.distinct == count and (claim.ratio is None) == (done.held_out is None) == (count < 8)
 
 
@@ -238,14 +241,14 @@ def test_an_arms_claims_cover_what_is_found_elsewhere():
         rng = np.random.default_rng(seed)
         true = worlds.secret(UR10, rng)
         samples = worlds.tracked(true, UR10, 36 + 4 * seed, rng, again=4 * seed)
-        done = certify(samples, UR10, worlds.TRACKER, rng)
-        claim = certifying.workspace_claim_of(samples, done, rng)
+        done = certify_arm(samples, UR10, worlds.TRACKER, rng)
+        claim = certifying.arm_workspace_claim(samples, done, rng)
         seen = np.stack([samples.commanded.min(axis=0), samples.commanded.max(axis=0)], axis=1)
         q = low_discrepancy(seen, 200, seed=seed)
-        real = error_model.predicted(q, true)
+        real = error_model.predicted_target_poses(q, true)
         before, after = (
             np.mean(pose_difference(T, real)[:, :3] ** 2)
-            for T in (error_model.predicted(q, done.correction.nominal), done.correction.predict(q))
+            for T in (error_model.predicted_target_poses(q, done.correction.nominal), done.correction.predict(q))
         )
         inside.append(claim.ratio[1] <= np.sqrt(before / after) <= claim.ratio[2])
         assert claim.distinct == 36

@@ -14,12 +14,12 @@ from calib.certify.extension_certification import Asked
 from calib.correct.interpolation.interpolation_methods import field_from_entries, field_to_dict
 from calib.files import calibration_file
 from calib.models.arm import error_model
-from calib.models.arm.certification import model_covariance
+from calib.models.arm.certification import arm_pose_covariance
 from calib.models.arm.extension_certification import (
-    certify_extended,
+    certify_extended_arm,
     claim_without_geometry,
-    left,
-    owners,
+    joint_space_summands,
+    nominal_arm_correction,
     single_step_errors,
 )
 from calib.samples.pose_samples import Samples
@@ -45,7 +45,9 @@ def geared(q):
 
 def samples_at(q, true, sigma=OWN, seed=1):
     scale = np.repeat(sigma, 3)
-    T = error_model.predicted(q - geared(q), true) * exp(scale * np.random.default_rng(seed).normal(size=(len(q), 6)))
+    T = error_model.predicted_target_poses(q - geared(q), true) * exp(
+        scale * np.random.default_rng(seed).normal(size=(len(q), 6))
+    )
     return Samples(
         np.arange(len(q)),
         np.arange(len(q)) * 10.0,
@@ -68,7 +70,7 @@ def gridded():
 @pytest.mark.parametrize("alone", [False, True])
 def test_corrected_poses_are_exact_at_the_samples_and_commands_lead_there(gridded, alone):
     samples, true = gridded
-    done, tried = certify_extended(samples, UR10, worlds.TRACKER, Asked("simplex", alone), np.random.default_rng(0))
+    done, tried = certify_extended_arm(samples, UR10, worlds.TRACKER, Asked("simplex", alone), np.random.default_rng(0))
     on = slice(0, 64)
     assert (
         np.abs(pose_difference(done.correction.predict(samples.commanded[on]), samples.T_base_platform[on])).max()
@@ -78,11 +80,11 @@ def test_corrected_poses_are_exact_at_the_samples_and_commands_lead_there(gridde
         one.kind for one in tried if one.chosen
     ] == ["simplex"]
     assert done.held_out.after.n == 30 and done.held_out.after.position[0] < 0.6 * done.held_out.before.position[0]
-    wanted = error_model.predicted(low_discrepancy(BOX, 20, 0.6, 3), true)
+    wanted = error_model.predicted_target_poses(low_discrepancy(BOX, 20, 0.6, 3), true)
     commands = done.correction.inverse(wanted)
     assert np.abs(pose_difference(done.correction.predict(commands), wanted)).max() < 1e-10
     real, bare = (
-        pose_difference(error_model.predicted(c - geared(c), true), wanted)
+        pose_difference(error_model.predicted_target_poses(c - geared(c), true), wanted)
         for c in (commands, done.correction.uncorrected(wanted))
     )
     assert np.linalg.norm(real[:, :3], axis=1).mean() < 0.5 * np.linalg.norm(bare[:, :3], axis=1).mean()
@@ -91,7 +93,7 @@ def test_corrected_poses_are_exact_at_the_samples_and_commands_lead_there(gridde
 
 def test_it_is_kept_in_the_file_and_says_how_sure_it_is(gridded, tmp_path):
     samples, true = gridded
-    done, _ = certify_extended(samples, UR10, worlds.TRACKER, Asked("linear", True), np.random.default_rng(0))
+    done, _ = certify_extended_arm(samples, UR10, worlds.TRACKER, Asked("linear", True), np.random.default_rng(0))
     claim = claim_without_geometry(samples, done, np.random.default_rng(0))
     kept = Calibration(
         done.correction, done.found.covariance, done.found.scatter, (1,), (), done.held_out, {"seed": 0}, claim
@@ -100,13 +102,15 @@ def test_it_is_kept_in_the_file_and_says_how_sure_it_is(gridded, tmp_path):
     again = calibration_file.load(tmp_path / "c.json")
     inner = low_discrepancy(BOX, 60, 0.7, 4)
     np.testing.assert_array_equal(again.correction.rho(inner), done.correction.rho(inner))
-    error = pose_difference(again.correction.predict(inner), error_model.predicted(inner - geared(inner), true))
-    stated = np.sqrt(np.einsum("nii->ni", model_covariance(again, inner))[:, :3].sum(axis=1).mean())
+    error = pose_difference(
+        again.correction.predict(inner), error_model.predicted_target_poses(inner - geared(inner), true)
+    )
+    stated = np.sqrt(np.einsum("nii->ni", arm_pose_covariance(again, inner))[:, :3].sum(axis=1).mean())
     assert (
         0.4 < np.sqrt((error[:, :3] ** 2).sum(axis=1).mean()) / stated < 2
     )  # the extension's own error is in what is stated
     plain = replace(again, correction=replace(again.correction, extension=None))
-    assert stated > 2 * np.sqrt(np.einsum("nii->ni", model_covariance(plain, inner))[:, :3].sum(axis=1).mean())
+    assert stated > 2 * np.sqrt(np.einsum("nii->ni", arm_pose_covariance(plain, inner))[:, :3].sum(axis=1).mean())
     assert "extended by linear" in claim.tolerance and claim.after[0][0] < 0.5 * claim.before[0][0]
 
 
@@ -117,10 +121,10 @@ def test_summands_meet_the_poses_and_keep_none_where_a_pose_tells_no_joint(arm):
     q = rng.uniform(-1.2, 1.2, (40, len(arm.joints)))
     q[0, len(arm.joints) - 2] = 0.0  # two axes of the wrist in one line
     samples = samples_at(q, true)
-    plain, _ = owners(samples, arm, worlds.TRACKER, replace(arm, base=true.base, tool=true.tool))
-    known = left(samples, plain.fitted, np.zeros(0))
+    plain, _ = nominal_arm_correction(samples, arm, worlds.TRACKER, replace(arm, base=true.base, tool=true.tool))
+    known = joint_space_summands(samples, plain.fitted, np.zeros(0))
     missed = np.abs(
-        pose_difference(error_model.predicted(q - known.values, plain.fitted), samples.T_base_platform)
+        pose_difference(error_model.predicted_target_poses(q - known.values, plain.fitted), samples.T_base_platform)
     ).max(axis=1)
     assert (missed < 1e-11).mean() > 0.7 and np.abs(known.values).max() < 0.05
     if len(arm.joints) == 6:
@@ -130,12 +134,12 @@ def test_summands_meet_the_poses_and_keep_none_where_a_pose_tells_no_joint(arm):
 def test_what_cannot_serve_is_refused_by_name(gridded):
     samples, true = gridded
     with pytest.raises(RigError, match="the 30 samples fill no grid .* over 6 axes it has 64 vertices at the least"):
-        certify_extended(
+        certify_extended_arm(
             samples.take(slice(64, 94)), UR10, worlds.TRACKER, Asked("simplex", True), np.random.default_rng(0)
         )
     turned = replace(samples, covariance=np.where(np.eye(6) * np.r_[1, 1, 1, 0, 0, 0] > 0, np.inf, samples.covariance))
     with pytest.raises(RigError, match="--extend takes an arm's poses, or its positions.* orientations alone"):
-        certify_extended(turned, UR10, worlds.TRACKER, Asked("radial", False), np.random.default_rng(0))
+        certify_extended_arm(turned, UR10, worlds.TRACKER, Asked("radial", False), np.random.default_rng(0))
 
 
 @pytest.mark.slow
@@ -163,14 +167,16 @@ def test_gears_are_corrected_through_the_command_line(tmp_path, capsys):
         for name in ("radial", "plain")
     }
     assert told["radial"]["after"]["position"]["rms"] < 0.2 * told["radial"]["before"]["position"]["rms"]
-    wanted = error_model.predicted(low_discrepancy(BOX, 40, 0.9, 3), true)
+    wanted = error_model.predicted_target_poses(low_discrepancy(BOX, 40, 0.9, 3), true)
     write_poses(tmp_path / "wanted.csv", Poses(np.arange(40), wanted, None))
     left = {}
     for name, more in (("radial", ()), ("bare", ("--uncorrected",)), ("single", ("--single-step",))):
         rig("correct", tmp_path / "radial.json", "--poses", tmp_path / "wanted.csv", "--out", tmp_path / "c.csv", *more)
         c = np.genfromtxt(tmp_path / "c.csv", delimiter=",", skip_header=1)[:, 1:]
         left[name] = np.sqrt(
-            (pose_difference(error_model.predicted(c - geared(c), true), wanted)[:, :3] ** 2).sum(axis=1).mean()
+            (pose_difference(error_model.predicted_target_poses(c - geared(c), true), wanted)[:, :3] ** 2)
+            .sum(axis=1)
+            .mean()
         )
     assert left["radial"] < 0.1 * left["bare"] and left["radial"] < 6e-5 and left["single"] < 2 * left["radial"]
     stated = rig("certify", tmp_path / "radial.json", tmp_path / "rec2", "--out", tmp_path / "certificate.json")
@@ -192,9 +198,9 @@ def test_a_smooth_field_promises_what_it_does_where_nothing_was_measured():
     """Its own standard error, of sizes and smoothness as they are likeliest, is less than half of that."""
     true, box = worlds.secret(UR10, np.random.default_rng(3)), BOX + [-0.45, 0.45]
     samples = samples_at(low_discrepancy(box, 100, 1.0, 1), true)
-    done, _ = certify_extended(samples, UR10, worlds.TRACKER, Asked("radial", True), np.random.default_rng(0))
+    done, _ = certify_extended_arm(samples, UR10, worlds.TRACKER, Asked("radial", True), np.random.default_rng(0))
     claim, q = claim_without_geometry(samples, done, np.random.default_rng(0)), low_discrepancy(box, 256, 0.8, 7)
-    error = pose_difference(done.correction.predict(q), error_model.predicted(q - geared(q), true))[:, :3]
+    error = pose_difference(done.correction.predict(q), error_model.predicted_target_poses(q - geared(q), true))[:, :3]
     assert done.correction.extension.inflation > 1.5
     size = np.sqrt((error**2).sum(axis=1).mean())  # nearer the middle than most that were held out
     assert 0.6 < size / claim.after[0][0] < 1.3 and claim.after[0][1] < claim.after[0][2] < 4 * claim.after[0][1]
@@ -214,6 +220,6 @@ def test_correction_values_of_an_arm_meet_what_was_measured(tmp_path, capsys):
     np.testing.assert_allclose(k, x - y, atol=2e-12)
     placed = calibration_file.load(tmp_path / "c.json").correction.nominal
     missed = pose_difference(
-        error_model.predicted(y, placed), recording_folder.load(tmp_path / "rec").poses.T_base_platform
+        error_model.predicted_target_poses(y, placed), recording_folder.load(tmp_path / "rec").poses.T_base_platform
     )
     assert (np.abs(missed).max(axis=1) < 1e-9).mean() > 0.7 and 1e-4 < np.sqrt((k**2).mean()) < 1e-2

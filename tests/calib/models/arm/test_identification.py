@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from calib.models.arm import error_model, instrument_placement
-from calib.models.arm.identification import identify, parameters
-from calib.models.arm.instrument_observations import of_poses
+from calib.models.arm.identification import identify_arm, independent_arm_parameters
+from calib.models.arm.instrument_observations import pose_observations
 from rig.errors import NotEnoughData
 from rig.model.pose import exp, log, pose, pose_difference
 from tests.calib import arm_worlds as worlds
@@ -20,14 +20,19 @@ from tests.rig.arms import SEVEN, UR10, configurations, random_arm
 def test_parameter_jacobian_agrees_with_differences():
     arm = random_arm(np.random.default_rng(0), 7)
     q = configurations(arm, 3, np.random.default_rng(1))
-    T = error_model.predicted(q, arm)
-    J = jacobian(lambda step: log(T.inv() * error_model.predicted(q, error_model.moved(arm, step))), np.zeros(47))
+    T = error_model.predicted_target_poses(q, arm)
+    J = jacobian(
+        lambda step: log(
+            T.inv() * error_model.predicted_target_poses(q, error_model.arm_with_parameter_step(arm, step))
+        ),
+        np.zeros(47),
+    )
     np.testing.assert_allclose(error_model.parameter_jacobian(q, arm), J, atol=1e-8)
     np.testing.assert_allclose(
         error_model.joint_jacobian(q, arm), error_model.parameter_jacobian(q, arm)[..., 6:-6:5], atol=1e-14
     )
-    assert len(error_model.names(arm)) == len(error_model.units(arm)) == 47
-    assert error_model.names(arm)[6:12] == ("theta 1", "d 1", "a 1", "alpha 1", "beta 1", "theta 2")
+    assert len(error_model.parameter_names(arm)) == len(error_model.parameter_units(arm)) == 47
+    assert error_model.parameter_names(arm)[6:12] == ("theta 1", "d 1", "a 1", "alpha 1", "beta 1", "theta 2")
 
 
 @pytest.mark.parametrize("make", [worlds.touched, worlds.wired])
@@ -35,14 +40,14 @@ def test_rows_of_other_instruments_agree_with_differences(make):
     rng = np.random.default_rng(2)
     arm = worlds.secret(UR10, rng)
     seen = make(arm, UR10, 4, rng)
-    predicted = -jacobian(lambda step: seen.residuals(error_model.moved(arm, step)), np.zeros(42))
+    predicted = -jacobian(lambda step: seen.residuals(error_model.arm_with_parameter_step(arm, step)), np.zeros(42))
     np.testing.assert_allclose(seen.jacobian(arm), predicted, atol=1e-8)
 
 
 @pytest.mark.parametrize("nominal", [UR10, SEVEN], ids=["UR10", "seven"])
 @pytest.mark.parametrize("kind, extra", [("pose", 6), ("position", 3), ("distance", 0)])
 def test_counts_of_independent_parameters(nominal, kind, extra):
-    assert parameters(nominal, kind).sum() == 4 * len(nominal.joints) + extra
+    assert independent_arm_parameters(nominal, kind).sum() == 4 * len(nominal.joints) + extra
 
 
 @pytest.mark.parametrize("base", [True, False])
@@ -50,7 +55,7 @@ def test_counts_of_independent_parameters(nominal, kind, extra):
 def test_an_unknown_place_is_found(base, tool):
     rng = np.random.default_rng(3)
     true = replace(UR10, base=worlds.BASE, tool=worlds.TOOL)
-    seen = of_poses(worlds.tracked(true, UR10, 30, rng))
+    seen = pose_observations(worlds.tracked(true, UR10, 30, rng))
     start = replace(UR10, base=UR10.base if base else true.base, tool=UR10.tool if tool else true.tool)
     found = instrument_placement.place_arm(seen, start, base, tool)
     for ours, theirs in ((found.base, true.base), (found.tool, true.tool)):
@@ -66,25 +71,30 @@ def test_identification_of_near_parallel_axes_is_as_good_as_it_says(nominal):
     for seed in range(6):
         rng = np.random.default_rng(seed)
         true = worlds.secret(nominal, rng)
-        seen = of_poses(worlds.tracked(true, nominal, 80, rng))
-        found = identify(seen, instrument_placement.place_arm(seen, nominal, True, True))
+        seen = pose_observations(worlds.tracked(true, nominal, 80, rng))
+        found = identify_arm(seen, instrument_placement.place_arm(seen, nominal, True, True))
         assert not found.scatter.any() and found.inliers.all() and found.rank.free.sum() == 4 * len(nominal.joints) + 6
         q = configurations(nominal, 40, rng, 0.5)
         J = error_model.parameter_jacobian(q, found.arm)
         sigma = np.sqrt(np.einsum("mki,ij,mkj->mk", J, found.covariance, J))
-        scores.append(pose_difference(error_model.predicted(q, found.arm), error_model.predicted(q, true)) / sigma)
+        scores.append(
+            pose_difference(
+                error_model.predicted_target_poses(q, found.arm), error_model.predicted_target_poses(q, true)
+            )
+            / sigma
+        )
     assert np.abs(scores).max() < 5
     assert np.mean(np.square(scores)) == pytest.approx(1, abs=0.35)
 
 
 def test_parameters_lie_within_three_sigma():
-    free = parameters(UR10, "pose")
+    free = independent_arm_parameters(UR10, "pose")
     z = []
     for seed in range(8):
         rng = np.random.default_rng(seed)
         true = worlds.secret(UR10, rng)
-        seen = of_poses(worlds.tracked(true, UR10, 80, rng))
-        found = identify(seen, instrument_placement.place_arm(seen, UR10, True, True))
+        seen = pose_observations(worlds.tracked(true, UR10, 80, rng))
+        found = identify_arm(seen, instrument_placement.place_arm(seen, UR10, True, True))
         z.append(worlds.scores(found, true, UR10, free))
     z = np.array(z)
     assert (np.abs(z) < 3).mean() > 0.985 and np.abs(z).max() < 4.5
@@ -95,16 +105,17 @@ def test_positions_and_distances_suffice_too():
     rng = np.random.default_rng(6)
     true = worlds.secret(UR10, rng)
     q = configurations(UR10, 60, rng, 0.5)
-    want = error_model.predicted(q, true).translation
+    want = error_model.predicted_target_poses(q, true).translation
     seen = worlds.touched(true, UR10, 120, rng)
-    found = identify(seen, instrument_placement.place_arm(seen, UR10, True, True))
-    assert np.linalg.norm(error_model.predicted(q, found.arm).translation - want, axis=1).max() < 1e-4
+    found = identify_arm(seen, instrument_placement.place_arm(seen, UR10, True, True))
+    assert np.linalg.norm(error_model.predicted_target_poses(q, found.arm).translation - want, axis=1).max() < 1e-4
     wire = worlds.wired(true, UR10, 400, rng)
     start = instrument_placement.place_arm(wire, replace(UR10, tool=worlds.TOOL), True, False)
-    found = identify(wire, start)
+    found = identify_arm(wire, start)
     assert (
         np.abs(
-            np.linalg.norm(error_model.predicted(q, found.arm).translation, axis=1) - np.linalg.norm(want, axis=1)
+            np.linalg.norm(error_model.predicted_target_poses(q, found.arm).translation, axis=1)
+            - np.linalg.norm(want, axis=1)
         ).max()
         < 2e-4
     )
@@ -117,8 +128,8 @@ def test_errors_common_to_all_poses_are_not_taken_for_the_arms():
     """
     rng = np.random.default_rng(7)
     true = worlds.secret(UR10, rng)
-    seen = of_poses(worlds.tracked(true, UR10, 60, rng, common=(1e-4, 1e-4)))
-    found = identify(seen, instrument_placement.place_arm(seen, UR10, True, True))
+    seen = pose_observations(worlds.tracked(true, UR10, 60, rng, common=(1e-4, 1e-4)))
+    found = identify_arm(seen, instrument_placement.place_arm(seen, UR10, True, True))
     assert found.shared.shape == (6,) and (np.sqrt(np.diag(found.covariance))[-6:] > 0.9e-4).all()
 
 
@@ -127,7 +138,7 @@ def test_dependent_columns_are_held_and_named():
     rng = np.random.default_rng(8)
     true = replace(worlds.secret(UR10, rng), tool=pose([0, 0, 0.1], [0, 0, 0]))
     seen = worlds.touched(true, UR10, 120, rng)
-    found = identify(seen, instrument_placement.place_arm(seen, UR10, True, True))
+    found = identify_arm(seen, instrument_placement.place_arm(seen, UR10, True, True))
     assert found.rank.dependent and found.rank.free.sum() + len(found.rank.dependent) == 27
     assert any("5" in name or "tool" in name for name, _ in found.rank.dependent)
     assert all("stays as stated" in line for line in found.rank.report()[1:])
@@ -136,21 +147,21 @@ def test_dependent_columns_are_held_and_named():
 def test_a_joint_that_never_moved_is_reported():
     rng = np.random.default_rng(9)
     true = worlds.secret(UR10, rng)
-    seen = of_poses(worlds.tracked(true, UR10, 60, rng))
+    seen = pose_observations(worlds.tracked(true, UR10, 60, rng))
     q = seen.q.copy()
     q[:, 3] = 0.4
-    still = replace(seen, q=q, value=error_model.predicted(q, true) * exp(2e-5 * rng.normal(size=(60, 6))))
-    found = identify(still, instrument_placement.place_arm(still, UR10, True, True))
+    still = replace(seen, q=q, value=error_model.predicted_target_poses(q, true) * exp(2e-5 * rng.normal(size=(60, 6))))
+    found = identify_arm(still, instrument_placement.place_arm(still, UR10, True, True))
     assert found.rank.free.sum() < 30 and len(found.rank.report()) > 1
 
 
 def test_wild_poses_are_left_out():
     rng = np.random.default_rng(10)
     true = worlds.secret(UR10, rng)
-    seen = of_poses(worlds.tracked(true, UR10, 90, rng))
+    seen = pose_observations(worlds.tracked(true, UR10, 90, rng))
     wild = seen.value.as_matrix()
     wild[[5, 30, 61], :3, 3] += 0.05
-    found = identify(
+    found = identify_arm(
         replace(seen, value=type(seen.value).from_matrix(wild)), instrument_placement.place_arm(seen, UR10, True, True)
     )
     assert np.flatnonzero(~found.inliers).tolist() == [5, 30, 61] and not found.scatter.any()
@@ -158,8 +169,8 @@ def test_wild_poses_are_left_out():
 
 def test_too_few_poses_are_refused():
     rng = np.random.default_rng(11)
-    seen = of_poses(worlds.tracked(worlds.secret(UR10, rng), UR10, 5, rng))
+    seen = pose_observations(worlds.tracked(worlds.secret(UR10, rng), UR10, 5, rng))
     with pytest.raises(NotEnoughData, match="5 observations give 30 equations, too few for 30"):
-        identify(seen, UR10)
+        identify_arm(seen, UR10)
     with pytest.raises(NotEnoughData, match="2 observations of a pose"):
         instrument_placement.place_arm(seen.take(np.arange(2)), UR10, True, True)

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.models.arm import error_model
-from calib.models.arm.identification import identify
-from calib.models.arm.instrument_observations import Observations, of_positions, of_samples
+from calib.models.arm.identification import identify_arm
+from calib.models.arm.instrument_observations import Observations, position_observations, sample_observations
 from calib.models.arm.instrument_placement import place_arm
 from calib.samples.pose_samples import Samples
 from rig.errors import RigError
@@ -48,17 +48,19 @@ def case(seed: int) -> tuple[Arm, Arm, np.ndarray, Observations, np.ndarray]:
     true = replace(true, joints=rows, base=base, tool=tool)
     draw = level if stays else lambda n, r: configurations(nominal, n, r, 0.5)
     q, fresh = draw(count, rng), draw(60, rng)
-    T = error_model.predicted(q, true) * exp(np.repeat(SIGMA, 3) * rng.normal(size=(count, 6)))
+    T = error_model.predicted_target_poses(q, true) * exp(np.repeat(SIGMA, 3) * rng.normal(size=(count, 6)))
     wild = rng.choice(count, count // 50, replace=False)
     T = RigidTransform.concatenate([T[i] * exp(10 * np.repeat(SIGMA, 3)) if i in wild else T[i] for i in range(count)])
     if positions:
-        return nominal, true, q, of_positions(q, T.translation, SIGMA[0]), fresh
+        return nominal, true, q, position_observations(q, T.translation, SIGMA[0]), fresh
     covariance = np.tile(np.diag(np.repeat(np.square(SIGMA), 3)), (count, 1, 1))
     return (
         nominal,
         true,
         q,
-        of_samples(Samples(np.arange(count), np.arange(count) * 1.0, q, T, covariance, np.zeros((count, 6, 0)))),
+        sample_observations(
+            Samples(np.arange(count), np.arange(count) * 1.0, q, T, covariance, np.zeros((count, 6, 0)))
+        ),
         fresh,
     )
 
@@ -66,10 +68,12 @@ def case(seed: int) -> tuple[Arm, Arm, np.ndarray, Observations, np.ndarray]:
 def missed(seed: int) -> float:
     """m, the greatest error at fresh poses of the arm identified from where it was placed."""
     nominal, true, _, seen, fresh = case(seed)
-    found = identify(seen, place_arm(seen, nominal, True, True))
+    found = identify_arm(seen, place_arm(seen, nominal, True, True))
     return float(
         np.linalg.norm(
-            error_model.predicted(fresh, found.arm).translation - error_model.predicted(fresh, true).translation, axis=1
+            error_model.predicted_target_poses(fresh, found.arm).translation
+            - error_model.predicted_target_poses(fresh, true).translation,
+            axis=1,
         ).max()
     )
 
@@ -86,12 +90,14 @@ def test_what_a_level_hand_leaves_open_goes_nowhere():
             worlds.secret(UR10, rng), base=RigidTransform.from_components(rng.normal(size=3), Rotation.random(rng=rng))
         )
         q = level(120, rng).round(7)  # as files hold them: level up to rounding
-        T = error_model.predicted(q, true) * exp(np.repeat(SIGMA, 3) * rng.normal(size=(120, 6)))
+        T = error_model.predicted_target_poses(q, true) * exp(np.repeat(SIGMA, 3) * rng.normal(size=(120, 6)))
         covariance = np.tile(np.diag(np.repeat(np.square(SIGMA), 3)), (120, 1, 1))
-        seen = of_samples(Samples(np.arange(120), np.arange(120) * 1.0, q, T, covariance, np.zeros((120, 6, 0))))
+        seen = sample_observations(
+            Samples(np.arange(120), np.arange(120) * 1.0, q, T, covariance, np.zeros((120, 6, 0)))
+        )
         start = place_arm(seen, UR10, True, True)
         assert np.linalg.norm(start.base.translation) < 5 and np.linalg.norm(start.tool.translation) < 2
-        assert (identify(seen, start).scatter < 0.5 * np.repeat(SIGMA, 3)).all(), "geometry explains all but noise"
+        assert (identify_arm(seen, start).scatter < 0.5 * np.repeat(SIGMA, 3)).all(), "geometry explains all but noise"
 
 
 @pytest.mark.slow
@@ -119,8 +125,8 @@ def test_places_that_the_poses_do_not_tell_apart_are_no_answer():
     rng = np.random.default_rng(3)
     q = np.tile(configurations(UR10, 1, rng, 0.4), (40, 1))
     q[:, 0] = np.linspace(-1, 1, 40)
-    seen = of_positions(
-        q, error_model.predicted(q, replace(UR10, base=worlds.BASE, tool=worlds.TOOL)).translation, 1e-5
+    seen = position_observations(
+        q, error_model.predicted_target_poses(q, replace(UR10, base=worlds.BASE, tool=worlds.TOOL)).translation, 1e-5
     )
     with pytest.raises(RigError, match="base and tool can be placed in two ways that fit alike"):
         place_arm(seen, UR10, True, True)

@@ -10,13 +10,13 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from calib.certify.calibration import Calibration
-from calib.correct.physics import Physics
+from calib.correct.physics_compensation import Physics
 from calib.correct.pose_route import Pace
 from calib.files import calibration_file
 from calib.models.arm import error_model
-from calib.models.arm.certification import start_of
+from calib.models.arm.certification import start_arm
 from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.instrument_observations import of_samples
+from calib.models.arm.instrument_observations import sample_observations
 from calib.models.arm.joint_physics_fit import History, Prior, fit_geometry_and_effects
 from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.recording_samples import sample_recording
@@ -89,7 +89,7 @@ def test_whatever_moves_the_arm_is_undone(tmp_path, name, text):
     design = arm_named(tmp_path, name)
     calibration = known_to_be(design, parse_effect(text), parse_effect("scale_error:joint 1:scale=1e-4"))
     m, count = design.mechanism, 8
-    T = error_model.predicted(low_discrepancy(m.limits, count, 0.6, 3), m)
+    T = error_model.predicted_target_poses(low_discrepancy(m.limits, count, 0.6, 3), m)
     t = 60 + 40.0 * np.arange(count)
     warm = Sensors(np.array([0.0, 500.0]), {"ambient_temperature_C": np.array([20.0, 27.0])})
     done = commands_along_route(calibration, T, np.zeros(len(m.joints)), Pace(t, 0.0, 0.5, None), warm)
@@ -122,7 +122,7 @@ def fitted(read, effects, before=None, rows=slice(None)):
     """Together of a recording's samples, from rough effects on."""
     sampled = sample_recording(read)
     samples = sampled.samples.take(np.arange(len(sampled.samples))[rows])
-    start = start_of(of_samples(samples), read.design.mechanism, sampled.instrument)
+    start = start_arm(sample_observations(samples), read.design.mechanism, sampled.instrument)
     return fit_geometry_and_effects(samples, History(read.design, read.commands, read.sensors), start, effects, before)
 
 
@@ -190,7 +190,9 @@ def drives(tmp_path, capsys, name, effects, without=(), another=False):
     ends = np.stack([known.visited.min(axis=0), known.visited.max(axis=0)], axis=1)
     write_poses(
         tmp_path / "w.csv",
-        Poses(np.arange(60), error_model.predicted(low_discrepancy(ends, 60, 0.7, 17), known.fitted), None),
+        Poses(
+            np.arange(60), error_model.predicted_target_poses(low_discrepancy(ends, 60, 0.7, 17), known.fitted), None
+        ),
     )
     out = {}
     for way in ("c", "plain"):

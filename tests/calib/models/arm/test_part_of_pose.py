@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from calib.models.arm import error_model, instrument_placement
-from calib.models.arm.identification import identify, parameters
-from calib.models.arm.instrument_observations import of_orientations
+from calib.models.arm.identification import identify_arm, independent_arm_parameters
+from calib.models.arm.instrument_observations import orientation_observations
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import sample_recording
 from rig.errors import FileError, RigError
@@ -30,14 +30,14 @@ def leaning(true, nominal, count, rng, noisy=1.0):
     noise = np.concatenate(
         [np.full((count, 3), 7.0), noisy * SIGMA * rng.normal(size=(count, 3))], axis=1
     )  # positions are rubbish
-    return of_orientations(q, error_model.predicted(q, true) * exp(noise), SIGMA)
+    return orientation_observations(q, error_model.predicted_target_poses(q, true) * exp(noise), SIGMA)
 
 
 def test_rows_of_orientations_agree_with_differences():
     rng = np.random.default_rng(2)
     arm = worlds.secret(UR10, rng)
     seen = leaning(arm, UR10, 4, rng, noisy=0.0)
-    predicted = -jacobian(lambda step: seen.residuals(error_model.moved(arm, step)), np.zeros(42))
+    predicted = -jacobian(lambda step: seen.residuals(error_model.arm_with_parameter_step(arm, step)), np.zeros(42))
     np.testing.assert_allclose(seen.jacobian(arm), predicted, atol=1e-7)
 
 
@@ -51,9 +51,11 @@ def test_orientations_tell_the_rotational_parameters_as_well_as_they_say(nominal
         rng = np.random.default_rng(seed)
         true = worlds.secret(nominal, rng)
         seen = leaning(true, nominal, 60, rng)
-        found = identify(seen, instrument_placement.place_arm(seen, nominal, True, True))
+        found = identify_arm(seen, instrument_placement.place_arm(seen, nominal, True, True))
         assert (
-            found.rank.free.sum() == parameters(nominal, "orientation").sum() == 2 * len(nominal.joints) + 3
+            found.rank.free.sum()
+            == independent_arm_parameters(nominal, "orientation").sum()
+            == 2 * len(nominal.joints) + 3
             and not found.scatter.any()
         )
         np.testing.assert_array_equal(found.arm.rows[:, 1:3], nominal.rows[:, 1:3])
@@ -61,7 +63,10 @@ def test_orientations_tell_the_rotational_parameters_as_well_as_they_say(nominal
         J = error_model.parameter_jacobian(q, found.arm)[:, 3:]
         sigma = np.sqrt(np.einsum("mki,ij,mkj->mk", J, found.covariance, J))
         scores.append(
-            pose_difference(error_model.predicted(q, found.arm), error_model.predicted(q, true))[:, 3:] / sigma
+            pose_difference(
+                error_model.predicted_target_poses(q, found.arm), error_model.predicted_target_poses(q, true)
+            )[:, 3:]
+            / sigma
         )
     assert np.abs(scores).max() < 5 and np.mean(np.square(scores)) == pytest.approx(1, abs=0.35)
 
@@ -70,7 +75,9 @@ def test_a_hand_that_turns_about_one_axis_alone_is_not_placed_by_its_rotations()
     rng = np.random.default_rng(3)
     seen = leaning(worlds.secret(SCARA, rng), SCARA, 40, rng)
     with pytest.raises(RigError, match="family of places"):
-        instrument_placement.place_arm(replace(seen, value=error_model.predicted(seen.q, SCARA)), SCARA, True, True)
+        instrument_placement.place_arm(
+            replace(seen, value=error_model.predicted_target_poses(seen.q, SCARA)), SCARA, True, True
+        )
     one = instrument_placement.place_arm(seen, replace(SCARA, tool=worlds.TOOL), True, False)
     assert (one.base.inv() * worlds.BASE).rotation.magnitude() < 0.01
 

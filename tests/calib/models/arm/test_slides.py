@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from calib.models.arm import error_model, independent_parameters, instrument_placement
-from calib.models.arm.certification import calibrate
-from calib.models.arm.identification import identify, parameters
-from calib.models.arm.instrument_observations import of_poses
+from calib.models.arm.certification import calibrate_arm
+from calib.models.arm.identification import identify_arm, independent_arm_parameters
+from calib.models.arm.instrument_observations import pose_observations
 from rig.errors import Unreachable
 from rig.model.pose import exp, log
 from tests.calib import arm_worlds as worlds
@@ -22,12 +22,13 @@ ARMS = {"6R": UR10, "scara": SCARA, "gantry": GANTRY}
 
 def scores(nominal, seeds, count=80):
     """(seeds, parameters) errors of arms found from a tracker's poses, in the standard deviations stated."""
-    free, out = parameters(nominal, "pose"), []
+    free, out = independent_arm_parameters(nominal, "pose"), []
     for seed in seeds:
         rng = np.random.default_rng(seed)
         true = worlds.secret(nominal, rng)
-        found = identify(
-            of_poses(worlds.tracked(true, nominal, count, rng)), replace(nominal, base=worlds.BASE, tool=worlds.TOOL)
+        found = identify_arm(
+            pose_observations(worlds.tracked(true, nominal, count, rng)),
+            replace(nominal, base=worlds.BASE, tool=worlds.TOOL),
         )
         assert found.rank.free.sum() == free.sum()
         out.append(worlds.scores(found, true, nominal, free))
@@ -37,12 +38,17 @@ def scores(nominal, seeds, count=80):
 def test_parameter_jacobian_of_slides_agrees_with_differences():
     arm = random_arm(np.random.default_rng(0), 5, (0, 3))
     q = configurations(arm, 3, np.random.default_rng(1))
-    T = error_model.predicted(q, arm)
-    J = jacobian(lambda step: log(T.inv() * error_model.predicted(q, error_model.moved(arm, step))), np.zeros(37))
+    T = error_model.predicted_target_poses(q, arm)
+    J = jacobian(
+        lambda step: log(
+            T.inv() * error_model.predicted_target_poses(q, error_model.arm_with_parameter_step(arm, step))
+        ),
+        np.zeros(37),
+    )
     np.testing.assert_allclose(error_model.parameter_jacobian(q, arm), J, atol=1e-8)
     np.testing.assert_allclose(
         error_model.joint_jacobian(q, arm),
-        error_model.parameter_jacobian(q, arm)[..., error_model.zero_columns(arm)],
+        error_model.parameter_jacobian(q, arm)[..., error_model.joint_zero_indices(arm)],
         atol=1e-14,
     )
 
@@ -53,8 +59,8 @@ def test_counts_of_independent_parameters(arm, kind, extra):
     """4 R + 2 P + 6 of whole poses; the rank of the model says of joints that turn what the rules say."""
     slides = arm.slides.sum()
     assert (
-        independent_parameters.independent(arm, kind).sum()
-        == parameters(arm, kind).sum()
+        independent_parameters.generally_independent_parameters(arm, kind).sum()
+        == independent_arm_parameters(arm, kind).sum()
         == 4 * (len(arm.slides) - slides) + 2 * slides + extra
     )
 
@@ -79,22 +85,27 @@ def test_an_unknown_place_is_found(name):
     """
     nominal, rng = ARMS[name], np.random.default_rng(3)
     true = worlds.secret(nominal, rng)
-    seen = of_poses(worlds.tracked(true, nominal, 40, rng))
-    found = identify(seen, instrument_placement.place_arm(seen, nominal, True, True))
+    seen = pose_observations(worlds.tracked(true, nominal, 40, rng))
+    found = identify_arm(seen, instrument_placement.place_arm(seen, nominal, True, True))
     assert found.inliers.all() and not found.scatter.any()
     q = configurations(nominal, 50, rng, 0.5)
-    assert np.abs(log(error_model.predicted(q, true).inv() * error_model.predicted(q, found.arm))).max() < 3e-4
+    assert (
+        np.abs(
+            log(error_model.predicted_target_poses(q, true).inv() * error_model.predicted_target_poses(q, found.arm))
+        ).max()
+        < 3e-4
+    )
 
 
 def test_few_joints_are_commanded_to_the_nearest_pose_and_the_rest_is_told():
     rng = np.random.default_rng(4)
     true = worlds.secret(SCARA, rng)
     samples = worlds.tracked(true, SCARA, 80, rng)
-    correction, found = calibrate(samples, SCARA, worlds.TRACKER, False)
+    correction, found = calibrate_arm(samples, SCARA, worlds.TRACKER, False)
     tilt = np.zeros((20, 6))
     tilt[:, 3:5] = 1e-3 * rng.normal(size=(20, 2))
     tool = found.arm.tool.rotation.as_matrix()
-    wanted = error_model.predicted(configurations(SCARA, 20, rng, 0.4), true)
+    wanted = error_model.predicted_target_poses(configurations(SCARA, 20, rng, 0.4), true)
     wanted = wanted * exp(
         np.concatenate([tilt[:, :3], tilt[:, 3:] @ tool], axis=1)
     )  # about axes across the hand's own, which nothing turns about
@@ -102,12 +113,15 @@ def test_few_joints_are_commanded_to_the_nearest_pose_and_the_rest_is_told():
     rest = correction.rest(wanted, commands)
     assert np.abs(rest[:, :3]).max() < 1e-10
     np.testing.assert_allclose(np.linalg.norm(rest[:, 3:], axis=1), np.linalg.norm(tilt, axis=1), atol=1.5e-4)
-    reached = error_model.predicted(commands, true)
+    reached = error_model.predicted_target_poses(commands, true)
     assert (
         np.linalg.norm((reached.translation - wanted.translation), axis=1).max() < 5e-5
     )  # 20 um of the tracker, 80 poses
     plain = correction.uncorrected(wanted)
-    assert np.linalg.norm(error_model.predicted(plain, true).translation - wanted.translation, axis=1).max() > 1e-4
+    assert (
+        np.linalg.norm(error_model.predicted_target_poses(plain, true).translation - wanted.translation, axis=1).max()
+        > 1e-4
+    )
     np.testing.assert_allclose(correction.summand(commands), 0, atol=0.05)
     upside_down = wanted * exp(np.array([0.0, 0.0, 0.0, 2.0, 0.0, 0.0]))
     with pytest.raises(Unreachable, match="has 4 joints"):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.models.arm import error_model
-from calib.models.arm.certification import calibrate
+from calib.models.arm.certification import calibrate_arm
 from rig.errors import Unreachable
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose, pose_difference
@@ -25,14 +25,14 @@ def drawn(arm, seed, count=30, deviation=None):
     samples = worlds.tracked(true, arm, count, rng, deviation=deviation)
     q = worlds.configurations_of(arm, 200, rng)
     bent = (np.abs(np.sin(q[:, 2])) > 0.2) & (np.abs(np.sin(q[:, 4])) > 0.2)
-    return samples, error_model.predicted(q[bent][:80], true)
+    return samples, error_model.predicted_target_poses(q[bent][:80], true)
 
 
 @pytest.mark.parametrize(("arm", "seed"), [(UR10, 5), (UR10, 8), (SEVEN, 3), (SEVEN, 5)])
 def test_the_tracker_elsewhere_changes_no_command(arm, seed):
     samples, wanted = drawn(arm, seed)
-    here, _ = calibrate(samples, arm, worlds.TRACKER, False)
-    there, _ = calibrate(
+    here, _ = calibrate_arm(samples, arm, worlds.TRACKER, False)
+    there, _ = calibrate_arm(
         replace(samples, T_base_platform=ELSEWHERE * samples.T_base_platform), arm, worlds.TRACKER, False
     )
     commands = here.inverse(wanted)
@@ -42,7 +42,7 @@ def test_the_tracker_elsewhere_changes_no_command(arm, seed):
 
 def test_the_single_step_is_on_the_elbow_of_the_fixed_point_and_no_whole_turn_is_counted():
     samples, wanted = drawn(UR10, 0, 60, lambda q: 2e-3 * np.sin(q))
-    correction, _ = calibrate(samples, UR10, worlds.TRACKER, False)
+    correction, _ = calibrate_arm(samples, UR10, worlds.TRACKER, False)
     try:
         step = correction.single_step(wanted)
     except Unreachable as error:  # beyond the owner's reach by micrometres

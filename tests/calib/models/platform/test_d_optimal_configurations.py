@@ -5,15 +5,15 @@ given.
 import numpy as np
 import pytest
 
-from calib.models.platform.d_optimal_configurations import (
+from calib.models.platform.identification import geometric_parameters, identify_platform
+from calib.models.platform.optimal_configurations import (
     CANDIDATES,
     CRITERIA,
     FILL,
-    choose_configurations,
+    choose_d_optimal_configurations,
     configuration_information,
 )
-from calib.models.platform.identification import identify, parameters
-from calib.models.platform.parameter_observability import PLAUSIBLE, parameter_combinations
+from calib.models.platform.parameter_accuracy import PLAUSIBLE, parameter_combinations
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
 from rig.planning import plan
@@ -24,7 +24,9 @@ SIGMAS = (1e-5, 1e-4)
 
 @pytest.fixture(scope="module")
 def chosen(design):
-    return {criterion: choose_configurations(design.mechanism, 24, SIGMAS, criterion) for criterion in CRITERIA}
+    return {
+        criterion: choose_d_optimal_configurations(design.mechanism, 24, SIGMAS, criterion) for criterion in CRITERIA
+    }
 
 
 def singular(root):
@@ -65,8 +67,8 @@ def test_what_is_promised_is_what_a_fit_finds(chosen, design):
     errors = []
     for seed in range(30):
         samples, true = sampled(design, seed, count=24, commands=chosen["determinant"].commands, own=own)
-        found = identify(samples, design.mechanism)
-        errors.append(parameters(found.mechanism) - parameters(true))
+        found = identify_platform(samples, design.mechanism)
+        errors.append(geometric_parameters(found.mechanism) - geometric_parameters(true))
     parts, _ = parameter_combinations(chosen["determinant"].root, design.mechanism)
     z = np.array([np.array(errors) @ part.direction / part.sigma for part in parts])
     assert np.std(z) == pytest.approx(1, abs=0.06)
@@ -74,7 +76,7 @@ def test_what_is_promised_is_what_a_fit_finds(chosen, design):
 
 def test_what_is_given_counts(design):
     given = plan.low_discrepancy(design.mechanism.strut_range, 3)
-    found = choose_configurations(design.mechanism, 20, SIGMAS, given=given)
+    found = choose_d_optimal_configurations(design.mechanism, 20, SIGMAS, given_configurations=given)
     hidden = [part for part in parameter_combinations(found.before, design.mechanism)[0] if not part.determined]
     assert len(hidden) >= 42 - 18 and all(
         part.determined for part in parameter_combinations(found.root, design.mechanism)[0]
@@ -83,6 +85,6 @@ def test_what_is_given_counts(design):
 
 def test_too_few_and_unknown_are_refused(design):
     with pytest.raises(RigError, match="3 configurations cannot determine 42"):
-        choose_configurations(design.mechanism, 3, SIGMAS)
+        choose_d_optimal_configurations(design.mechanism, 3, SIGMAS)
     with pytest.raises(RigError, match="'D'"):
-        choose_configurations(design.mechanism, 30, SIGMAS, "D")
+        choose_d_optimal_configurations(design.mechanism, 30, SIGMAS, "D")

@@ -5,8 +5,8 @@ those given.
 import numpy as np
 import pytest
 
-from calib.models.platform.fewest_configurations import fewest_configurations
-from calib.models.platform.identification import identify
+from calib.models.platform.identification import identify_platform
+from calib.models.platform.optimal_configurations import fewest_configurations
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
@@ -31,7 +31,7 @@ def test_what_is_promised_is_kept_and_not_one_pose_sooner(design, found):
     kept = []
     for seed in range(12):
         samples, true = sampled(design, seed, len(found.commands), commands=found.commands, own=np.repeat(SIGMAS, 3))
-        fitted = identify(samples, design.mechanism, prior=np.full(42, 5e-4)).mechanism
+        fitted = identify_platform(samples, design.mechanism, prior=np.full(42, 5e-4)).mechanism
         left = rms(pose_difference(hexapod.forward(hexapod.inverse(wanted, fitted), true), wanted))[0]
         kept.append(left)
     assert np.mean(np.array(kept) <= PROMISE) >= 11 / 12 and np.median(kept) > 0.3 * PROMISE
@@ -46,6 +46,6 @@ def test_what_was_visited_counts(design, found):
 
 
 def test_a_promise_that_measuring_cannot_keep_is_refused(design, monkeypatch):
-    monkeypatch.setattr("calib.models.platform.fewest_configurations.MOST", 12)
+    monkeypatch.setattr("calib.models.platform.optimal_configurations.MOST", 12)
     with pytest.raises(RigError, match="12 poses leave"):
         fewest_configurations(design.mechanism, 1e-7, SIGMAS)

@@ -5,9 +5,9 @@ without.
 import numpy as np
 import pytest
 
-from calib.correct.camera_refinement import refine_with_cameras
-from calib.models.platform import joint_camera_fit
-from calib.models.platform.identification import identify, parameters
+from calib.correct import joint_camera_fit
+from calib.correct.joint_camera_fit import refine_correction_with_cameras
+from calib.models.platform.identification import geometric_parameters, identify_platform
 from calib.samples.recording_samples import sample_recording
 from rig.errors import RigError
 from rig.recording import recording_folder
@@ -20,7 +20,7 @@ def solved(tmp_path_factory, design, rig_text):
     secret, _ = make_recording(folder, design, rig_text, 5, count=40)
     read = recording_folder.load(folder)
     sampled = sample_recording(read)
-    corners, commanded, state = joint_camera_fit.commanded_state(sampled.measurement, sampled.samples)
+    corners, commanded, state = joint_camera_fit.joint_fit_inputs(sampled.measurement, sampled.samples)
     return (
         secret,
         read,
@@ -34,15 +34,15 @@ def solved(tmp_path_factory, design, rig_text):
 
 def test_two_steps_with_shared_errors_reach_the_joint_optimum(solved):
     _, read, sampled, found, _ = solved
-    two = identify(sampled.samples, read.design.mechanism)
+    two = identify_platform(sampled.samples, read.design.mechanism)
     sigma = np.sqrt(np.diag(found.covariance))
-    assert np.abs((parameters(two.mechanism) - parameters(found.mechanism)) / sigma).max() < 0.05
+    assert np.abs((geometric_parameters(two.mechanism) - geometric_parameters(found.mechanism)) / sigma).max() < 0.05
     np.testing.assert_allclose(np.sqrt(np.diag(two.covariance)), sigma, rtol=0.02)
 
 
 def test_the_truth_lies_where_the_covariance_says(solved):
     secret, _, _, found, corners = solved
-    error = parameters(found.mechanism) - parameters(secret.true.mechanism)
+    error = geometric_parameters(found.mechanism) - geometric_parameters(secret.true.mechanism)
     assert (
         18 < error @ np.linalg.solve(found.covariance, error) < 80
     )  # chi-square of 42: one in 2000 lies beyond either
@@ -53,7 +53,7 @@ def test_the_truth_lies_where_the_covariance_says(solved):
 
 def test_moving_cameras_and_missing_base_targets_are_refused(solved):
     _, read, sampled, _, corners = solved
-    _, commanded, state = joint_camera_fit.commanded_state(sampled.measurement, sampled.samples)
+    _, commanded, state = joint_camera_fit.joint_fit_inputs(sampled.measurement, sampled.samples)
     on = corners.take(corners.on_platform)
     with pytest.raises(RigError, match="targets on the base"):
         joint_camera_fit.fit_cameras_and_geometry(on, commanded, state, read.design.cameras, read.design.mechanism)
@@ -62,14 +62,18 @@ def test_moving_cameras_and_missing_base_targets_are_refused(solved):
 def test_a_calibration_is_refined_or_the_reason_said(solved, design):
     from dataclasses import replace
 
-    from calib.correct.correction import calibrate
+    from calib.correct.correction import calibrate_correction
 
     _, read, sampled, found, _ = solved
-    correction, two = calibrate(sampled.samples, read.design.mechanism)
-    better, told = refine_with_cameras(sampled, read.design, correction, two)
-    np.testing.assert_allclose(parameters(better.fitted), parameters(found.mechanism), atol=1e-9)
+    correction, two = calibrate_correction(sampled.samples, read.design.mechanism)
+    better, told = refine_correction_with_cameras(sampled, read.design, correction, two)
+    np.testing.assert_allclose(geometric_parameters(better.fitted), geometric_parameters(found.mechanism), atol=1e-9)
     np.testing.assert_allclose(told.covariance, found.covariance, rtol=1e-6, atol=1e-16)
     with pytest.raises(RigError, match="came from poses.csv"):
-        refine_with_cameras(replace(sampled, measurement=None, source="poses.csv"), read.design, correction, two)
+        refine_correction_with_cameras(
+            replace(sampled, measurement=None, source="poses.csv"), read.design, correction, two
+        )
     with pytest.raises(RigError, match="strut 2 scatters by 30.0 um"):
-        refine_with_cameras(sampled, read.design, correction, replace(two, scatter=np.array([0, 3e-5, 0, 0, 0, 0])))
+        refine_correction_with_cameras(
+            sampled, read.design, correction, replace(two, scatter=np.array([0, 3e-5, 0, 0, 0, 0]))
+        )

@@ -3,8 +3,14 @@
 import numpy as np
 import pytest
 
-from calib.models.platform.identification import NAMES, identify, parameters, pose_jacobian, with_parameters
-from calib.models.platform.parameter_observability import frame_motion_columns, parameter_combinations
+from calib.models.platform.identification import (
+    NAMES,
+    geometric_parameters,
+    identify_platform,
+    mechanism_with_parameters,
+    pose_parameter_jacobian,
+)
+from calib.models.platform.parameter_accuracy import frame_motion_columns, parameter_combinations
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference, transform_points
 from tests.calib.worlds import sampled, workspace
@@ -13,7 +19,7 @@ from tests.calib.worlds import sampled, workspace
 def test_gauge_is_the_motion_of_the_frames(design):
     """Moving a plate's joints with its frame moves the measured pose as the frame does, and nothing else."""
     T, m = workspace(design, 20), design.mechanism
-    J = pose_jacobian(T, m) @ frame_motion_columns(m)
+    J = pose_parameter_jacobian(T, m) @ frame_motion_columns(m)
     np.testing.assert_allclose(J[:, :, 6:], np.broadcast_to(-np.eye(6), (20, 6, 6)), atol=1e-9)
     for k in range(6):
         xi = np.zeros(6)
@@ -23,15 +29,16 @@ def test_gauge_is_the_motion_of_the_frames(design):
 
 def test_gauge_agrees_with_joints_moved(design):
     xi = np.array([1e-4, -2e-4, 5e-5, 3e-4, -1e-4, 2e-4])
-    moved = with_parameters(
-        design.mechanism, parameters(design.mechanism) + frame_motion_columns(design.mechanism) @ np.r_[xi, np.zeros(6)]
+    moved = mechanism_with_parameters(
+        design.mechanism,
+        geometric_parameters(design.mechanism) + frame_motion_columns(design.mechanism) @ np.r_[xi, np.zeros(6)],
     )
     np.testing.assert_allclose(moved.base_joints, transform_points(exp(xi), design.mechanism.base_joints), atol=1e-7)
 
 
 def test_combinations_are_told_apart_and_named(design):
     samples, _ = sampled(design, 1, count=100)
-    found = identify(samples, design.mechanism)
+    found = identify_platform(samples, design.mechanism)
     parts, seen = parameter_combinations(found.root, found.mechanism)
     sigma = [part.sigma for part in parts]
     assert (
@@ -47,8 +54,8 @@ def test_combinations_are_told_apart_and_named(design):
 
 def test_one_pose_again_and_again_hides_most(design):
     samples, _ = sampled(design, 1, count=100)
-    found = identify(samples, design.mechanism)
-    J = np.tile(pose_jacobian(design.mechanism.home, found.mechanism) / 1e-5, (50, 1))
+    found = identify_platform(samples, design.mechanism)
+    J = np.tile(pose_parameter_jacobian(design.mechanism.home, found.mechanism) / 1e-5, (50, 1))
     root = np.linalg.qr(J, mode="r")
     parts, seen = parameter_combinations(np.concatenate([root, np.zeros((42 - len(root), 42))]), found.mechanism)
     assert sum(part.determined for part in parts) == 6 and seen.condition > 1e9
@@ -56,7 +63,7 @@ def test_one_pose_again_and_again_hides_most(design):
 
 def test_names_follow_the_parameters(design):
     p = np.arange(42.0)
-    m = with_parameters(design.mechanism, p)
+    m = mechanism_with_parameters(design.mechanism, p)
     named = NAMES["hexapod"]
     assert (
         named[20] == "platform joint 1 z"
@@ -64,5 +71,5 @@ def test_names_follow_the_parameters(design):
         and named[41] == "zero of strut 6"
         and m.strut_zeros[5] == 41
     )
-    np.testing.assert_array_equal(parameters(m), p)
+    np.testing.assert_array_equal(geometric_parameters(m), p)
     assert hexapod.inverse(design.mechanism.home, design.mechanism).shape == (6,)

@@ -10,7 +10,7 @@ import pytest
 
 from calib.certify import measuring_limbs
 from calib.certify.calibration import Calibration
-from calib.certify.fitted_limbs import Limbs
+from calib.certify.measuring_limb_checks import Limbs
 from calib.correct.correction import Correction
 from calib.files import calibration_file
 from calib.online import measuring_limbs_file
@@ -126,7 +126,7 @@ def test_the_command_chooses_checks_and_names(limbed, tmp_path, capsys):
     T = done.run.T_base_platform[:30]
     agreement = measuring_limbs.limb_agreement(T, T, np.zeros((30, 6, 6)), (1e-3, 1e-3))
     known = 1e-14 * np.eye(42)
-    measuring_limbs_file.save(
+    measuring_limbs_file.save_limbs(
         limbs,
         measuring_limbs_file.Accepted(
             Limbs(measuring_limbs.limb_hexapod(true), known, np.full(6, 1e-6)),

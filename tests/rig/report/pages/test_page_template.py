@@ -7,13 +7,11 @@ import re
 import numpy as np
 import pytest
 
-from rig.report.pages.axis_scale import scale_of_values
 from rig.report.pages.html_elements import capitalised, inline_html, table
-from rig.report.pages.image_plane_figures import Arrows, Cells, image_plane
-from rig.report.pages.page_template import Link, Page, page_html
-from rig.report.pages.plots import MOST, RIGHT, Series, bar_chart, plot_panel
-from rig.report.pages.svg_elements import round_ticks, text_within
-from rig.report.pages.text_layout import text_width, wrap_text
+from rig.report.pages.image_plane_figures import Arrows, Cells, image_plane_figure
+from rig.report.pages.page_and_svg_templates import Link, Page, page_html
+from rig.report.pages.plots import MOST, RIGHT, Series, bar_chart, plot_panel, scale_of_values
+from rig.report.pages.svg_elements import round_ticks, text_width, text_within, wrap_text
 from rig.report.verdict import State, Verdict
 
 
@@ -127,7 +125,7 @@ def test_bars_and_cells_say_their_values():
     drawn = bar_chart("b", ["one", "two"], [("before", [1.0, np.nan], 0), ("noise", [0.5, 0.5], -1)], "px", ["two"])
     assert 'class="fill grey"' in drawn and 'class="fill c0"' in drawn
     assert "<title>one, before: 1 px</title>" in drawn and 'class="name" x=' in drawn
-    plane = image_plane(
+    plane = image_plane_figure(
         "p",
         "below",
         (100, 50),
@@ -139,7 +137,7 @@ def test_bars_and_cells_say_their_values():
     start, along = re.search(r'd="M([\d.]+) [\d.]+l([\d.]+) ', plane).groups()
     enlarged = float(re.search(r'data-enlarged="([\d.]+)"', plane)[1])
     assert "<title>0.25 px</title>" in plane and float(along) / enlarged == pytest.approx(0.1, abs=1e-3)
-    edge = image_plane("p", "below", (100, 50), (Cells(np.array([[0.0, 49.0]]), np.array([0.25]), 20.0, "px"),))
+    edge = image_plane_figure("p", "below", (100, 50), (Cells(np.array([[0.0, 49.0]]), np.array([0.25]), 20.0, "px"),))
     frame, cell = (
         [float(v) for v in re.findall(r' (?:x|y|width|height)="([-\d.]+)"', rect)]
         for rect in re.findall("<rect[^>]*>", edge)

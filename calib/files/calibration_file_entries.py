@@ -1,0 +1,319 @@
+"""Entries of a calibration file as JSON: mechanism, physics and pose space maps, and their checks."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from calib.correct.interpolation import interpolation_methods
+from calib.correct.physics_compensation import Physics, Unknown
+from calib.correct.pose_space_map import NAMES, PoseMap
+from calib.correct.summand_extension import pose_coordinate_indices
+from rig.effects.catalogue.effect_list import BY_NAME
+from rig.effects.framework.fit_coordinates import coordinates_of
+from rig.effects.texts.effect_text import Kinds, effect_from_dict, effect_to_dict, require_place
+from rig.errors import FileError, RigError
+from rig.formats.checked_entries import LARGEST_RIG, Entries
+from rig.formats.input_files import value_text
+from rig.model import mechanisms
+from rig.model.design import Actuator, Arm, Chain, Hexapod, Planar2, Platform
+from rig.model.mechanism_kinds import Struts
+from rig.model.pose import pose_entry_text
+
+
+def require_text(tree: Entries, key: str, known_texts: Sequence[str]) -> None:
+    """Raise FileError where a key's text is not one of those known: units, frames and orders."""
+    found = tree.text(key)
+    if found not in known_texts:
+        differs = next(
+            (i for i, (a, b) in enumerate(zip(found, known_texts[0])) if a != b), min(len(found), len(known_texts[0]))
+        )
+        start = max(differs - 20, 0)
+        tree.fail(
+            f"{key} is {value_text(found[start : differs + 40])} where this rig reads "
+            f"{value_text(known_texts[0][start : differs + 40])} "
+            f"(character {differs + 1}); nothing is converted",
+            key,
+            value=found,
+        )
+
+
+def require_schema_contents(tree: Entries, needed: Sequence[str], refused: Sequence[str]) -> None:
+    """Raise FileError where a file lacks contents that its schema requires, or holds what only another has."""
+    schema = tree.text("schema")
+    for key in needed:
+        if tree.get(key, None) is None:
+            tree.fail(f"{key} is missing, and a file of schema {value_text(schema)} has it", "schema")
+    for key in refused:
+        if key in tree.tree:
+            tree.fail(
+                f"{key} is there, and a file of schema {value_text(schema)} has none: a reader of that "
+                "schema would leave it out in silence",
+                key,
+            )
+
+
+def _require_plausible(table: Entries, mechanism: Struts | Arm, stated: bool) -> None:
+    """Raise FileError for ranges, zeros and joints that no machine has, lengths in m. stated : whether it is the
+    owner's, whose home is in reach
+    """
+    if isinstance(mechanism, Arm):
+        _arm(table, mechanism)
+        return
+    for i, (low, high) in enumerate(mechanism.strut_range):
+        if not 0 < low < high:
+            table.fail(
+                f"{table.name('strut_range')}[{i + 1}] must be positive and run from small to large, not "
+                f"{low:g} .. {high:g} m",
+                "strut_range",
+                i,
+                value=[low, high],
+            )
+        if abs(mechanism.strut_zeros[i]) > high:
+            table.fail(
+                f"{table.name('strut_zeros')}[{i + 1}] = {mechanism.strut_zeros[i]:g} m is more than the "
+                f"strut's greatest length, {high:g} m",
+                "strut_zeros",
+                i,
+                value=float(mechanism.strut_zeros[i]),
+            )
+    if stated and isinstance(mechanism, Hexapod):
+        lengths = mechanisms.kinematics_of(mechanism).home(mechanism)
+        for i, (length, (low, high)) in enumerate(zip(lengths, mechanism.strut_range)):
+            if not low <= length <= high:
+                table.fail(
+                    f"{table.name('home')} needs strut {i + 1} at {length:.6f} m, outside its strut_range "
+                    f"{low:g} .. {high:g} m",
+                    "home",
+                )
+
+
+def require_same_ranges(tree: Entries, nominal: Struts | Arm | Chain, fitted: Struts | Arm | Chain) -> None:
+    """Raise FileError where nominal and fitted mechanism differ in kind, or do not have the same axis ranges."""
+    if (fitted.kind, len(fitted.axes)) != (nominal.kind, len(nominal.axes)):
+        tree.fail(
+            f"fitted is of kind {fitted.kind!r} with {len(fitted.axes)} axes, nominal of kind "
+            f"{nominal.kind!r} with {len(nominal.axes)}",
+            "fitted",
+            "kind",
+        )
+    if isinstance(nominal, Hexapod | Planar2) and isinstance(fitted, Hexapod | Planar2):
+        different = np.flatnonzero((nominal.strut_range != fitted.strut_range).any(axis=1))
+        if len(different):
+            i = int(different[0])
+            tree.fail(
+                f"fitted.strut_range[{i + 1}] is {fitted.strut_range[i].tolist()} m and nominal.strut_range[{i + 1}] "
+                f"{nominal.strut_range[i].tolist()} m: they are the same strut's",
+                "fitted",
+                "strut_range",
+                i,
+            )
+
+
+def _arm(table: Entries, arm: Arm) -> None:
+    for i, (low, high) in enumerate(arm.limits):
+        if not low < high:
+            table.fail(
+                f"{table.name('limits')}[{i + 1}] must run from small to large, not {low:g} .. {high:g}",
+                "limits",
+                i,
+                value=[low, high],
+            )
+        if arm.slides[i]:
+            for j in range(2):
+                table.numbers(float(arm.limits[i, j]), (), "limits", (i, j), LARGEST_RIG)
+    for i, j in np.argwhere(np.abs(arm.rows[:, 1:3]) > LARGEST_RIG):
+        table.numbers(float(arm.rows[i, 1 + j]), (), "joints", (int(i), int(1 + j)), LARGEST_RIG)
+
+
+MOST_JOINTS = 64
+
+
+def mechanism_dict(mechanism: Struts | Arm | Chain) -> dict[str, Any]:
+    """dict of a mechanism, as JSON holds it."""
+    if isinstance(mechanism, Chain):
+        return {"kind": "chain", "stages": [mechanism_dict(stage) for stage in mechanism.stages]}
+    if isinstance(mechanism, Arm):
+        return {
+            "kind": "arm",
+            "joints": mechanism.rows.tolist(),
+            "limits": mechanism.limits.tolist(),
+            "base": pose_entry_text(mechanism.base),
+            "tool": pose_entry_text(mechanism.tool),
+            **({"slides": mechanism.slides.tolist()} if mechanism.slides.any() else {}),
+        }
+    if isinstance(mechanism, Planar2):
+        return {
+            "kind": "planar2",
+            **{name: getattr(mechanism, name).tolist() for name in ("base_joints", "strut_range", "strut_zeros")},
+        }
+    return {
+        "kind": mechanism.kind,
+        "base_joints": mechanism.base_joints.tolist(),
+        "platform_joints": mechanism.platform_joints.tolist(),
+        "strut_range": mechanism.strut_range.tolist(),
+        "strut_zeros": mechanism.strut_zeros.tolist(),
+        "home": pose_entry_text(mechanism.home),
+    }
+
+
+def mechanism_from_entries(table: Entries, stated: bool = False) -> Struts | Arm | Chain:
+    """Mechanism from its JSON entries. stated : whether it is the nominal one. Raises FileError for anything else."""
+    if table.text("kind", ("hexapod", "planar2", "arm", "chain")) == "chain":
+        stages = table.tables("stages")
+        if len(stages) < 2:
+            table.fail(f"{table.name('stages')} of a chain are two or more, got {len(stages)}", "stages")
+        return Chain(tuple(_stage_in(stage, stated) for stage in stages))
+    return _stage_in(table, stated)
+
+
+def _stage_in(table: Entries, stated: bool) -> Struts | Arm:
+    """A mechanism that stands alone, or in a chain, of figures that a machine may have."""
+    found = _figures_of(table)
+    _require_plausible(table, found, stated)
+    return found
+
+
+def _figures_of(table: Entries) -> Struts | Arm:
+    kind = table.text("kind", ("hexapod", "planar2", "arm"))
+    if kind == "planar2":
+        return Planar2(
+            table.array("base_joints", (2, 2), length_limit=LARGEST_RIG),
+            table.array("strut_range", (2, 2), length_limit=LARGEST_RIG),
+            table.array("strut_zeros", (2,), length_limit=LARGEST_RIG),
+        )
+    if kind == "arm":
+        rows = table.get("joints")
+        columns = (
+            len(rows[0]) if isinstance(rows, list) and rows and isinstance(rows[0], list) and len(rows[0]) == 4 else 5
+        )
+        joints = table.array("joints", (None, columns))
+        if not 0 < len(joints) <= MOST_JOINTS:
+            table.fail(f"{table.name('joints')} has {len(joints)} rows; an arm has 1 to {MOST_JOINTS} joints", "joints")
+        return Arm(
+            joints,
+            table.array("limits", (len(joints), 2)),
+            table.pose("base"),
+            table.pose("tool"),
+            _slides_in(table, len(joints)),
+        )
+    return Hexapod(
+        table.array("base_joints", (6, 3), length_limit=LARGEST_RIG),
+        table.array("platform_joints", (6, 3), length_limit=LARGEST_RIG),
+        table.array("strut_range", (6, 2), length_limit=LARGEST_RIG),
+        table.pose("home"),
+        table.array("strut_zeros", (6,), length_limit=LARGEST_RIG),
+    )
+
+
+def _slides_in(table: Entries, count: int) -> np.ndarray:
+    """(count,) bool, which joints slide; none where nothing is said."""
+    listed = table.get("slides", [False] * count)
+    if not isinstance(listed, list) or len(listed) != count or not all(isinstance(slide, bool) for slide in listed):
+        table.fail(f"{table.name('slides')} must list {count} times true or false", "slides")
+    return np.array(listed, bool)
+
+
+def physics_dict(physics: Physics) -> dict[str, Any]:
+    """dict of Physics, as JSON holds it."""
+    platform = {
+        name: value.tolist() if isinstance(value, np.ndarray) else value
+        for name, value in ((name, getattr(physics.platform, name)) for name in Platform.__slots__)
+    }
+    return {
+        "effects": [effect_to_dict(effect) for effect in physics.effects],
+        "parameter_order": [_told(c.effect, c.name, c.index, c.role, physics) for c in physics.coordinates],
+        "covariance": physics.own.tolist(),
+        "cross_covariance": physics.cross.tolist(),
+        "gravity": physics.gravity.tolist(),
+        "actuator": asdict(physics.actuator),
+        "platform": platform,
+        "channels": {name: {"median": value, "sigma": sigma} for name, (value, sigma) in physics.channels.items()},
+        "unknown": [asdict(u) for u in physics.unknown],
+    }
+
+
+def _told(effect: int, name: str, index: int | None, role: str, physics: Physics) -> str:
+    """A coordinate in words, for who reads the file."""
+    measure = {"inverse": "1 / ", "log": "log of "}.get(role, "")
+    at = physics.effects[effect]
+    return f"{measure}{name}{'' if index is None else f' {index + 1}'} of {at.name} at {at.place}"
+
+
+def physics_from_entries(
+    table: Entries, mechanism: Struts | Arm | Chain, parameter_count: int, kinds: Kinds = BY_NAME
+) -> Physics:
+    """Physics of what `physics_dict` gave, as Entries. mechanism : nominal; parameter_count : of the geometry's
+    parameters
+    kinds : effects that there are. Raises FileError."""
+    actuator, platform = table.table("actuator"), table.table("platform")
+    held = Physics(
+        (),
+        np.zeros((0, 0)),
+        np.zeros((parameter_count, 0)),
+        table.array("gravity", (3,)),
+        Actuator(
+            actuator.number("screw_lead", None, above=0),
+            actuator.text("joints", ("cardan-cardan", "cardan-ball"), None),
+            actuator.number("max_speed", None, above=0),
+        ),
+        Platform(
+            platform.number("mass", None, least=0),
+            platform.array("centre_of_mass", (3,), None),
+            platform.array("payload_centre_of_mass", (3,), None),
+        ),
+        {},
+    )
+    effects = []
+    for entry in table.tables("effects"):
+        try:
+            effects.append(
+                require_place(effect_from_dict(entry.tree, kinds), held.machine(mechanism))
+                if not _seen(entry)
+                else effect_from_dict(entry.tree, kinds)
+            )
+        except FileError:
+            raise
+        except RigError as error:
+            table.fail(f"physics: {error}", "effects")
+    own = len(coordinates_of(tuple(effects)))
+    covariance, cross = table.array("covariance", (own, own)), table.array("cross_covariance", (parameter_count, own))
+    if (np.diag(covariance) < 0).any() or not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-300):
+        table.fail("physics.covariance is no covariance", "covariance")
+    channels = table.table("channels")
+    logged = {
+        name: (channels.table(name).number("median"), channels.table(name).number("sigma", least=0))
+        for name in channels.tree
+    }
+    unknown = tuple(
+        Unknown(u.text("place"), u.number("magnitude"), u.text("unit"), u.texts("depends_on"), u.flag("corrected"))
+        for u in table.tables("unknown")
+    )
+    return Physics(tuple(effects), covariance, cross, held.gravity, held.actuator, held.platform, logged, unknown)
+
+
+def _seen(entry: Entries) -> bool:
+    """Whether an effect sits at what only cameras know of: a calibration holds no cameras to look it up in."""
+    return str(entry.get("place", "")).partition(" ")[0] in ("camera", "cameras", "marker", "markers", "target")
+
+
+def pose_map_dict(pose_map: PoseMap) -> dict[str, Any]:
+    """dict of a PoseMap, as JSON holds it."""
+    return {
+        "home": pose_entry_text(pose_map.home),
+        "coordinates": [NAMES[i] for i in pose_map.coordinates],
+        "field": interpolation_methods.field_to_dict(pose_map.field),
+    }
+
+
+def pose_map_from_entries(table: Entries, nominal: Struts) -> PoseMap:
+    """PoseMap of what `pose_map_dict` gave, as Entries, of a mechanism. Raises FileError for anything else."""
+    some = pose_coordinate_indices(nominal)
+    if table.texts("coordinates") != tuple(NAMES[i] for i in some):
+        table.fail(
+            f"{table.name('coordinates')} must be {', '.join(NAMES[i] for i in some)} for a mechanism of "
+            f"kind {nominal.kind!r}",
+            "coordinates",
+        )
+    return PoseMap(table.pose("home"), some, interpolation_methods.field_from_entries(table.table("field"), len(some)))

@@ -1,0 +1,263 @@
+"""Closed-loop equations of struts: residuals and Jacobians, compiled for hexapods, and for two struts."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.identify.least_squares import Linear
+from calib.samples.pose_samples import Samples
+from rig.compute.numba_kernels import njit
+from rig.errors import NotConverged, RigError
+from rig.model.design import Planar2
+from rig.model.mechanisms import two_strut_plane
+from rig.model.rotation_increment import rotate_increment
+
+TOLERANCE = 1e-13  # m; what Newton leaves of a strut's length
+MAX_ITERATIONS = 40
+MAX_TURN = 0.4  # rad per step, so that Newton stays in its assembly
+
+
+class Measured(NamedTuple):
+    """A measured pose, or n of them: R (..., 3, 3); t (..., 3) m; covariance (..., 6, 6) m^2, m rad, rad^2, tangent on
+    the right.
+    """
+
+    R: np.ndarray
+    t: np.ndarray
+    covariance: np.ndarray
+
+
+@njit(cache=True)
+def _solve_in_place(A: np.ndarray, B: np.ndarray) -> bool:
+    """Gaussian elimination with row pivots: B (n, k) becomes A^-1 B, A (n, n) is used up. Returns whether A is
+    regular.
+    """
+    n, width = A.shape[0], B.shape[1]
+    for j in range(n):
+        pivot = j
+        for i in range(j + 1, n):
+            if abs(A[i, j]) > abs(A[pivot, j]):
+                pivot = i
+        if abs(A[pivot, j]) < 1e-12:
+            return False
+        if pivot != j:
+            for k in range(n):
+                A[j, k], A[pivot, k] = A[pivot, k], A[j, k]
+            for k in range(width):
+                B[j, k], B[pivot, k] = B[pivot, k], B[j, k]
+        for i in range(n):
+            if i != j:
+                f = A[i, j] / A[j, j]
+                if f != 0.0:
+                    for k in range(j, n):
+                        A[i, k] -= f * A[j, k]
+                    for k in range(width):
+                        B[i, k] -= f * B[j, k]
+    for j in range(n):
+        for k in range(width):
+            B[j, k] /= A[j, j]
+    return True
+
+
+@njit(cache=True)
+def _cholesky_in_place(C: np.ndarray) -> bool:
+    """Lower triangle L of C = L L^T (n, n), in C's own. Returns whether C is positive definite."""
+    n = C.shape[0]
+    for j in range(n):
+        for i in range(j, n):
+            total = C[i, j]
+            for k in range(j):
+                total -= C[i, k] * C[j, k]
+            if i == j:
+                if not total > 0.0:
+                    return False
+                C[j, j] = np.sqrt(total)
+            else:
+                C[i, j] = total / C[j, j]
+    return True
+
+
+@njit(cache=True)
+def _forward_in_place(L: np.ndarray, B: np.ndarray) -> None:
+    """B (n, k) becomes L^-1 B, with the lower triangle of L (n, n)."""
+    n, width = L.shape[0], B.shape[1]
+    for i in range(n):
+        for k in range(width):
+            total = B[i, k]
+            for j in range(i):
+                total -= L[i, j] * B[j, k]
+            B[i, k] = total / L[i, i]
+
+
+@njit(cache=True)
+def strut_lengths_and_directions(
+    R: np.ndarray, t: np.ndarray, p: np.ndarray, length: np.ndarray, u: np.ndarray, A: np.ndarray
+) -> None:
+    """Strut lengths into length (6,), directions into u (6, 3), A (6, 6), at pose R, t for parameters p (42,)."""
+    for i in range(6):
+        a = p[18 + 3 * i : 21 + 3 * i]
+        for k in range(3):
+            u[i, k] = R[k, 0] * a[0] + R[k, 1] * a[1] + R[k, 2] * a[2] + t[k] - p[3 * i + k]
+        length[i] = np.sqrt(u[i, 0] ** 2 + u[i, 1] ** 2 + u[i, 2] ** 2)
+        for k in range(3):
+            u[i, k] /= length[i]
+        for k in range(3):
+            A[i, k] = u[i, 0] * R[0, k] + u[i, 1] * R[1, k] + u[i, 2] * R[2, k]
+        A[i, 3] = a[1] * A[i, 2] - a[2] * A[i, 1]
+        A[i, 4] = a[2] * A[i, 0] - a[0] * A[i, 2]
+        A[i, 5] = a[0] * A[i, 1] - a[1] * A[i, 0]
+
+
+@njit(cache=True)
+def forward_kinematics_kernel(command: np.ndarray, p: np.ndarray, R: np.ndarray, t: np.ndarray) -> bool:
+    """Forward kinematics by Newton from pose R (3, 3), t (3,), in place. Returns whether it converged."""
+    length, u, A, right = np.empty(6), np.empty((6, 3)), np.empty((6, 6)), np.empty((6, 1))
+    reach = 0.3 * np.sqrt(t[0] ** 2 + t[1] ** 2 + t[2] ** 2) + 1e-3
+    worst = np.inf
+    for _ in range(MAX_ITERATIONS):
+        strut_lengths_and_directions(R, t, p, length, u, A)
+        before, worst = worst, 0.0
+        for i in range(6):
+            right[i, 0] = command[i] + p[36 + i] - length[i]
+            worst = max(worst, abs(right[i, 0]))
+        if worst < TOLERANCE or (worst < 1e-12 and worst >= before):
+            return True
+        if not _solve_in_place(A, right):
+            return False
+        move = np.sqrt(right[0, 0] ** 2 + right[1, 0] ** 2 + right[2, 0] ** 2)
+        turn = np.sqrt(right[3, 0] ** 2 + right[4, 0] ** 2 + right[5, 0] ** 2)
+        share = 1 / max(1.0, max(turn / MAX_TURN, move / reach))
+        for i in range(3):
+            t[i] += share * (R[i, 0] * right[0, 0] + R[i, 1] * right[1, 0] + R[i, 2] * right[2, 0])
+        for i in range(3, 6):
+            right[i, 0] *= share
+        rotate_increment(R, right[3:, 0])
+    return worst < 1e-11
+
+
+@njit(cache=True)
+def pose_error_kernel(
+    R: np.ndarray, t: np.ndarray, R_measured: np.ndarray, t_measured: np.ndarray, e: np.ndarray
+) -> None:
+    """Pose error into e (6,): position (m) and rotation vector (rad) of the measured pose in the predicted one."""
+    M = np.empty((3, 3))
+    for i in range(3):
+        e[i] = 0.0
+        for k in range(3):
+            e[i] += R[k, i] * (t_measured[k] - t[k])
+            M[i, k] = R[0, i] * R_measured[0, k] + R[1, i] * R_measured[1, k] + R[2, i] * R_measured[2, k]
+    x, y, z = (M[2, 1] - M[1, 2]) / 2, (M[0, 2] - M[2, 0]) / 2, (M[1, 0] - M[0, 1]) / 2
+    sine, cosine = np.sqrt(x * x + y * y + z * z), (M[0, 0] + M[1, 1] + M[2, 2] - 1) / 2
+    grow = np.arctan2(sine, cosine) / sine if sine > 1e-9 else 1.0
+    e[3], e[4], e[5] = x * grow, y * grow, z * grow
+
+
+@njit(cache=True)
+def whitened_pose_row(
+    R: np.ndarray,
+    t: np.ndarray,
+    p: np.ndarray,
+    measured: Measured,
+    scatter: np.ndarray,
+    right: np.ndarray,
+    J: np.ndarray,
+) -> tuple[bool, np.ndarray]:
+    """Whitened row of one pose, docs/mathematics.md (7), in place: error, pose and parameter columns.
+    .
+
+    R, t : the predicted pose; p : (42,) m; measured : Measured, of one pose; scatter : (6,) m^2 variance of each strut
+        beyond its covariance
+    Returns (well, S): whether all is regular
+    """
+    length, u, A = np.empty(6), np.empty((6, 3)), np.empty((6, 6))
+    strut_lengths_and_directions(R, t, p, length, u, A)
+    turned, inverse = A[:, :3].copy(), np.zeros((6, 6))
+    for i in range(6):
+        inverse[i, i] = 1.0
+    if not _solve_in_place(A, inverse):
+        return False, inverse
+    C = measured.covariance.copy()
+    for i in range(6):
+        for j in range(6):
+            for k in range(6):
+                C[i, j] += inverse[i, k] * scatter[k] * inverse[j, k]
+    if not _cholesky_in_place(C):
+        return False, inverse
+    pose_error_kernel(R, t, measured.R, measured.t, right[:, 0])
+    _forward_in_place(C, right)
+    _forward_in_place(C, inverse)
+    for i in range(6):
+        for r in range(6):
+            g = inverse[r, i]
+            for k in range(3):
+                J[r, 3 * i + k] = g * u[i, k]
+                J[r, 18 + 3 * i + k] = -g * turned[i, k]
+            J[r, 36 + i] = g
+    return True, inverse
+
+
+@njit(cache=True)
+def whitened_pose_rows(
+    commands: np.ndarray,
+    R: np.ndarray,
+    t: np.ndarray,
+    p: np.ndarray,
+    measured: Measured,
+    scatter: np.ndarray,
+    right: np.ndarray,
+    J: np.ndarray,
+) -> int:
+    """Whitened rows of all poses, as `whitened_pose_row` has them: right (n, 6, 1 + k), J (n, 6, 42).
+
+    commands : (n, 6) m; measured : Measured, of n poses. Returns the first pose that has no solution or no covariance,
+        or -1
+    """
+    for i in range(len(commands)):
+        one = Measured(measured.R[i], measured.t[i], measured.covariance[i])
+        if (
+            not forward_kinematics_kernel(commands[i], p, R[i], t[i])
+            or not whitened_pose_row(R[i], t[i], p, one, scatter, right[i], J[i])[0]
+        ):
+            return i
+    return -1
+
+
+def two_strut_loop_jacobian(T_base_platform: RigidTransform, mechanism: Planar2) -> np.ndarray:
+    """Loop Jacobian (..., 2, 6) of two struts: change of zero - length with base joints and zeros (m/m)."""
+    struts = T_base_platform.translation[..., None, :2] - mechanism.base_joints
+    u = struts / np.linalg.norm(struts, axis=-1, keepdims=True)
+    out = np.zeros((*u.shape[:-1], 6))
+    for i in range(2):
+        out[..., i, 2 * i : 2 * i + 2] = u[..., i, :]
+        out[..., i, 4 + i] = 1
+    return out
+
+
+def linearised_hinge_equations(
+    samples: Samples, lengths: np.ndarray, mechanism: Planar2, scatter: np.ndarray
+) -> Linear:
+    """Linearised equations (least_squares.Linear) of the measured hinge (x, y) at a geometry.
+
+    lengths : (n, 2) m, commanded; scatter : (2,) m of each strut beyond the poses' own
+    Raises RigError naming the first pose whose circles do not cross, or that does not say where in the plane it is
+    """
+    try:
+        T = two_strut_plane.forward(lengths, mechanism)
+    except NotConverged as error:
+        i = int(error.index[0])
+        raise RigError(
+            f"frame {samples.frame[i]}: the commanded lengths {lengths[i].round(6).tolist()} m close on no pose"
+        ) from None
+    R = samples.T_base_platform.rotation.as_matrix()
+    to_hinge = np.linalg.inv(two_strut_plane.jacobian(T, mechanism)[..., :2])
+    own = (R @ samples.covariance[:, :3, :3] @ np.swapaxes(R, 1, 2))[:, :2, :2] + (to_hinge * scatter**2) @ np.swapaxes(
+        to_hinge, 1, 2
+    )
+    white = np.linalg.inv(np.linalg.cholesky(own))
+    left = (samples.T_base_platform.translation - T.translation)[:, :2]
+    return Linear(
+        (white @ left[..., None])[..., 0],
+        white @ to_hinge @ two_strut_loop_jacobian(T, mechanism),
+        white @ (R @ samples.common[:, :3])[:, :2],
+    )

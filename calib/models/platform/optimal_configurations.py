@@ -1,0 +1,250 @@
+"""Optimal configurations for a hexapod's parameters: D-optimal, or fewest for a promised accuracy."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.models.platform.identification import pose_parameter_jacobian
+from calib.models.platform.parameter_accuracy import PLAUSIBLE
+from rig.errors import NotConverged, RigError
+from rig.model.design import Hexapod
+from rig.model.mechanisms import hexapod as mechanism
+from rig.planning import plan
+from rig.planning.approach_balance import balanced_order
+from rig.planning.configuration_sets import FILL as WORKSPACE
+
+CANDIDATES = 2000
+FILL = 0.9  # of the strokes
+PASSES = 6  # of exchanging; each ends early where nothing pays
+PAYS = 1e-4  # relative gain below which an exchange is not made
+LOOKED_AT = 24  # candidates whose noise amplification is worked out exactly, the most promising ones
+CRITERIA = ("determinant", "noise")
+
+Avoided = Callable[[np.ndarray], np.ndarray]  # configurations (n, 6) m -> (n,) bool, those that are not to be visited
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chosen:
+    """commands : (n, 6) m, ordered so that neither time nor direction is a function of place
+    root : (42, 42) information's square root, 1/m, with what was given; before : of what was given alone
+    even : (42, 42) with as many low-discrepancy configurations in their stead"""
+
+    commands: np.ndarray
+    root: np.ndarray
+    before: np.ndarray
+    even: np.ndarray
+
+
+def choose_d_optimal_configurations(
+    hexapod: Hexapod,
+    count: int,
+    sigmas: tuple[float, float],
+    criterion: str = "determinant",
+    given_configurations: np.ndarray | None = None,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+    avoided: Avoided | None = None,
+) -> Chosen:
+    """D-optimal configurations chosen, `count` of them, in addition to those given (k, 6) m.
+
+    sigmas : (m, rad) standard deviations of a measured pose's position and rotation, per axis; progress : called with
+        (done, of)
+    avoided : which of configurations (n, 6) m are not to be visited, (n,) bool, or None where all may be
+    Raises RigError for an unknown criterion, too few configurations to hold 42 parameters, or where none may be visited
+    """
+    if criterion not in CRITERIA:
+        raise RigError(f"there is no criterion {criterion!r}; there are {', '.join(CRITERIA)}")
+    given_configurations = np.zeros((0, 6)) if given_configurations is None else np.asarray(given_configurations, float)
+    if count + len(given_configurations) < 7:
+        raise RigError(
+            f"{count + len(given_configurations)} configurations cannot determine 42 parameters; it takes 7, better 30"
+        )
+    candidates, G = _candidates(hexapod, sigmas, seed, avoided)
+    known = (
+        configuration_information(given_configurations, hexapod, sigmas)[1].reshape(-1, 42)
+        if len(given_configurations)
+        else np.zeros((0, 42))
+    )
+    picked = exchange_configurations(G, known.T @ known, count, criterion, progress)
+    even = configuration_information(plan.low_discrepancy(hexapod.strut_range, count, FILL, seed + 1), hexapod, sigmas)[
+        1
+    ].reshape(-1, 42)
+    parts = [np.concatenate([known, rows]) for rows in (G[picked].reshape(-1, 42), even)]
+    chosen = candidates[picked]
+    order = balanced_order(chosen, np.random.default_rng(seed), hexapod.strut_range.mean(axis=1))
+    return Chosen(chosen[order], *(_root(rows) for rows in (parts[0], known, parts[1])))
+
+
+def exchange_configurations(
+    G: np.ndarray, M0: np.ndarray, count: int, criterion: str, progress: Callable[[int, int], None] | None = None
+) -> list[int]:
+    """Exchange of configurations: `count` candidates of rows G (c, m, p) that add most to information M0."""
+    picked: list[int] = []
+    gain = _determinant if criterion == "determinant" else _noise
+    for k in range(count):  # greedily first, by volume: from nothing only that has a meaning
+        M = M0 + total_information(G, picked)
+        picked.append(int(np.argmax(_determinant(M + np.eye(G.shape[2]), G)[1])))
+        if progress:
+            progress(k + 1, count * (1 + PASSES))
+    for turn in range(PASSES):
+        moved = 0
+        for k in range(count):
+            rest = picked[:k] + picked[k + 1 :]
+            M = M0 + total_information(G, rest) + 1e-9 * np.eye(G.shape[2])
+            now, values = gain(M, G, picked[k])
+            best = int(np.argmax(values))
+            if values[best] > now + PAYS * abs(now):
+                picked[k], moved = best, moved + 1
+            if progress:
+                progress(count * (1 + turn) + k + 1, count * (1 + PASSES))
+        if not moved:
+            break
+    if progress:
+        progress(count * (1 + PASSES), count * (1 + PASSES))
+    return picked
+
+
+def configuration_information(
+    commands: np.ndarray, hexapod: Hexapod, sigmas: tuple[float, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Information of configurations: (commands (n, 6) m that close, rows (n, 6, 42) whitened by the pose's sigmas)."""
+    commands = np.asarray(commands, float)
+    while True:
+        try:
+            T = mechanism.forward(commands, hexapod)
+        except NotConverged as error:
+            commands = np.delete(commands, error.index, axis=0)
+            continue
+        weights = 1 / np.repeat(sigmas, 3)[:, None]
+        return commands, pose_parameter_jacobian(T, hexapod) * weights * PLAUSIBLE
+
+
+def _candidates(
+    hexapod: Hexapod, sigmas: tuple[float, float], seed: int, avoided: Avoided | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Low-discrepancy configurations and the strokes' outermost ones, with their rows."""
+    spread = plan.low_discrepancy(hexapod.strut_range, CANDIDATES, FILL, seed)
+    return configuration_information(
+        allowed_configurations(np.concatenate([spread, plan.simplices(hexapod.strut_range, 1, FILL)]), avoided),
+        hexapod,
+        sigmas,
+    )
+
+
+def allowed_configurations(commands: np.ndarray, avoided: Avoided | None) -> np.ndarray:
+    """Configurations among the commands (n, 6) m that are allowed. Raises RigError where none is."""
+    kept = commands if avoided is None else commands[~avoided(commands)]
+    if not len(kept):
+        raise RigError(
+            f"none of {len(commands)} configurations all over the strokes may be visited: the calibration "
+            "leaves no pose of the owner's "
+            "model in reach"
+        )
+    return kept
+
+
+def total_information(G: np.ndarray, picked: list[int] | np.ndarray) -> np.ndarray:
+    """Total information (p, p) of the picked (k,) candidates with whitened rows G (c, m, p)."""
+    rows = G[picked].reshape(-1, G.shape[2])
+    return rows.T @ rows
+
+
+def _determinant(M: np.ndarray, G: np.ndarray, present: int = 0) -> tuple[float, np.ndarray]:
+    """(log volume that candidate `present` adds to information M, that which each candidate adds (c,))."""
+    half = np.linalg.inv(np.linalg.cholesky(M))
+    rows = G @ half.T
+    values = np.linalg.slogdet(np.eye(6) + rows @ np.swapaxes(rows, 1, 2))[1]
+    return values[present], values
+
+
+def _noise(M: np.ndarray, G: np.ndarray, present: int = 0) -> tuple[float, np.ndarray]:
+    """(noise amplification index with candidate `present`, with each candidate (c,), -inf for those not worth looking
+    at).
+    """
+    size, V = np.linalg.eigh(M)
+    promise = np.einsum("cik,k->c", (G @ V) ** 2, 1 / np.maximum(size, 1e-12) ** 2)
+    look = np.r_[present, np.argsort(-promise)[:LOOKED_AT]]
+    s = np.linalg.eigvalsh(M + np.swapaxes(G[look], 1, 2) @ G[look])
+    index = np.maximum(s[:, 0], 0) / np.sqrt(s[:, -1])
+    values = np.full(len(G), -np.inf)
+    values[look[1:]] = index[1:]
+    return index[0], values
+
+
+def _root(rows: np.ndarray) -> np.ndarray:
+    R: np.ndarray = np.asarray(np.linalg.qr(rows, mode="r")) / PLAUSIBLE
+    return np.concatenate([R, np.zeros((42 - len(R), 42))]) if len(R) < 42 else R
+
+
+FEWEST_CANDIDATES = 1500
+PLACES = 256
+MOST = 400  # poses
+DRAWS, SURE = 2000, 0.975
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChosenConfigurations:
+    """commands : (n, 6) m, in the order in which they help most; left : (n + 1,) m, the position error, RMS over the
+    workspace, that 97.5 % of machines keep to once so many of them are measured beside what was given."""
+
+    commands: np.ndarray
+    left: np.ndarray
+
+
+def fewest_configurations(
+    hexapod: Hexapod,
+    promise: float,
+    sigmas: tuple[float, float],
+    given_configurations: np.ndarray | None = None,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+    avoided: Avoided | None = None,
+) -> ChosenConfigurations:
+    """Fewest configurations found that keep a promise (m), in addition to those given (k, 6) m.
+
+    sigmas : (m, rad) standard deviations of a measured pose, per axis, each pose's own; progress : called with (done,
+        of)
+    avoided : which of configurations (n, 6) m are not to be visited, (n,) bool, or None where all may be
+    Raises RigError where MOST poses do not keep it, or where none may be visited
+    """
+    spread = plan.low_discrepancy(hexapod.strut_range, FEWEST_CANDIDATES, FILL, seed)
+    candidates, G = configuration_information(allowed_configurations(spread, avoided), hexapod, sigmas)
+    places, _ = configuration_information(
+        plan.low_discrepancy(hexapod.strut_range, PLACES, WORKSPACE, seed + 1), hexapod, sigmas
+    )
+    J = pose_parameter_jacobian(mechanism.forward(places, hexapod), hexapod)[:, :3].reshape(-1, 42) * PLAUSIBLE
+    A = J.T @ J / len(places)
+    covariance = np.eye(42)  # of the parameters, each in its plausible size
+    if given_configurations is not None and len(given_configurations):
+        known = configuration_information(given_configurations, hexapod, sigmas)[1].reshape(-1, 42)
+        covariance = np.linalg.inv(np.eye(42) + known.T @ known)
+    chosen: list[int] = []
+    left = [_left(covariance, A, seed)]
+    while left[-1] > promise:
+        if len(chosen) == MOST:
+            raise RigError(
+                f"{MOST} poses leave {left[-1] * 1e6:.3g} um, not the {promise * 1e6:.3g} um promised: poses "
+                "must be measured better"
+            )
+        half = G @ covariance  # (c, 6, 42)
+        inner = np.eye(6) + half @ np.swapaxes(G, 1, 2)
+        gain = np.trace(np.linalg.solve(inner, half @ A @ np.swapaxes(half, 1, 2)), axis1=1, axis2=2)
+        best = int(np.argmax(gain))
+        chosen.append(best)
+        covariance = covariance - half[best].T @ np.linalg.solve(inner[best], half[best])
+        left.append(_left(covariance, A, seed))
+        if progress:
+            progress(len(chosen), MOST)
+    if progress:
+        progress(MOST, MOST)
+    return ChosenConfigurations(candidates[chosen].reshape(-1, 6), np.array(left))
+
+
+def _left(covariance: np.ndarray, A: np.ndarray, seed: int) -> float:
+    """m, what SURE of machines keep to: mean squares are sums of squares of normal draws, weighed by the
+    eigenvalues.
+    """
+    weights = np.maximum(np.linalg.eigvals(covariance @ A).real, 0)
+    draws = np.random.default_rng(seed).chisquare(1, (DRAWS, 42)) @ weights
+    return float(np.sqrt(np.quantile(draws, SURE)))

@@ -1,0 +1,215 @@
+"""HTML pages of on-line learning and of measuring limbs compared with vision."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calib.certify.calibration_evidence import ALONE, OfCalibrations, confound_sentences
+from calib.certify.measuring_limbs import AXES, MOVES, Agreement
+from calib.samples.confounded_conditions import Confounds
+from rig.report.pages.html_elements import heading, list_html, note, paragraph, table
+from rig.report.pages.page_and_svg_templates import Link, Page, write_page
+from rig.report.pages.plots import Series, bar_chart, panel_row, plot_panel
+from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge_evidence
+
+MANY = 6  # changes beyond which they are not believed to be steps
+ASK = "Determine what acts on the struts or the measurement: `rig diagnose REC --out found`"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OnlineResult:
+    """What poses taught. frames : (n,) their numbers; innovations : (n, 6) whitened, N(0, I) where nothing is wrong;
+    source : of the poses
+    said : a line for each change; dropped : numbers of frames left out; known : m RMS of joints and zeros, or None;
+        moved : m RMS from rig.toml
+    returning : struts that go back and forth, a sentence each; confounds : of the recording, or None
+    calibrations : OfCalibrations made from it: what they leave out, these poses teach no better"""
+
+    frames: np.ndarray
+    innovations: np.ndarray
+    source: str
+    said: Sequence[str]
+    dropped: Sequence[int]
+    known: float | None
+    moved: float
+    returning: Sequence[str] = ()
+    confounds: Confounds | None = None
+    calibrations: OfCalibrations = ALONE
+
+
+def write_online_page(path: Path | str, name: str, result: OnlineResult, links: Sequence[Link] = ()) -> None:
+    """Write the HTML page of on-line learning from a recording."""
+    sizes = np.sqrt((result.innovations**2).mean(axis=1))
+    parts = [
+        paragraph(
+            f"{len(result.frames)} poses from {result.source}, learnt one at a time. Joints and zeros moved by "
+            f"{result.moved * 1e3:.4f} mm RMS from rig.toml."
+        )
+    ]
+    if result.said:
+        parts += [heading("What jumped"), list_html(result.said)]
+    parts += [
+        heading("How well each pose was expected"),
+        note(
+            "Off what the poses before it let expect, in standard deviations, RMS over the six axes: 1 where "
+            "nothing is left to learn."
+        ),
+        plot_panel("innovation", ("frame", "standard deviations"), [Series(result.frames, sizes)], log=True, level=1.0),
+    ]
+    if result.dropped:
+        parts += [
+            heading("Left out"),
+            paragraph(f"Frames {', '.join(map(str, result.dropped))}: their poses agree with no other."),
+        ]
+    verdict = online_verdict(result)
+    write_page(path, Page("online", f"Learning from {name}", verdict, parts, verdict.next, links))
+
+
+def online_verdict(result: OnlineResult) -> Verdict:
+    """Verdict on on-line learning."""
+    last = result.innovations[-max(len(result.innovations) // 4, 1) :]
+    off = float(np.sqrt(np.mean(last**2)))
+    known = "" if result.known is None else f"; joints and zeros are known to {result.known * 1e3:.4f} mm RMS"
+    changes = f"{len(result.said)} change{'s' * (len(result.said) != 1)}" if result.said else "nothing jumped"
+    why = f"{changes}, the last poses off what was expected by {off:.2f} standard deviations{known}"
+    unexplained = [*result.returning, *result.calibrations.unexplained]
+    if len(result.said) > MANY:
+        unexplained.append("these are no few steps, something acts that the geometry lacks")
+    if off > AGREES:
+        unexplained.append(f"the last poses are {off:.3g} times as far off as expected")
+    missing = [Missing("something jumped", _recommended_actions(result)[0])] if result.said else []
+    missing += [Missing("poses were left out")] if result.dropped else []
+    return judge_evidence(
+        Evidence(
+            why,
+            tuple(_recommended_actions(result)),
+            unexplained=tuple(unexplained),
+            confounds=confound_sentences(result.confounds),
+            missing=tuple(missing),
+            refuted=result.calibrations.refuted,
+            look=ASK,
+        )
+    )
+
+
+def _recommended_actions(learnt: OnlineResult) -> list[str]:
+    """What an owner does next with what was learnt."""
+    if len(learnt.said) > MANY or learnt.returning:
+        return [ASK]
+    if learnt.said:
+        return [
+            "Look at the struts named below for missed steps or a slipped joint, at cameras and base for a "
+            "knock; home, and record again"
+        ]
+    return ["Go on with the next recording and the same `--state`"]
+
+
+def write_measuring_limbs_page(
+    path: Path | str, name: str, agreement: Agreement, source: str, withdrawn: str | None, links: Sequence[Link] = ()
+) -> None:
+    """Write the HTML page of measuring limbs. source : of vision's poses; withdrawn : why they cannot stand, or None
+    name : of the recording; source : of vision's poses; withdrawn : why the limbs cannot stand for vision after
+    all, or None
+    """
+    columns = (
+        agreement.bias,
+        agreement.scatter,
+        agreement.expected,
+        *agreement.limits,
+        agreement.proven_limits,
+        agreement.tolerance,
+    )
+    rows = [
+        (
+            axis,
+            *(f"{column[i] * 1e6:.2f}" for column in columns),
+            f"{agreement.moved[i] * 1e3:.1f} {'mm' if i < 3 else 'mrad'}",
+            _said(agreement, i),
+        )
+        for i, axis in enumerate(AXES)
+    ]
+    failing = [axis for i, axis in enumerate(AXES) if not agreement.passed[i]]
+    surely, tolerance = agreement.proven_limits * 1e6, agreement.tolerance * 1e6
+    halves = [
+        bar_chart(
+            title,
+            AXES[part],
+            [("surely within", surely[part].tolist(), 0), ("tolerance", tolerance[part].tolist(), -1)],
+            unit,
+            failing,
+        )
+        for title, part, unit in (("position", slice(0, 3), "µm"), ("rotation", slice(3, 6), "µrad"))
+    ]
+    parts = [
+        heading("Each axis against its tolerance"),
+        note("Of differences, limbs less vision, 95 % lie within; in bold: axes that do not pass."),
+        panel_row(*halves),
+        heading("In figures"),
+        note(f"{agreement.n} poses, vision's from {source}, each by limbs fitted to other stretches; µm and µrad."),
+        table(
+            (
+                "axis",
+                "bias",
+                "scatter",
+                "expected",
+                "lower limit",
+                "upper limit",
+                "surely within",
+                "tolerance",
+                "moved over",
+                "so it",
+            ),
+            rows,
+        ),
+    ]
+    steps = ["Let the limbs stand for vision: `--limbs FILE` of measure, calibrate, online and run"]
+    if withdrawn is not None or not agreement.passed.all():
+        steps = [
+            "Look at the joints of limbs that slipped, or move farther along the axes that are not shown, "
+            "and hold them against vision again"
+        ]
+    write_page(
+        path,
+        Page(
+            "insitu",
+            f"Measuring limbs against vision, {name}",
+            measuring_limbs_verdict(agreement, withdrawn),
+            parts,
+            steps,
+            links,
+        ),
+    )
+
+
+def measuring_limbs_verdict(agreement: Agreement, withdrawn: str | None) -> Verdict:
+    """Verdict on measuring limbs. withdrawn : as for the page"""
+    if withdrawn is not None:
+        return judge_evidence(
+            Evidence(f"{agreement.n} poses", refuted=(f"the measuring limbs cannot stand for vision: {withdrawn}",))
+        )
+    if agreement.passed.all():
+        return judge_evidence(
+            Evidence(f"the measuring limbs pass on all six axes, over {agreement.n} poses: they may stand for vision")
+        )
+    failing = ", ".join(axis for i, axis in enumerate(AXES) if not agreement.passed[i])
+    surely = [axis for i, axis in enumerate(AXES) if agreement.proven_limits[i] > agreement.tolerance[i]]
+    said = f"the measuring limbs do not pass: {failing}"
+    return judge_evidence(
+        Evidence(
+            said,
+            refuted=(f"{', '.join(surely)} surely beyond the tolerance",) if surely else (),
+            missing=() if surely else (Missing("that they agree is not shown"),),
+        )
+    )
+
+
+def _said(found: Agreement, i: int) -> str:
+    if found.passed[i]:
+        return "passes"
+    return (
+        "fails"
+        if found.proven_limits[i] > found.tolerance[i]
+        else f"is not shown: it must move over {MOVES:g} tolerances"
+    )

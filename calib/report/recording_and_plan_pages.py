@@ -1,0 +1,161 @@
+"""HTML pages of a recording and of a plan: their poses in a 3-D scene, and effects on them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from calib.report.pose_figures import pose_coverage_figures, rig_scene
+from calib.samples.effect_playback import effect_displacements
+from rig.effects.framework.effect import Effect
+from rig.errors import RigError
+from rig.model import mechanisms
+from rig.model.design import Design
+from rig.model.pose import pose_difference, pose_to_vector
+from rig.recording.recording_folder import Recording
+from rig.report.pages.html_elements import heading, list_html
+from rig.report.pages.page_and_svg_templates import Link, Page, write_page
+from rig.report.pages.plots import Series, panel_row, plot_panel
+from rig.report.pages.view_3d import Effect as Played
+from rig.report.pages.view_3d import view_3d_html, view_scripts
+from rig.report.verdict import Evidence, Missing, State, Verdict, judge_evidence
+
+
+def write_recording_page(
+    path: Path | str, recording: Recording, effects: Sequence[Effect] = (), links: Sequence[Link] = ()
+) -> None:
+    """Write the HTML page of a recording: its poses, its commands or both. effects : shown each by itself
+    effects : to be tried on it, each by itself
+
+    Raises RigError for a recording with neither, for effects on one without commands, and as their models do
+    """
+    design, poses, values = recording.design, recording.poses, None
+    errors: dict[str, np.ndarray] = {}
+    tried: list[Played | None] = []
+    if recording.commands is not None:
+        frames, t, values = recording.commanded()
+        T = mechanisms.kinematics_of(design.mechanism).forward(values, design.mechanism)
+        tried = [
+            effect_displacements(design, recording.commands, t, (effect,), 0, recording.sensors) for effect in effects
+        ]
+        if poses is not None:
+            at, by_model = np.searchsorted(frames, poses.frame), T
+            frames, values, T = frames[at], values[at], poses.T_base_platform
+            errors = {"the model in rig.toml, from what was measured": pose_difference(T, by_model[at])}
+            tried = [one and replace(one, shifts=one.shifts[:, at]) for one in tried]
+    elif poses is None:
+        raise RigError(
+            f"{recording.folder} has neither poses.csv nor commands.csv, so there is no pose to show; `rig "
+            "measure` finds poses"
+        )
+    elif effects:
+        raise RigError(f"{recording.folder} has no commands.csv, and effects act on what is commanded")
+    else:
+        frames, T = poses.frame, poses.T_base_platform
+    still = [
+        f"{effect.label()} at {effect.place} moves no platform: it acts on what cameras see"
+        for effect, one in zip(effects, tried)
+        if one is None
+    ]
+    shown = rig_scene(design, frames, T, values, errors, tuple(one for one in tried if one is not None))
+    parts = [
+        *view_3d_html(shown),
+        *([list_html(still)] if still else []),
+        heading("Where it went"),
+        pose_coverage_figures(pose_to_vector(T)),
+    ]
+    title = f"{recording.name} in three dimensions"
+    write_page(
+        path,
+        Page(
+            "view",
+            title,
+            _recording_verdict(recording, frames, errors),
+            parts,
+            _recommended_actions(recording),
+            links,
+            view_scripts(parts),
+        ),
+    )
+
+
+def _recording_verdict(recording: Recording, frames: np.ndarray, errors: dict[str, np.ndarray]) -> Verdict:
+    """The verdict on what is shown. frames : (n,) numbers; errors : of its poses, tangents (n, 6) m and rad"""
+    if recording.poses is None:
+        return judge_evidence(
+            Evidence(
+                f"{len(frames)} poses as rig.toml and the commands have them",
+                missing=(Missing("nothing was measured"),),
+            )
+        )
+    if not errors:
+        return judge_evidence(Evidence(f"{len(frames)} poses as measured; nothing was commanded to hold them against"))
+    far = np.linalg.norm(next(iter(errors.values()))[:, :3], axis=1)
+    rms = float(np.sqrt(np.mean(far[np.isfinite(far)] ** 2))) if np.isfinite(far).any() else np.nan
+    return judge_evidence(
+        Evidence(f"{len(frames)} poses as measured; the model in rig.toml is off by {rms * 1e3:.3f} mm RMS")
+    )
+
+
+def _recommended_actions(recording: Recording) -> list[str]:
+    """What an owner does next."""
+    if recording.poses is None:
+        return ["Measure the poses: `rig measure REC --out measured`"]
+    return [
+        "Calibrate: `rig calibrate REC --out calibration.json`",
+        "Ask what physics is left out: `rig diagnose REC --out found`",
+    ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanResult:
+    """A plan. design; values : (n, axes) m or rad in their order; verdict : on it; said : lines on what it tells"""
+
+    design: Design
+    values: np.ndarray
+    verdict: Verdict
+    said: Sequence[str]
+
+
+def write_plan_page(path: Path | str, file: str, plan_result: PlanResult, links: Sequence[Link] = ()) -> None:
+    """Write the HTML page of a plan in a file. Raises as forward kinematics does"""
+    if not len(plan_result.values):
+        write_page(path, Page("plan", f"No plan {file}", plan_result.verdict, [], [], links))
+        return
+    mechanism, n = plan_result.design.mechanism, np.arange(len(plan_result.values))
+    T = mechanisms.kinematics_of(mechanism).forward(plan_result.values, mechanism)
+    units = mechanisms.axis_units(mechanism)
+    scales = [(1e3, "mm") if unit == "m" else (180 / np.pi, "degrees") for unit in units]
+    axes = panel_row(
+        *(
+            plot_panel(name, ("configuration", unit), [Series(n, plan_result.values[:, i] * scale)])
+            for i, (name, (scale, unit)) in enumerate(zip(mechanisms.axis_places(mechanism), scales))
+        )
+    )
+    said = [list_html(plan_result.said[1:])] if plan_result.said[1:] else []
+    parts = [
+        *said,
+        heading("In three dimensions"),
+        *view_3d_html(rig_scene(plan_result.design, n, T, plan_result.values)),
+        heading("Where it goes"),
+        pose_coverage_figures(pose_to_vector(T)),
+        heading("Axis by axis"),
+        axes,
+    ]
+    steps = [
+        f"Drive it: `rig run RIG.toml --plan commands:{file} --out REC`",
+        f"Or try it first: `rig simulate RIG.toml --plan commands:{file} --out REC`",
+    ]
+    write_page(
+        path,
+        Page(
+            "plan",
+            f"Plan {file}",
+            plan_result.verdict,
+            parts,
+            steps if plan_result.verdict.state != State.BAD else [],
+            links,
+            view_scripts(parts),
+        ),
+    )

@@ -1,0 +1,278 @@
+"""HTML pages of a verification and of repeated visits: whether a calibration's claim still holds."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from calib.certify.calibration import Calibration, refutation_sentence, verification_line
+from calib.certify.calibration_evidence import calibration_evidence, evidence_with_confounds, evidence_with_verification
+from calib.certify.claim_verification import Verification
+from calib.certify.held_out_errors import Figures, HeldOut
+from calib.drift.change_evidence import ALARM
+from calib.drift.change_evidence import Verdict as Changes
+from calib.report.pose_figures import correction_error_figures, pose_coverage_figures, rig_scene
+from calib.samples.confounded_conditions import Confounds
+from calib.samples.pose_samples import Samples
+from rig.model.design import Design
+from rig.model.pose import pose_to_vector
+from rig.report.pages.html_elements import heading, note, paragraph, table
+from rig.report.pages.page_and_svg_templates import Link, Page, write_page
+from rig.report.pages.plots import Series, bar_chart, panel_row, plot_panel
+from rig.report.pages.view_3d import view_3d_html, view_scripts
+from rig.report.refutations import Refutation
+from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge_evidence
+
+FAR = 3.0  # times the stated uncertainty, which errors that all poses share may reach by chance: beyond it is refuted
+ANOTHER = (
+    "Take a recording that the calibration has not seen, and verify by that: `rig verify calibration.json OTHER-REC`"
+)
+CHANGED = "Determine what changed: `rig watch calibration.json REC`; what is left out: `rig diagnose REC --out found`"
+CERTIFY = "State what is promised, with what confidence: `rig certify calibration.json REC --out certificate.html`"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verified:
+    """samples; before, after : (n, 6) errors by the owner's model and corrected, m and rad; held : their figures
+    found : Verification of the claim, or None; calibration, refutations : Calibration, and what later recordings found
+        against it
+    same : numbers of frames that it was made from; driven : where poses were wanted, (figures of the errors, stated
+    uncertainty (m, rad), errors (n, 6)), else None; unsolved : {frame number: why it has no pose}
+    confounds : of the recording, None where it states no conditions"""
+
+    design: Design
+    samples: Samples
+    before: np.ndarray
+    after: np.ndarray
+    held: HeldOut
+    found: Verification | None
+    calibration: Calibration
+    refutations: Sequence[Refutation]
+    same: Sequence[int]
+    driven: tuple[Figures, tuple[float, float], np.ndarray] | None
+    unsolved: dict[int, str]
+    confounds: Confounds | None = None
+
+
+def write_verification_page(path: Path | str, name: str, verified: Verified, links: Sequence[Link] = ()) -> None:
+    """Write the HTML page of a verification. name : of the recording"""
+    floor = (
+        f"The measured poses themselves are uncertain by {verified.held.floor[0] * 1e3:.4f} mm and "
+        f"{verified.held.floor[1] * 1e3:.4f} mrad."
+    )
+    errors = {"owner's model": -verified.before, "corrected": -verified.after}
+    parts = [paragraph(floor)] if np.isfinite(verified.held.floor).all() else []
+    if verified.driven is not None:
+        parts += [heading("Wanted poses against measured ones"), _driven(verified.samples.frame, *verified.driven)]
+    parts += [
+        heading("Before and after, pose by pose"),
+        correction_error_figures(verified.before, verified.after, verified.samples.frame),
+        _figures(verified.held),
+        heading("In three dimensions"),
+        *view_3d_html(
+            rig_scene(
+                verified.design,
+                verified.samples.frame,
+                verified.samples.T_base_platform,
+                verified.samples.commanded,
+                errors,
+            )
+        ),
+        heading("Where it went"),
+        pose_coverage_figures(pose_to_vector(verified.samples.T_base_platform)),
+    ]
+    if verified.unsolved:
+        parts += [heading("Frames without a pose"), table(("frame", "reason"), sorted(verified.unsolved.items()))]
+    verdict = verification_verdict(verified)
+    write_page(
+        path, Page("verify", f"Verification by {name}", verdict, parts, verdict.next, links, view_scripts(parts))
+    )
+
+
+def verification_verdict(verified: Verified) -> Verdict:
+    """Verdict on a verification."""
+    if verified.driven is not None:
+        return judge_evidence(_of_driven(verified))
+    if verified.same:
+        return judge_evidence(
+            Evidence(
+                "no verdict",
+                missing=(Missing(f"the calibration was made from {len(verified.same)} of these frames", ANOTHER),),
+            )
+        )
+    known = calibration_evidence(
+        verified.calibration,
+        verified.refutations,
+        verification_line(verified.held, verified.calibration.claim, verified.found),
+        (CERTIFY,),
+    )
+    known = evidence_with_confounds(known, verified.calibration, (verified.confounds,), "this recording")
+    return judge_evidence(evidence_with_verification(known, verified.found, next_step=CHANGED))
+
+
+def refutes_claim(verified: Verified) -> bool:
+    """Whether a verification's poses, which nothing was fitted to, refute the calibration's claim."""
+    return verified.driven is None and not verified.same and verified.found is not None and verified.found.refutes
+
+
+def _of_driven(v: Verified) -> Evidence:
+    """Evidence of poses wanted against those that came."""
+    assert v.driven is not None
+    figures, stated, _ = v.driven
+    pairs = [
+        (size, sigma)
+        for size, sigma in zip((figures.position[0], figures.rotation[0]), stated)
+        if 0 < sigma < math.inf and math.isfinite(size)
+    ]
+    times = max((size / sigma for size, sigma in pairs), default=math.nan)
+    line = (
+        f"{figures.n} poses came within {figures.position[0] * 1e3:.4f} mm RMS of those wanted, {times:.2f} "
+        "times the stated standard "
+        "uncertainty"
+    )
+    known = calibration_evidence(v.calibration, v.refutations, line, (CERTIFY,))
+    beyond = f"poses are {times:.3g} times the stated standard uncertainty off those wanted"
+    if times > FAR:
+        return replace(known, refuted=(beyond, *known.refuted), held_out=None)
+    return replace(known, missing=(*known.missing, *([Missing(beyond, CHANGED)] if times > AGREES else [])))
+
+
+def _driven(frames: np.ndarray, figures: Figures, stated: tuple[float, float], errors: np.ndarray) -> str:
+    rows = [
+        ("position", *(f"{value * 1e3:.4f} mm" for value in (*figures.position, stated[0]))),
+        ("rotation", *(f"{value * 1e3:.4f} mrad" for value in (*figures.rotation, stated[1]))),
+    ]
+    seen = [
+        (part, label)
+        for part, label in ((slice(0, 3), "off, mm"), (slice(3, 6), "off, mrad"))
+        if np.isfinite(errors[:, part]).all()
+    ]
+    drawn = (
+        plot_panel(label, ("frame", label), [Series(frames, np.linalg.norm(errors[:, part], axis=1) * 1e3)])
+        for part, label in seen
+    )
+    return table(("off the wanted pose", "RMS", "95 %", "max", "stated uncertainty"), rows[: len(seen)]) + panel_row(
+        *drawn
+    )
+
+
+def _figures(held: HeldOut) -> str:
+    rows = [
+        (name, *(f"{value * 1e3:.4f}" if value == value else "-" for value in (*f.position, *f.rotation)))
+        for name, f in (("owner's model", held.before), ("corrected", held.after))
+    ]
+    return table(("pose error", "RMS, mm", "95 %, mm", "max, mm", "RMS, mrad", "95 %, mrad", "max, mrad"), rows)
+
+
+SHOWN = 8  # suspects
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Visit:
+    """A visit of a name, what it says and that in lines; scale : of what measuring repeats to
+    found : Verification of the calibration's claim by a first visit that disagrees with it, None of other visits"""
+
+    name: str
+    evidence: Changes
+    lines: Sequence[str]
+    scale: float
+    found: Verification | None = None
+
+    @property
+    def allowed(self) -> bool:
+        """Whether what a first visit disagrees by is within the claim, so that it may have been there when the
+        calibration was made.
+        """
+        return self.found is not None and bool(self.found.parts) and not self.found.refutes
+
+
+def write_visits_page(
+    path: Path | str, calibration: str, visits: Sequence[Visit], verdict: Verdict, links: Sequence[Link] = ()
+) -> None:
+    """Write the HTML page of visits, one at least, compared with a calibration."""
+    n = np.arange(1, len(visits) + 1)
+    agree = np.array([np.sqrt(v.evidence.square / v.evidence.count / v.scale) for v in visits])
+    later = np.array([np.exp(min(v.evidence.log_sum, 600.0)) if v.evidence.chance is None else np.nan for v in visits])
+    drawn = [plot_panel("agreement", ("visit", "of what measuring repeats to"), [Series(n, agree)], level=1.0)]
+    if np.isfinite(later).any():
+        drawn.append(
+            plot_panel(
+                "evidence of a change", ("visit", "sum of likelihood ratios"), [Series(n, later)], log=True, level=ALARM
+            )
+        )
+    last = visits[-1].evidence
+    parts = [
+        heading("Visit by visit"),
+        note(f"The alarm is at a sum of {ALARM:g}, which quiet visits reach once in {ALARM:g} visits or more."),
+        panel_row(*drawn),
+    ]
+    if last.alarm:
+        shown = last.suspects[:SHOWN]
+        parts += [
+            heading("What may have changed"),
+            bar_chart(
+                "odds, were there a change", [one.name for one in shown], [("odds", [one.odds for one in shown], 3)], ""
+            ),
+        ]
+    parts += [heading("In words"), *(paragraph(line.strip()) for visit in visits for line in visit.lines)]
+    write_page(path, Page("watch", f"Visits to {calibration}", verdict, parts, verdict.next, links))
+
+
+def last_visit_verdict(visits: Sequence[Visit], calibration_evidence: Evidence) -> Verdict:
+    """Verdict of the last visit.
+    calibration_evidence : Evidence of the calibration
+    """
+    last, steps = visits[-1], _recommended_actions(visits)
+    if not last.evidence.alarm:
+        return judge_evidence(
+            replace(
+                calibration_evidence,
+                statement=f"the calibration holds at visit {len(visits)}, {last.name}",
+                steps=tuple(steps),
+            )
+        )
+    statement = f"visit {len(visits)}, {last.name}"
+    if last.allowed:
+        return judge_evidence(
+            replace(
+                calibration_evidence,
+                statement=statement,
+                steps=(),
+                unexplained=(first_visit_sentence(last), *calibration_evidence.unexplained),
+                look=steps[0],
+            )
+        )
+    beyond = () if last.found is None else (refutation_sentence(last.found),)
+    return judge_evidence(
+        replace(
+            calibration_evidence,
+            statement=statement,
+            refuted=(change_alarm_sentence(last.evidence), *beyond, *calibration_evidence.refuted),
+            look=steps[0],
+        )
+    )
+
+
+def change_alarm_sentence(changes: Changes) -> str:
+    """Sentence on a change alarm."""
+    named = changes.named
+    return (
+        f"something changed, likeliest {named.name}" if named is not None else "something changed, and it has no name"
+    )
+
+
+def first_visit_sentence(visit: Visit) -> str:
+    """Sentence on a first visit that keeps a calibration's claim."""
+    named = visit.evidence.named
+    like = "" if named is None else f", likeliest {named.name}"
+    return (
+        f"the calibration leaves something out{like}, there from the beginning or since; its claim is not refuted by it"
+    )
+
+
+def _recommended_actions(visits: Sequence[Visit]) -> list[str]:
+    """What an owner does next."""
+    steps = [line.strip().removeprefix("to do: ") for line in visits[-1].lines if line.strip().startswith("to do: ")]
+    return steps or ["Nothing; visit again after the next warm-up, collision or service"]

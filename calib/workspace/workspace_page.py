@@ -1,0 +1,310 @@
+"""HTML page of a workspace: sentences, figures of its cells, and verdict."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.workspace.workspace_cells import SHORT, Workspace
+from rig.effects.framework.covariate import DRAWN
+from rig.formats.number_rounding import round_to_digits
+from rig.report.pages.html_elements import heading, note, paragraph, table
+from rig.report.pages.page_and_svg_templates import Link, Page, write_page
+from rig.report.pages.plots import panel_row
+from rig.report.pages.svg_elements import svg_figure, svg_text, text_within, tooltip
+from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
+
+
+def workspace_lines(workspace: Workspace, unit: str) -> list[str]:
+    """Lines on a Workspace: poses lost and gained, margin, singularities, error bound. unit : of the axes"""
+    first = (
+        SHORT
+        if workspace.lost is None or workspace.gained is None
+        else (
+            f"{workspace.lost * 100:.2f} % of the poses that the owner's model reaches are lost, "
+            f"{workspace.gained * 100:.2f} % of those that the corrected machine "
+            f"reaches are gained ({workspace.drawn} configurations of each, all over the strokes, all axes "
+            "free of each other)"
+        )
+    )
+    known, inner = np.isfinite(workspace.bound[:, 0]), workspace.room > 0
+    turned = f" and {_span(workspace.bound[known, 1] * 1e6)} urad" if workspace.turns else ""
+    out = [
+        f"workspace: {first}",
+        f"{known.sum()} cells of {workspace.size * 1e3:.3g} mm: error bound (k = 2) "
+        f"{_span(workspace.bound[known, 0] * 1e6)} "
+        f"um{turned}; "
+        f"singular values from {np.nanmin(workspace.singular):.3f} of the greatest",
+    ]
+    if inner.any():
+        scale, shown = DRAWN.get(unit, (1.0, unit))
+        out.append(
+            f"{inner.sum()} cells have room to all limits, up to {np.nanmax(workspace.room) * scale:.4g} {shown}"
+        )
+    return out
+
+
+def _span(values: np.ndarray) -> str:
+    low, high = round_to_digits(values.min()), round_to_digits(values.max())
+    return low if low == high else f"{low} to {high}"
+
+
+def certified_cells_line(certified: np.ndarray) -> str:
+    """Line on what a certificate promises in the cells. certified : (c, 2) m and rad"""
+    known = np.isfinite(certified[:, 0])
+    if not known.any():
+        return "the certificate's volume holds the middle of no cell"
+    turns = certified[known & np.isfinite(certified[:, 1]), 1]
+    return f"certified in {known.sum()} cells: position {_span(certified[known, 0] * 1e6)} um" + (
+        f", rotation {_span(turns * 1e6)} urad" if len(turns) else "; no rotation was measured"
+    )
+
+
+LEFT, WIDE, TALL = 6.0, 388.0, 300.0  # of a view
+
+
+class Quantity(NamedTuple):
+    """What is drawn of cells. name; title : a line above it; style : of its cells, as figure.css has it; values : of a
+    Workspace's cells seen one behind the other, rows (c,) of each column of them -> a number, NaN for none, in the
+    finest of the units
+    units : [(name, how many of the finest it has)], finest first: that one is written in which the greatest has three
+        digits"""
+
+    name: str
+    title: str
+    style: str
+    value: Callable[[Workspace, np.ndarray], float]
+    units: Sequence[tuple[str, float]]
+
+
+def _share(part: str, whole: str) -> Callable[[Workspace, np.ndarray], float]:
+    def value(w: Workspace, rows: np.ndarray) -> float:
+        of = getattr(w, whole)[rows].sum()
+        return 100 * float(getattr(w, part)[rows].sum() / of) if of else np.nan
+
+    return value
+
+
+def _end(
+    name: str, choose: Callable[[np.ndarray], float], scale: float, column: int | None = None
+) -> Callable[[Workspace, np.ndarray], float]:
+    def value(w: Workspace, rows: np.ndarray) -> float:
+        values = getattr(w, name)[rows] if column is None else getattr(w, name)[rows, column]
+        known = values[np.isfinite(values)]
+        return scale * float(choose(known)) if len(known) else np.nan
+
+    return value
+
+
+LOST = Quantity(
+    "lost",
+    "poses that the owner's model reaches and the corrected machine does not, share of a cell's",
+    "lost",
+    _share("lost_in", "believed"),
+    [("%", 1.0)],
+)
+GAINED = Quantity(
+    "gained",
+    "poses that the corrected machine reaches and the owner's model does not, share of a cell's",
+    "gained",
+    _share("gained_in", "reached"),
+    [("%", 1.0)],
+)
+POSITION = Quantity(
+    "position",
+    "error bound (k = 2) of a corrected position, the greatest there",
+    "",
+    _end("bound", np.max, 1e6, 0),
+    [("um", 1.0), ("mm", 1e3)],
+)
+ROTATION = Quantity(
+    "rotation",
+    "error bound (k = 2) of a corrected rotation, the greatest there",
+    "",
+    _end("bound", np.max, 1e6, 1),
+    [("urad", 1.0), ("mrad", 1e3)],
+)
+SINGULAR = Quantity(
+    "singular",
+    "least singular value of the Jacobian, of the greatest, the least there (0 is singular)",
+    "",
+    _end("singular", np.min, 100.0),
+    [("%", 1.0)],
+)
+
+
+def axis_margin_quantity(unit: str) -> Quantity:
+    """Quantity of the margin to the axis limits. unit : of an axis, m or rad."""
+    scale, shown = DRAWN.get(unit, (1.0, unit))
+    return Quantity(
+        "room",
+        "room to the nearest limit of an axis, the greatest there",
+        "gained",
+        _end("room", np.max, scale),
+        [(shown, 1.0)],
+    )
+
+
+def _cell_number_text(value: float) -> str:
+    """A number as it stands in a cell: to whole ones, below ten to tenths."""
+    return f"{value:.0f}" if abs(value) >= 9.95 or value == 0 else f"{value:.1f}"
+
+
+def cell_views(workspace: Workspace, quantity: Quantity) -> tuple[str, str]:
+    """Views (unit, SVG) of a Quantity over the cells, from above (x, y) and from the side (x, z)."""
+    parts, height = [], 0.0
+    span = workspace.index.max(axis=0) + 1
+    planes = [
+        (across, up, *_columns(workspace, quantity, across, up))
+        for across, up in (((0, 1),) if workspace.flat else ((0, 1), (0, 2)))
+    ]
+    greatest = max((float(np.nanmax(found, initial=0.0)) for *_, found in planes))
+    unit, per = next((one for one in quantity.units if greatest / one[1] < 999.5), quantity.units[-1])
+    for across, up, columns, found in planes:
+        scale = min(WIDE / span[across], TALL / span[up])
+        base = height + 20 + scale * span[up]
+        top = np.nanmax(found, initial=1e-300)
+        for (i, j), value in zip(columns.tolist(), found.tolist()):
+            box = (LEFT + scale * i, base - scale * (j + 1), scale, scale)
+            opacity = 0.0 if value != value else 0.75 * max(value, 0.0) / top
+            told = _cell_number_text(value / per) if value == value else ""
+            parts.append(
+                f'<rect class="cell {quantity.style}" fill-opacity="{opacity:.2f}" x="{box[0]:.1f}" '
+                f'y="{box[1]:.1f}" width="{scale:.1f}" '
+                f'height="{scale:.1f}">{tooltip(f"{told} {unit}") if told else ""}</rect>'
+            )
+            parts.append(text_within(box, told, "small"))
+        corner = [
+            (workspace.origin[axis] * 1e3, (workspace.origin[axis] + span[axis] * workspace.size) * 1e3)
+            for axis in (across, up)
+        ]
+        parts += [
+            svg_text(LEFT, height + 14, f"{'xyz'[up]} up, {corner[1][0]:.0f} to {corner[1][1]:.0f} mm"),
+            svg_text(LEFT, base + 15, f"{'xyz'[across]} to the right, {corner[0][0]:.0f} to {corner[0][1]:.0f} mm"),
+        ]
+        height = base + 26
+    return unit, svg_figure(int(height) + 4, f"{quantity.title}, {unit}", parts)
+
+
+def _columns(w: Workspace, q: Quantity, across: int, up: int) -> tuple[np.ndarray, np.ndarray]:
+    """(Indices (c, 2) along two axes of cells seen one behind the other, the Quantity of each (c,))."""
+    columns, at = np.unique(w.index[:, [across, up]], axis=0, return_inverse=True)
+    return columns, np.array([q.value(w, np.flatnonzero(at.ravel() == k)) for k in range(len(columns))])
+
+
+def _titled_cells_html(workspace: Workspace, quantity: Quantity) -> list[str]:
+    """HTML of a Quantity over the cells, with its name and what it is."""
+    unit, drawn = cell_views(workspace, quantity)
+    return [
+        heading(quantity.name.capitalize(), 3),
+        note(f"{quantity.title[0].upper()}{quantity.title[1:]}, {unit}"),
+        drawn,
+    ]
+
+
+def workspace_section_html(workspace: Workspace | None, unit: str) -> list[str]:
+    """HTML of the workspace section of a calibration's page; empty without a workspace.
+    unit : of an axis, m or rad.
+    """
+    if workspace is None:
+        return []
+    quantities = (LOST, GAINED, POSITION) if workspace.lost is not None else (POSITION,)
+    maps = ("<div>" + "".join(_titled_cells_html(workspace, q)) + "</div>" for q in quantities)
+    return [
+        heading("The workspace"),
+        *(paragraph(f"{line}.") for line in workspace_lines(workspace, unit)),
+        panel_row(*maps),
+    ]
+
+
+NEAR_SINGULAR = 0.02  # of the greatest singular value, below which a place is near a singularity
+
+
+def write_workspace_page(
+    path: Path | str,
+    name: str,
+    workspace: Workspace,
+    unit: str,
+    margin_description: str,
+    certified: np.ndarray | None = None,
+    links: Sequence[Link] = (),
+) -> None:
+    """Write the HTML page of a workspace. name : of the calibration; unit : of an axis, m or rad
+    certified : (c, 2) m and rad that a certificate promises in each cell, NaN where none does, or None without one
+    """
+    quantities = [
+        *((LOST, GAINED) if workspace.lost is not None else ()),
+        POSITION,
+        *((ROTATION,) if workspace.turns else ()),
+        axis_margin_quantity(unit),
+        SINGULAR,
+    ]
+    first, *rest = workspace_lines(workspace, unit)
+    parts = [
+        *(paragraph(f"{line}.") for line in rest),
+        note(
+            f"Cells of {workspace.size * 1e3:.3g} mm, those behind each other as one. Poses: all configurations of "
+            "the strokes, all axes free of each "
+            f"other; what depends on history, temperature and load is not in it. Room: of {margin_description}."
+        ),
+    ]
+    parts.append(panel_row(*("<div>" + "".join(_titled_cells_html(workspace, q)) + "</div>" for q in quantities)))
+    if certified is not None:
+        known = np.flatnonzero(np.isfinite(certified[:, 0]))
+        rows = [
+            (
+                *(f"{value * 1e3:.0f}" for value in workspace.centre[k]),
+                f"{certified[k, 0] * 1e6:.1f}",
+                "" if np.isnan(certified[k, 1]) else f"{certified[k, 1] * 1e6:.1f}",
+                f"{workspace.bound[k, 0] * 1e6:.1f}",
+            )
+            for k in known
+        ]
+        parts += [
+            heading("What the certificate promises"),
+            note(
+                "From poses held out, in the cells whose middle lies in its volume; beside it the "
+                "bound by the calibration's own covariance."
+            ),
+            table(("x, mm", "y, mm", "z, mm", "position, um", "rotation, urad", "bound, um"), rows),
+        ]
+    write_page(
+        path,
+        Page(
+            "workspace",
+            f"Workspace of {name}",
+            workspace_verdict(workspace, first.removeprefix("workspace: ")),
+            parts,
+            _recommended_actions(workspace),
+            links,
+        ),
+    )
+
+
+def workspace_verdict(workspace: Workspace, summary: str) -> Verdict:
+    """Verdict on a workspace.
+    summary : what it comes to, in words
+    """
+    missing = (
+        [Missing("somewhere it comes near a singularity")] if np.nanmin(workspace.singular) < NEAR_SINGULAR else []
+    )
+    missing += [Missing("poses are lost")] if workspace.lost else []
+    return judge_evidence(Evidence(summary, missing=tuple(missing)))
+
+
+def _recommended_actions(workspace: Workspace) -> list[str]:
+    """What an owner does next with a map of the workspace."""
+    lost = (
+        [
+            "Keep wanted poses out of the cells where some are lost: `rig correct` refuses those that the "
+            "machine cannot reach"
+        ]
+        if workspace.lost
+        else []
+    )
+    return [
+        *lost,
+        "Where the bound is greatest, take more poses: `rig plan RIG.toml --for parameters --calibration "
+        "calibration.json --out plan.csv`",
+    ]

@@ -1,0 +1,105 @@
+"""Calibration and effect files that commands read: option --effects, loading, refutations of a calibration."""
+
+from __future__ import annotations
+
+import sys
+from argparse import ArgumentParser, Namespace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.errors import RigError
+from rig.formats.output_files.folder_manifest import file_digest
+from rig.report.verdict import State
+
+if TYPE_CHECKING:
+    from calib.files.calibration_file import Calibration
+    from rig.effects.texts.effect_text import Kinds
+    from rig.effects.texts.user_effect_files import Plugin
+
+
+def add_effects_option(parser: ArgumentParser) -> None:
+    """Add the option --effects FILE.py, a file of the user's own effects."""
+    parser.add_argument(
+        "--effects",
+        metavar="FILE.py",
+        type=Path,
+        action="append",
+        default=[],
+        help="a file with effects of your own, as `rig effects --new` writes one; it is run; may be given again",
+    )
+
+
+def load_effect_files(arguments: Namespace) -> tuple[Plugin, ...]:
+    """Load the effect files that --effects names. Raises FileError, with the line, for an error in one."""
+    if not arguments.effects:
+        return ()
+    from rig.effects.texts.user_effect_files import load_effect_file
+
+    return tuple(load_effect_file(path) for path in arguments.effects)
+
+
+def known_effects(effect_files: tuple[Plugin, ...]) -> Kinds:
+    """Known effects {name: class}: catalogue and effect files. Raises FileError for a name given twice."""
+    if not effect_files:
+        from rig.effects.catalogue.effect_list import BY_NAME
+
+        return BY_NAME
+    from rig.effects.texts.user_effect_files import catalogue_with_files
+
+    return catalogue_with_files(effect_files)
+
+
+def load_calibration(path: Path, effect_files: tuple[Plugin, ...]) -> Calibration:
+    """Load a calibration that may use effects of these files. Raises RigError where such a file has changed since."""
+    from calib.files import calibration_file
+
+    found = calibration_file.load(path, known_effects(effect_files))
+    hashes = found.provenance.get("inputs_sha256", {}).values()
+    used = {effect.name for effect in found.physics.effects} if found.physics is not None else set()
+    for plugin in effect_files:
+        if plugin.sha256 not in hashes and used & {kind.name for kind in plugin.kinds}:
+            raise RigError(
+                f"{plugin.path} is not as it was when {path} was made from it; take that file, or calibrate again"
+            )
+    return found
+
+
+if TYPE_CHECKING:
+    from rig.report.refutations import Refutation
+
+
+def read_refutations(path: Path) -> tuple[Refutation, ...]:
+    """Read the refutations of a calibration file, print each as a warning. Raises FileError for an invalid list."""
+    from rig.report.refutations import refutations_of_file
+
+    found = refutations_of_file(path)
+    for one in found:
+        print(f"warning: {path} was {one.line}", file=sys.stderr)
+    return found
+
+
+def write_refutation(arguments: Namespace, path: Path, recording: str, finding: str, state: State = State.BAD) -> None:
+    """Write a refutation of a calibration, found by a recording, into its folder; a warning where that fails.
+
+    finding : a sentence without its full stop; state : BAD where it is refuted, CHECK where it leaves something out
+    """
+    from rig.report.refutations import NAME, Refutation, add_refutation
+
+    new = Refutation(
+        file_digest(path), path.name, datetime.now(UTC).date().isoformat(), arguments.command, recording, finding, state
+    )
+    try:
+        add_refutation(arguments.outputs.file(path.parent / NAME, own=True), path.parent, new)
+    except RigError as error:
+        print(f"warning: {path} was {new.line}; that could not be written beside it: {error}", file=sys.stderr)
+        return
+    print(
+        f"{path} is marked as {'refuted' if state == State.BAD else 'doubted'} in {path.parent / NAME}", file=sys.stderr
+    )
+
+
+def neighbouring_json_files(*places: Path) -> list[Path]:
+    """Neighbouring JSON files: those in the folders of the given paths, each once."""
+    folders = {place.resolve().parent for place in places}
+    return sorted(path for folder in folders if folder.is_dir() for path in folder.glob("*.json"))

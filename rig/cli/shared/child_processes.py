@@ -1,0 +1,116 @@
+"""Child processes of commands: one without access to a folder (blind cases), one that draws emulated cameras."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.errors import RigError
+
+WATCHED = (
+    "open",
+    "os.listdir",
+    "os.scandir",
+    "os.rename",
+    "os.link",
+    "os.symlink",
+    "shutil.copyfile",
+)  # events whose first argument is a path
+
+
+def forbid_folder(folder: str | Path) -> None:
+    """Forbid this process to read a folder: PermissionError from now on (PEP 578; irrevocable)."""
+    closed = os.path.realpath(folder)
+
+    def watch(event: str, given: tuple) -> None:
+        if event in WATCHED and given and isinstance(given[0], (str, bytes, os.PathLike)):
+            path = os.path.realpath(os.fsdecode(given[0]))
+            if path == closed or path.startswith(closed + os.sep):
+                raise PermissionError(f"{path} is withheld from this process")
+
+    sys.addaudithook(watch)
+
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
+START_TIMEOUT = 300.0  # s for the process to be ready; compiling and OpenGL take some
+
+
+class EmulatedCameraProcess:
+    """A process that draws. name : host:port where it listens."""
+
+    def __init__(self, design: Path, truth: Path | None, history: Path, address: tuple[str, int], seed: int) -> None:
+        """truth : what rig simulate --truth wrote, or None for a rig that is as its rig.toml says. Raises RigError
+        where it cannot start.
+        """
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe()
+        self._process = context.Process(
+            target=_serve_emulated_cameras,
+            args=(str(design), truth and str(truth), str(history), address, seed, theirs),
+            daemon=True,
+        )
+        self._process.start()
+        theirs.close()
+        try:
+            good, name = (
+                ours.recv()
+                if ours.poll(START_TIMEOUT)
+                else (False, f"the cameras were not ready in {START_TIMEOUT:g} s")
+            )
+        except EOFError:
+            good, name = False, "the cameras' process ended before it was ready"
+        self.name: str = name
+        if not good:
+            self.close()
+            raise RigError(name)
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.terminate()
+        self._process.join()
+
+
+def _serve_emulated_cameras(
+    design: str, truth: str | None, history: str, address: tuple[str, int], seed: int, pipe: Connection
+) -> None:
+    """The process: says (True, name) or (False, why) through the pipe, then draws until it is ended."""
+    import signal
+
+    import numpy as np
+
+    from rig.driving.cameras.emulated_camera import USUAL
+    from rig.driving.clock import SystemClock
+    from rig.driving.emulators.emulator_construction import home_lengths
+    from rig.formats.rig_toml import design_file
+    from rig.model.mechanism_kinds import struts_of
+    from synthetic import secret_machine
+    from synthetic.camera_server import EyesServer
+    from synthetic.emulated_sensors import Eyes, ToldByFile
+    from synthetic.image_simulation import Images, check_drawable
+    from synthetic.renderer import import_pyrender
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # who interrupts the emulator ends this with it
+    try:
+        stated = design_file.load(design)
+        secret = secret_machine.world_from_truth(Path(truth), stated) if truth else secret_machine.World(stated, stated)
+        check_drawable(secret.effects)
+        import_pyrender()
+        clock, images = SystemClock(), Images(stated.sensor)
+        home = home_lengths(struts_of(stated.mechanism))
+        at_home = Eyes(secret, images, seed, lambda: (np.array([0.0, 1.0]), np.array([home, home])), clock)
+        for camera in secret.true.cameras:  # what is compiled and loaded for the first pictures is not waited for later
+            at_home.image(camera.name, 1.0, USUAL)
+        server = EyesServer(Eyes(secret, images, seed, ToldByFile(Path(history)), clock), address, clock)
+    except RigError as error:
+        pipe.send((False, str(error)))
+        return
+    pipe.send((True, server.name))
+    pipe.close()
+    parent = multiprocessing.parent_process()
+    server.serve(lambda: parent is None or parent.is_alive())
+    server.close()

@@ -1,0 +1,233 @@
+"""Command options that many commands share (recording, page, JSON, port), and results printed in mm and mrad."""
+
+from __future__ import annotations
+
+import re
+import sys
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.cli.shared.terminal_output import Progress
+from rig.errors import MissingLibrary, RigError
+from rig.formats.number_parsing import parse_number
+from rig.formats.output_files import STANDARD_OUTPUT
+
+if TYPE_CHECKING:
+    from calib.certify.platform_certification import HeldOut
+    from rig.recording.recording_folder import Recording
+    from rig.report.pages.page_and_svg_templates import Link
+    from vision.recording_adjustment import Measurement
+
+__all__ = [
+    "SEED",
+    "Progress",
+    "add_controller_arguments",
+    "add_overwrite_option",
+    "add_json_option",
+    "add_page_option",
+    "add_port_options",
+    "add_recording_argument",
+    "add_recordings_argument",
+    "add_json_result_option",
+    "file_or_stdout",
+    "parse_length",
+    "page_links",
+    "missing_matplotlib_reason",
+    "parse_numbers",
+    "page_path",
+    "print_held_out_errors",
+    "print_json",
+    "print_frames_without_pose",
+    "read_recording",
+    "require_matplotlib",
+]
+
+SEED = 0  # of the bootstrap; results are the same from run to run
+
+
+def add_recording_argument(parser: ArgumentParser, text: str | None = None) -> None:
+    """Add the recording argument REC, and the options that leave out frames or images. text : help, or None."""
+    parser.add_argument("recording", metavar="REC", type=Path, help=text)
+    _add_left_out(parser)
+
+
+def add_recordings_argument(parser: ArgumentParser) -> None:
+    """Add the arguments REC.., several recordings of one rig: `recording` is the first, `further` the others."""
+    parser.add_argument("recording", metavar="REC", type=Path)
+    parser.add_argument(
+        "further",
+        metavar="REC",
+        type=Path,
+        nargs="*",
+        help="more recordings of the same rig, in the order in which they were "
+        "taken: days apart, with other payloads, cameras moved between them or not",
+    )
+    _add_left_out(parser)
+
+
+def _add_left_out(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used"
+    )
+    parser.add_argument(
+        "--mask", metavar="FRAMES", help="leave these frames out, for example 3,7-9: what you know to be spoilt"
+    )
+
+
+def read_recording(arguments: Namespace, path: Path | None = None) -> Recording:
+    """Read a recording, by default that of the arguments; omitted images are named on standard error."""
+    from rig.recording import recording_folder as recordings
+    from rig.recording.frame_mask import remove_frames
+
+    found = recordings.load(path or arguments.recording, arguments.skip_unreadable)
+    for image in found.skipped:
+        print(f"left out, as asked: {image.path}: {image.problem}", file=sys.stderr)
+    return found if arguments.mask is None else remove_frames(found, arguments.mask)
+
+
+def file_or_stdout(text: str) -> Path:
+    """File path of an output option; `-` is standard output."""
+    return STANDARD_OUTPUT if text == "-" else Path(text)
+
+
+def add_overwrite_option(parser: ArgumentParser, name: str = "--force") -> None:
+    """Add the option to overwrite files that the command did not make. name : of the option"""
+    parser.add_argument(
+        name,
+        dest="overwrite",
+        action="store_true",
+        help="write over what this command did not make; what it reads it never writes over",
+    )
+
+
+def add_page_option(parser: ArgumentParser) -> None:
+    """Add the option --page FILE."""
+    parser.add_argument(
+        "--page", metavar="FILE", type=Path, help="a page of it, written here: one file that needs no network"
+    )
+
+
+def page_path(arguments: Namespace) -> Path | None:
+    """Path of the page to write, None where none is requested. Raises RigError where it cannot be written."""
+    return None if arguments.page is None else arguments.outputs.file(arguments.page)
+
+
+def page_links(arguments: Namespace, place: Path) -> list[Link]:
+    """Links of a command's page: to the index above it and to the pages of the command's inputs."""
+    from rig.report.pages.page_index import page_links as links
+
+    return links(place, arguments.outputs.inputs)
+
+
+def add_json_option(parser: ArgumentParser) -> None:
+    """Add the option --json."""
+    parser.add_argument("--json", action="store_true", help="print the result as JSON (SI units, rad) instead of words")
+
+
+def add_json_result_option(parser: ArgumentParser) -> None:
+    """Add the option --json for a command that leaves its result in `arguments.result`, printed at its end."""
+    parser.add_argument(
+        "--json",
+        action="store_true",
+        help="print the result as JSON (SI units, rad) when all is done; words go to the error output",
+    )
+    parser.set_defaults(result=None)
+
+
+def print_json(tree: object) -> None:
+    """Print a result as JSON; NaN becomes null."""
+    import json
+
+    from rig.formats.json_file import nan_to_null
+
+    print(json.dumps(nan_to_null(tree), indent=1))
+
+
+def parse_length(text: str) -> float:
+    """Parse a length with its unit, such as 20um, 0.02mm or 2e-5m, in m. Raises ArgumentTypeError for anything else."""
+    for unit, scale in (("um", 1e-6), ("mm", 1e-3), ("m", 1.0)):
+        if text.endswith(unit):
+            try:
+                value = parse_number(text.removesuffix(unit)) * scale
+            except ValueError:
+                break
+            if 0 < value < float("inf"):
+                return value
+            break
+    raise ArgumentTypeError(f"expected a length above 0 with its unit, 20um, 0.02mm or 2e-5m, not {text!r}")
+
+
+def parse_numbers(texts: list[str], count: int, option: str) -> list[float]:
+    """Parse `count` numbers of an option, separated by commas or spaces. Raises RigError for anything else"""
+    try:
+        found = [parse_number(word) for word in re.split(r"[,\s]+", " ".join(texts).strip(", "))]
+    except ValueError:
+        found = []
+    if len(found) != count or not all(abs(value) < 1e6 for value in found):
+        raise RigError(f"{option} takes {count} numbers, apart by commas or spaces, not {' '.join(texts)!r}")
+    return found
+
+
+def add_controller_arguments(parser: ArgumentParser) -> None:
+    """Add the arguments of commands that talk to the controller: RIG.toml, --port, --trace."""
+    parser.add_argument("design", metavar="RIG.toml", type=Path)
+    add_port_options(parser)
+
+
+def add_port_options(parser: ArgumentParser) -> None:
+    """Add the options --port of the controller, and --trace FILE of the bytes exchanged."""
+    parser.add_argument(
+        "--port", help="where the controller is, instead of what [controller] says: a device, socket://.., rfc2217://.."
+    )
+    parser.add_argument("--trace", metavar="FILE", type=Path, help="write every byte there, with its time")
+
+
+def print_held_out_errors(held_out: HeldOut, title: str) -> None:
+    """Print held-out errors before and after correction as a table in mm and mrad."""
+    from calib.certify.calibration import ratio_interval_text
+
+    names = ("mean", "RMS", "95 %", "max")
+    print(f"{title}, N = {held_out.after.n}, {held_out.configurations} distinct configurations:")
+    print(f"{'':14}{'position, mm':>40}{'rotation, mrad':>43}")
+    print(f"{'':14}" + "".join(f"{name:>10}" for name in names) + "   " + "".join(f"{name:>10}" for name in names))
+    for name, figures in (("owner's model", held_out.before), ("corrected", held_out.after)):
+        position, rotation = (figures.mean[0], *figures.position), (figures.mean[1], *figures.rotation)
+        print(f"{name:14}" + "".join(map(_cell, position)) + "   " + "".join(map(_cell, rotation)))
+    turned = "; rotations were not measured"
+    if held_out.floor[1] < 1:
+        turned = f" and {held_out.floor[1] * 1e3:.4f} mrad" if held_out.floor[1] else "; it does not turn"
+    placed = f"{held_out.floor[0] * 1e3:.4f} mm" if held_out.floor[0] < 1 else ""
+    words = f"{placed}{turned}" if placed else f"{turned.removeprefix(' and ')}; positions were not measured"
+    print(
+        f"on these poses {ratio_interval_text(held_out.ratio)}; the measured poses themselves are uncertain by {words}"
+    )
+
+
+def _cell(value: float) -> str:
+    return f"{value * 1e3:10.4f}" if value == value else f"{'-':>10}"
+
+
+def require_matplotlib(what: str) -> None:
+    """Require matplotlib: raise MissingLibrary where it is not installed. what : is to be drawn, in the plural"""
+    problem = missing_matplotlib_reason()
+    if problem:
+        raise MissingLibrary(f"{what} {problem}")
+
+
+def missing_matplotlib_reason() -> str | None:
+    """Reason to print where matplotlib is missing; None where it is installed."""
+    from importlib.util import find_spec
+
+    return None if find_spec("matplotlib") else "are drawn by matplotlib: pip install 'rig[print]'"
+
+
+def print_frames_without_pose(measurement: Measurement | None) -> None:
+    """Print the frames without a pose of a Measurement, with their reasons."""
+    if measurement is None or not measurement.unsolved:
+        return
+    print(f"{len(measurement.unsolved)} frames without a pose:")
+    for frame, reason in sorted(measurement.unsolved.items())[:20]:
+        print(f"  frame {frame}: {reason}")
+    if len(measurement.unsolved) > 20:
+        print(f"  and {len(measurement.unsolved) - 20} more")
