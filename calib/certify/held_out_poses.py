@@ -94,6 +94,8 @@ def held_out_poses(
 ) -> HeldPoses:
     """Held-out poses of recordings under a correction, as HeldPoses.
 
+    recordings : (Samples, Commands, plain poses (n, 6), errors (n, 6) m and rad) of each
+
     Raises NotEnoughData where the machine never stood still, RigError where positions were not measured
     """
     for samples, *_ in recordings:

@@ -82,7 +82,10 @@ def axis_correction_tables(correction: Correction[Any, Any], count: int) -> Join
 def grid_correction_table(
     correction: Correction[Any, Any], divisions: int, fill: float = FILL
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Correction table on an even grid: (x, k), both (vertices, axes) m or rad; x + k is to be commanded for x."""
+    """Correction table on an even grid: (x, k), both (vertices, axes) m or rad; x + k is to be commanded for x.
+
+    Raises RigError where a vertex has no pose
+    """
     strokes = mechanisms.kinematics_of(correction.nominal).travel(correction.nominal)
     levels = strokes.mean(axis=1)[:, None] + fill * np.ptp(strokes, axis=1)[:, None] / 2 * np.linspace(
         -1, 1, divisions + 1

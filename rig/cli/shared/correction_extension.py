@@ -69,7 +69,10 @@ def add_extension_options(parser: ArgumentParser) -> None:
 
 
 def refuse_incompatible_extension_options(arguments: Namespace, mechanism_kind: str) -> None:
-    """Refuse incompatible options of --extend, and those unsuitable for the mechanism's kind, by RigError."""
+    """Refuse incompatible options of --extend, and those unsuitable for the mechanism's kind.
+
+    Raises RigError where one is given
+    """
     if (arguments.alone or arguments.onto) and not arguments.extend or (arguments.alone and arguments.onto):
         raise RigError("--alone and --onto each say on what --extend stands; it takes one of them")
     if (arguments.space or arguments.within) and not arguments.onto:

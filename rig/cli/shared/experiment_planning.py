@@ -95,7 +95,10 @@ def add_next_experiment_options(parser: ArgumentParser) -> None:
 
 
 def refuse_invalid_experiment_options(arguments: Namespace) -> None:
-    """Refuse invalid options of the next experiment by RigError, before anything is read."""
+    """Refuse invalid options of the next experiment, before anything is read.
+
+    Raises RigError where one is given
+    """
     if not 0 < arguments.minutes <= LONGEST:
         raise RigError(f"--minutes takes a time above 0 and up to {LONGEST:g} min, not {arguments.minutes:g}")
     if arguments.next is None and (arguments.standing or arguments.may):

@@ -91,7 +91,10 @@ def add_learner_options(parser: ArgumentParser) -> None:
 
 
 def refuse_other_learners_settings(arguments: Namespace) -> None:
-    """Refuse settings of other learners than the chosen one, by RigError."""
+    """Refuse settings of other learners than the chosen one.
+
+    Raises RigError where one is given
+    """
     for learner, setting in SETTINGS.items():
         if learner != arguments.learner and getattr(arguments, setting) is not None:
             raise RigError(f"--{setting} is of --learner {learner}, not of {arguments.learner}")

@@ -11,7 +11,7 @@ from calib.diagnose.engine.linear_model import Column, LinearModel
 from calib.diagnose.engine.term_selection import select_terms
 from calib.diagnose.problems.arm.arm_problem import ArmProblem
 from calib.diagnose.problems.arm.candidate_search import joint_products, search_candidates, solved_grid, solved_nodes
-from calib.diagnose.problems.arm.excess_scatter import excess_scatter
+from calib.diagnose.problems.arm import excess_scatter as arm_excess_scatter
 from calib.diagnose.problems.arm.joint_candidates import joint_candidates
 from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit
 from calib.diagnose.problems.arm.linearised_poses import linearise_poses
@@ -159,7 +159,7 @@ def test_what_the_catalogue_lacks_is_unknown_at_its_joint():
     arms = seen(only(2, lambda q: 2e-4 * np.sin(q[:, 0])), again=60)
     chosen = select_terms(ArmProblem(arms, joint_candidates(arms, RequestedEffects())[0])).fit
     assert chosen.terms == ()
-    left = [*lack_of_fit(chosen, 5), *excess_scatter(chosen, pose_repeatability(chosen), [])]
+    left = [*lack_of_fit(chosen, 5), *arm_excess_scatter.excess_scatter(chosen, pose_repeatability(chosen), [])]
     assert left[0].place == "joint 3" and left[0].depends_on == ("pose",)
     assert left[0].magnitude == pytest.approx(np.std(2e-4 * np.sin(arms.q[:, 0])), rel=0.3)
     assert left[-1].place == "rig" and left[-1].depends_on == ("configuration",)

@@ -179,6 +179,7 @@ def tolerances_explain_residuals(seen: Projection, sigma: np.ndarray) -> bool:
 def tolerance_log_likelihood_ratio(seen: Projection, sigma: np.ndarray) -> float:
     """Twice the log likelihood ratio of a model's residuals with tolerances to those without.
 
+    sigma : (n,) standard deviation of each column's tolerance, in the column's unit, as m
     Source: MacKay, Information theory, inference and learning algorithms, 2003, ch. 28
     """
     scaled = np.eye(len(sigma)) + sigma[:, None] * seen.gram * sigma
