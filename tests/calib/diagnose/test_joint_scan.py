@@ -9,9 +9,9 @@ import pytest
 
 from calib.diagnose.engine.linear_model import Column, LinearModel
 from calib.diagnose.engine.term_selection import select_terms
+from calib.diagnose.problems.arm import excess_scatter as arm_excess_scatter
 from calib.diagnose.problems.arm.arm_problem import ArmProblem
 from calib.diagnose.problems.arm.candidate_search import joint_products, search_candidates, solved_grid, solved_nodes
-from calib.diagnose.problems.arm import excess_scatter as arm_excess_scatter
 from calib.diagnose.problems.arm.joint_candidates import joint_candidates
 from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit
 from calib.diagnose.problems.arm.linearised_poses import linearise_poses
