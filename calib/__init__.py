@@ -1,13 +1,14 @@
 """Poses to a better rig: parameters, corrections, what is promised of them, and what physics was left out.
 
-`calibrated` takes a recording (rig.load) to its `Calibration`, `diagnosed` to the `Report` of what its model leaves
-out, `certified` a calibration and recordings that it was not made from to a `Certificate`, `commanded` a calibration
-and wanted poses to the commands that give them, all that is known undone. `load` and `save` are of calibration.json.
+`calibrated` takes a recording (rig.load_recording) to its `Calibration`, `diagnosed` to the `Report` of what its model
+leaves out, `certified` a calibration and recordings that it was not made from to a `Certificate`, `commanded` a
+calibration and wanted poses to the commands that give them, all that is known undone. `load` and `save` are of
+calibration.json.
 """
 
 from typing import TYPE_CHECKING
 
-from rig.compute.lazy_exports import handed_on
+from rig.compute.lazy_package_exports import lazy_getattr
 
 if TYPE_CHECKING:
     from calib.certificate.certificate import Certificate as Certificate
@@ -33,7 +34,7 @@ __all__ = [
     "Report",
     "Certificate",
 ]
-__getattr__ = handed_on(
+__getattr__ = lazy_getattr(
     __name__,
     {
         **dict.fromkeys(("calibrated", "diagnosed", "certified"), "calib.recording_calibration"),

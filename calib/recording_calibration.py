@@ -22,8 +22,8 @@ from calib.models.arm import certification as arm_certify
 from calib.models.chain import certification as chain_certify
 from calib.samples.recording_samples import Sampled, sample_recording
 from rig.errors import RigError
-from rig.model.mechanism_kinds import arm_of, chain_of, struts_of
-from rig.recording.data_provenance import content_marks, frames_with_known_data, marks_of_frames
+from rig.model.mechanism_kinds import require_arm, require_chain, require_struts
+from rig.recording.frame_content_hashes import content_hashes, frames_with_known_hashes, hashes_of_frames
 from rig.recording.recording_folder import Recording
 
 
@@ -41,20 +41,22 @@ def calibrated(recording: Recording, progress: Progress | None = None) -> Calibr
         sampled = sample_recording(recording, progress=progress)
         if recording.design.mechanism.kind == "arm":
             found = arm_certify.certify_arm(
-                sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress
+                sampled.samples, require_arm(recording.design.mechanism), sampled.instrument, rng, progress
             )
             made = calibration_with_provenance(
                 recording, sampled, found, arm_certify.arm_workspace_claim(sampled.samples, found, rng)
             )
             return search_left_out_physics(made, recording, sampled, progress)
         if recording.design.mechanism.kind == "chain":
-            together = chain_certify.certify_chain(sampled.samples, chain_of(recording.design.mechanism), rng, progress)
+            together = chain_certify.certify_chain(
+                sampled.samples, require_chain(recording.design.mechanism), rng, progress
+            )
             made = calibration_with_provenance(
                 recording, sampled, together, chain_certify.chain_workspace_claim(sampled.samples, together, rng)
             )
             return search_left_out_physics(made, recording, sampled, progress)
         done = platform_certification.certify_platform(
-            sampled.samples, struts_of(recording.design.mechanism), rng, progress
+            sampled.samples, require_struts(recording.design.mechanism), rng, progress
         )
         return search_left_out_physics(
             calibration_with_provenance(
@@ -134,12 +136,12 @@ def held_out_recordings(
                 "some frames from rig calibrate, and then the others from rig certify"
             )
         calibration.refuse_kind(recording.design.mechanism.kind, str(path))
-        of = content_marks(recording)
-        twice = frames_with_known_data(of, known)
+        of = content_hashes(recording)
+        twice = frames_with_known_hashes(of, known)
         if twice:
             raise RigError(
                 f"{path}: {len(twice)} of {frames} frames are in another of the recordings; the same pose "
                 "does not count twice"
             )
-        known |= set(marks_of_frames(of))
+        known |= set(hashes_of_frames(of))
     return [(recording, sample_recording(recording, progress=progress)) for recording in recordings]

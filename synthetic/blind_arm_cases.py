@@ -1,6 +1,4 @@
-"""Blinded cases of arms: makes, instruments, protocols and left-out physics drawn at random; a third of them as hard as
-real recordings are.
-"""
+"""Blind cases of arms drawn at random: makes, instruments, protocols, unmodelled physics; a third made hard."""
 
 import tempfile
 from collections.abc import Sequence
@@ -12,15 +10,15 @@ import numpy as np
 
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.framework.random_effects import Drawing, log_uniform
+from rig.effects.framework.parameter import Drawing, log_uniform
 from rig.errors import RigError
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Arm, Design, Instrument
 from rig.model.pose import exp
-from rig.planning.configuration_sets import low_discrepancy
-from rig.planning.plan import Plan, build_plan, settled_plan
+from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.plan import Plan, build_plan, plan_of_configurations
 from rig.recording.recording_folder import Commands, Sensors
 from synthetic import recording_simulation as simulation
 from synthetic import secret_machine
@@ -67,7 +65,7 @@ class DrawnArmCase:
     rng: np.random.Generator
 
 
-def arm_makes() -> dict[str, str]:
+def _arm_makes() -> dict[str, str]:
     """{make: the text of its rig.toml}: offset wrist, spherical wrist, seven joints."""
     shipped = files("rig") / "arms"
     return {
@@ -79,8 +77,7 @@ def arm_makes() -> dict[str, str]:
 def draw_arm_case(
     seed: int, index: int, frames: int = FRAMES, kinds: Sequence[str] = KINDS, effects: Sequence[str] = ()
 ) -> DrawnArmCase:
-    """Case `index` of a campaign of arms. effects : names to which the catalogue is confined, all that an arm's poses
-    can show by default.
+    """Arm case `index` of a blind campaign, drawn at random. effects : names of the catalogue's to use
 
     Raises RigError where nothing comes up in TRIES draws, or no effect of the catalogue is left
     """
@@ -102,19 +99,19 @@ def draw_arm_case(
 
 
 def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, frames: int, index: int) -> DrawnArmCase:
-    make = str(rng.choice(list(arm_makes())))
+    make = str(rng.choice(list(_arm_makes())))
     hard = _hardships(make, rng) if index % HARD == 0 else ()
     sigma = log_uniform(rng, *SIGMA) * np.array([1.0, rng.uniform(*TURN)])
     stated = sigma / (UNDERSTATED if "understated" in hard else 1.0)
     turn = "" if "positions" in hard else f"rotation_sigma = {stated[1]:.3g}\n"
-    text = f'{arm_makes()[make]}\n[instrument]\nbase = "free"\ntool = "free"\nposition_sigma = {stated[0]:.3g}\n{turn}'
+    text = f'{_arm_makes()[make]}\n[instrument]\nbase = "free"\ntool = "free"\nposition_sigma = {stated[0]:.3g}\n{turn}'
     with tempfile.TemporaryDirectory() as folder:
         write_text(Path(folder) / "rig.toml", text)
-        design = design_file.load(Path(folder) / "rig.toml")
+        design = design_file.load_design(Path(folder) / "rig.toml")
     if "level" in hard:
         plan, route = (
             "level",
-            settled_plan(
+            plan_of_configurations(
                 _level(design, frames, rng), mechanisms.kinematics_of(design.mechanism).home(design.mechanism), 0.5
             ),
         )
@@ -146,7 +143,7 @@ def _level(design: Design, count: int, rng: np.random.Generator) -> np.ndarray:
     """(count, 6) rad of an arm with three parallel axes whose hand points down all the time and turns about the
     vertical alone.
     """
-    q = low_discrepancy(_arm(design).limits, count, 0.8, seed=int(rng.integers(1 << 30)))
+    q = sobol_configurations(_arm(design).limits, count, 0.8, seed=int(rng.integers(1 << 30)))
     q[:, 3], q[:, 4] = -np.pi / 2 - q[:, 1] - q[:, 2], -np.pi / 2
     return q[rng.permutation(count)]
 
@@ -167,7 +164,7 @@ def _effect(kind: type[Effect], design: Design, route: Plan, rng: np.random.Gene
 
 
 def write_recording(case: DrawnArmCase, folder: Path) -> None:
-    """Write the recording of a case into a folder, with its noise and what makes it hard."""
+    """Write the recording of an arm case into a folder, with noise and difficulties."""
     rng, done, n = case.rng, case.simulation, len(case.simulation.plan.t)
     noise = rng.standard_t(STUDENT, (n, 6)) if "tails" in case.hard else rng.normal(size=(n, 6))
     if "wild" in case.hard:
@@ -208,7 +205,7 @@ def _untimed(plan: Plan) -> Plan:
 
 
 def write_truth(case: DrawnArmCase, path: Path, **more: object) -> None:
-    """Write the truth of a case, with more besides, into a file."""
+    """Write the truth of an arm case, with further entries, into a file."""
     secret_machine.write_truth(
         path,
         case.simulation.world,

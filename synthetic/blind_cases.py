@@ -1,6 +1,4 @@
-"""Blinded cases: rigs, protocols and left-out physics drawn at random, written as recordings whose truth stays
-apart.
-"""
+"""Blind cases drawn at random: rigs, protocols and unmodelled physics, written as recordings and truth files."""
 
 import tempfile
 from collections.abc import Callable, Sequence
@@ -13,14 +11,14 @@ import numpy as np
 
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.framework.random_effects import Drawing
+from rig.effects.framework.parameter import Drawing
 from rig.errors import RigError
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Camera, Design
-from rig.model.mechanism_kinds import axes_of
-from rig.planning.layout import hexapod_layout
+from rig.model.mechanism_kinds import require_axes
+from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.planning.plan import Plan, build_plan
 from rig.recording.corner_and_pose_tables import Corners
 from rig.recording.recording_folder import Sensors
@@ -73,9 +71,7 @@ class DrawnCase:
 def schedule_effects(
     seed: int, index: int, kinds: Sequence[str] = KINDS, catalogue: int = len(ALL)
 ) -> tuple[str, list[int], np.random.Generator]:
-    """(kind, numbers of its effects in a catalogue of so many, rng) of case `index` of a campaign: each comes up as
-    often as the others.
-    """
+    """Effects scheduled for case `index` of a campaign: (kind, their numbers in the catalogue, rng)."""
     deck = np.concatenate([[k] * TIMES[name] for k, name in enumerate(KINDS) if name in kinds])
     shuffled = np.random.default_rng([seed, 1]).permutation(deck)
     kind = KINDS[shuffled[index % len(deck)]]
@@ -96,8 +92,7 @@ def draw_case(
     effects: Sequence[str] = (),
     images: bool = False,
 ) -> DrawnCase:
-    """Case `index` of a campaign. effects : names to which the catalogue is confined, all by default; images : whether
-    it is drawn into images, with printing tolerances, and hides only what these can show
+    """Blind case `index` of a campaign, drawn at random. effects : names of the catalogue's to use
 
     Raises RigError where nothing that the rig survives comes up in TRIES draws.
     """
@@ -123,7 +118,7 @@ def _drawn(
     text = _rig(rng) if eyes is None else eyes.seen_through(_rig(rng, eyes.width, eyes.height))
     with tempfile.TemporaryDirectory() as folder:
         write_text(Path(folder) / "rig.toml", text)
-        design = design_file.load(Path(folder) / "rig.toml")
+        design = design_file.load_design(Path(folder) / "rig.toml")
     plan = _protocol(frames, rng, withheld, images)
     route = build_plan(design, plan, int(rng.integers(1 << 30)), "reversals" in withheld)
     duration = float(route.t[-1])
@@ -132,7 +127,7 @@ def _drawn(
         raise RigError("the same effect twice at one place")
     if kind == "foreign":
         effects = [unlisted_physics.draw_unlisted_effect(design, duration, rng)]
-    slight = [] if eyes is None else [blind_image_settings.draw_printing(design, rng)]
+    slight = [] if eyes is None else [blind_image_settings.draw_typical_printing_errors(design, rng)]
     secret = secret_machine.draw_machine(design, rng, float(rng.uniform(0.5, 1.5)), [*effects, *slight])
     done = simulation.simulate(secret, route, rng)
     kept = {
@@ -149,7 +144,7 @@ def _drawn(
 
 def _rig(rng: np.random.Generator, width: int = 1280, height: int = 1024) -> str:
     """Text of the rig.toml of a random rig of a plausible size."""
-    text = hexapod_layout.hexapod_layout(
+    text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(
         _log(rng, 0.15, 0.6),
         cameras=int(rng.choice([2, 3, 3, 3, 4])),
         width=width,
@@ -193,7 +188,7 @@ def _effect(kind: type[Effect], design: Design, route: Plan, rng: np.random.Gene
         "marker": f"marker {target.ids[rng.integers(len(target.ids))]}",
     }.get(place, place)
     sensors, _ = secret_machine.draw_temperatures(
-        float(route.t[-1]), np.random.default_rng(0), secret_machine.strut_count(axes_of(design.mechanism))
+        float(route.t[-1]), np.random.default_rng(0), secret_machine.strut_count(require_axes(design.mechanism))
     )
     motion = motion_simulation.motion_of_commands(design, route.commands, route.t, (), sensors)
     reason = kind(place).needs(motion) if kind.stage in MOTION_STAGES else None
@@ -217,7 +212,7 @@ def _displaced(effect: Effect, camera: Camera) -> float:
 
 
 def write_recording(case: DrawnCase, folder: Path) -> None:
-    """Write the recording of a case into a folder."""
+    """Write the recording of a blind case into a folder."""
     spoil, disturbance = None, case.disturbance
     if disturbance is not None:
 
@@ -229,12 +224,12 @@ def write_recording(case: DrawnCase, folder: Path) -> None:
 
 
 def simulated_corners(case: DrawnCase) -> Corners:
-    """The corners that a case's recording shows, as well as corners of its images are good for."""
+    """Corners simulated for a case, with the noise that corners of its images have."""
     return simulation.noisy_corners(case.simulation, case.noise, np.random.default_rng(0))
 
 
 def write_truth(case: DrawnCase, path: Path, **more: Any) -> None:
-    """Write the truth of a case, with more besides, into a file."""
+    """Write the truth of a blind case, with further entries, into a file."""
     disturbance = case.disturbance.__name__ if case.disturbance is not None else None
     hidden = replace(case.simulation.world, effects=case.hidden)
     secret_machine.write_truth(

@@ -1,13 +1,45 @@
-"""What a blind case from images draws besides: resolution, lens, optics, sensor, and how the markers are printed."""
+"""Image settings of blind cases drawn at random: resolution, lens, sensor, printing errors of the markers."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
 from rig.effects.framework.effect import Effect
 from rig.model.design import Design, Sensor
+from rig.model.pose import exp
 from synthetic.image_simulation import Images, is_drawable
-from synthetic.printing_errors import Printing, draw_printing_errors
+from vision.targets import MarkerMap, marker_map
+
+
+@dataclass(frozen=True, slots=True)
+class Printing(Effect):
+    """offsets (2 m) : m, each marker's shift in its plane, x right and y up, in the map's order
+    scales (m) : its printed side over the stated, less 1"""
+
+    place: str
+    offsets: tuple[float, ...]
+    scales: tuple[float, ...]
+    name: ClassVar = "printing"
+    stage: ClassVar = "targets"
+    places: ClassVar = ("markers",)
+
+    def attach(self, markers: MarkerMap) -> MarkerMap:
+        tangent = np.zeros((len(markers.id), 6))
+        tangent[:, :2] = np.reshape(self.offsets, (-1, 2))
+        return replace(
+            markers,
+            T_body_marker=markers.T_body_marker * exp(tangent),
+            side=markers.side * (1 + np.asarray(self.scales)),
+        )
+
+
+def draw_printing_errors(design: Design, rng: np.random.Generator, place: float, side: float) -> Printing:
+    """Printing errors of a design's markers drawn at random. place : m, sigma of shifts; side : share, of sides"""
+    count = len(marker_map(design).id)
+    scales = side * (rng.normal() + rng.normal(size=count))
+    return Printing("markers", tuple((place * rng.normal(size=2 * count)).tolist()), tuple(scales.tolist()))
+
 
 KINDS = (
     "nothing",
@@ -58,7 +90,7 @@ class ImageSettings:
 
 
 def draw_image_settings(rng: np.random.Generator) -> ImageSettings:
-    """Random ImageSettings."""
+    """Image settings (ImageSettings) drawn at random."""
     width, height = RESOLUTIONS[rng.integers(len(RESOLUTIONS))]
     sensor = Sensor(
         blur=float(rng.uniform(*BLUR)),
@@ -69,12 +101,12 @@ def draw_image_settings(rng: np.random.Generator) -> ImageSettings:
     return ImageSettings(width, height, LENSES[rng.integers(len(LENSES))], sensor)
 
 
-def draw_printing(design: Design, rng: np.random.Generator) -> Printing:
-    """How the markers of a design are printed, within what printers do."""
+def draw_typical_printing_errors(design: Design, rng: np.random.Generator) -> Printing:
+    """Printing errors of a design's markers drawn at random, as large as printers make them."""
     place, side = (float(np.exp(rng.uniform(*np.log(ends)))) for ends in (PLACE, SIDE))
     return draw_printing_errors(design, rng, place, side)
 
 
 def drawable_effects(catalogue: list[type[Effect]]) -> list[type[Effect]]:
-    """Of a catalogue, the effects that a picture can show."""
+    """Effects of a catalogue that can be drawn in a rendered image."""
     return [kind for kind in catalogue if is_drawable(kind)]

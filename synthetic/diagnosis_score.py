@@ -1,4 +1,4 @@
-"""Blinded truth against diagnoses -> verdicts, and verdicts -> figures with exact intervals."""
+"""Score of diagnoses against the blind truth: verdicts by case, figures of a campaign with exact intervals."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ import scipy
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.formats import json_file
 from rig.formats.checked_entries import Entries
-from rig.formats.input_files import value_text
+from rig.formats.input_files import short_repr
 
 STRONG = 7.0  # signal-to-noise from which an effect must be found
 Group = tuple[str, list["Figure"], dict[str, int]]  # (effect or strength, detected .. covered, {taken for: times})
@@ -121,14 +121,14 @@ class Figure:
     goal: float | None = None
 
 
-def share_figure(name: str, flags: list[bool], goal: float | None = None) -> Figure:
+def _share_figure(name: str, flags: list[bool], goal: float | None = None) -> Figure:
     """Figure of how many flags are true."""
     flags = [bool(f) for f in flags]
     return Figure(name, sum(flags), len(flags), *clopper_pearson(sum(flags), len(flags)), goal)
 
 
 def clopper_pearson(hits: int, trials: int, level: float = 0.95) -> tuple[float, float]:
-    """(low, high) of the exact interval of a share. Source: Clopper and Pearson, Biometrika 26, 1934"""
+    """Clopper-Pearson exact interval (low, high) of a share, hits of trials. Source: Biometrika 26, 1934"""
     tail = (1 - level) / 2
     low = float(scipy.stats.beta.ppf(tail, hits, trials - hits + 1)) if hits else 0.0
     high = float(scipy.stats.beta.ppf(1 - tail, hits + 1, trials - hits)) if hits < trials else 1.0
@@ -138,7 +138,7 @@ def clopper_pearson(hits: int, trials: int, level: float = 0.95) -> tuple[float,
 def score_case(
     index: int, truth: Path, diagnosis: Path | None, seconds: float = float("nan"), failed: str | None = None
 ) -> Case:
-    """Case of a truth file and a diagnosis.json (None where it failed). Raises FileError for a file that is neither."""
+    """Case scored from a truth file and a diagnosis.json (None where it failed)."""
     tree = json_file.load(truth, "truth of a case")
     effects = tree.tables("effects")
     hidden = [
@@ -171,7 +171,7 @@ def _hidden(table: Entries, strength: float) -> Hidden:
         known = [p.name for p in BY_NAME[effect].parameters]
         for name, value in parameters.tree.items():
             if name not in known:
-                parameters.fail(f"{effect} has no parameter {value_text(name)}; it has {', '.join(known)}")
+                parameters.fail(f"{effect} has no parameter {short_repr(name)}; it has {', '.join(known)}")
             parameters.numbers(value, (None,) if isinstance(value, list) else (), name, ())
     return Hidden(effect, _place(table, effect, parameters.tree.get("other", -1)), parameters.tree, strength)
 
@@ -202,20 +202,18 @@ def _place(table: Entries, effect: str, other: float) -> str:
         return place
     number = place.partition(" ")[2]
     if not (number.isascii() and number.isdigit()):
-        table.fail(f"{table.name('place')} must be a marker, not {value_text(place)}", "place")
+        table.fail(f"{table.name('place')} must be a marker, not {short_repr(place)}", "place")
     return f"marker {min(int(number), int(other))}"
 
 
-def interval_coverage(hidden: Hidden, found: Found | None) -> list[bool]:
-    """[bool] for every number of a finding that has an interval: whether the truth lies in it. Moments and choices are
-    not counted.
-    """
+def interval_coverage(true_effect: Hidden, finding: Found | None) -> list[bool]:
+    """[bool] coverage of the truth by each interval of a finding's parameters."""
     out: list[bool] = []
-    if found is None or (found.effect, found.place) != (hidden.effect, hidden.place):
+    if finding is None or (finding.effect, finding.place) != (true_effect.effect, true_effect.place):
         return out
-    roles = {p.name: p.role for p in BY_NAME[hidden.effect].parameters}
-    for name, true in hidden.parameters.items():
-        value, interval = found.parameters.get(name, (None, None))
+    roles = {p.name: p.role for p in BY_NAME[true_effect.effect].parameters}
+    for name, true in true_effect.parameters.items():
+        value, interval = finding.parameters.get(name, (None, None))
         if interval is None or roles[name] in ("moment", "choice"):
             continue
         true, low, high = (np.atleast_1d(np.asarray(v, float)) for v in (true, *interval))
@@ -228,7 +226,7 @@ def interval_coverage(hidden: Hidden, found: Found | None) -> list[bool]:
 
 
 def campaign_figures(cases: list[Case]) -> list[Figure]:
-    """[Figure] of a campaign, in the order of the page."""
+    """[Figure] of a campaign's cases: rates of detection, naming and placing, in the order of the page."""
     done = [c for c in cases if c.failed is None]
     still = [c for c in done if c.kind == "nothing"]
     one = [c for c in done if c.kind == "one" and c.hidden[0].strength >= STRONG]
@@ -237,35 +235,35 @@ def campaign_figures(cases: list[Case]) -> list[Figure]:
     noise = [c for c in done if c.kind == "noise"]
     inside = [flag for c in done for h in c.hidden if h.effect in BY_NAME for flag in interval_coverage(h, c.match(h))]
     return [
-        share_figure("diagnosed without an error", [c.failed is None for c in cases], 1.0),
-        share_figure("nothing hidden: no finding", [not c.found and not c.unexplained for c in still], 148 / 150),
-        share_figure("one effect: detected", [bool(c.found or c.said) or c.unexplained for c in one], 0.97),
-        share_figure(
+        _share_figure("diagnosed without an error", [c.failed is None for c in cases], 1.0),
+        _share_figure("nothing hidden: no finding", [not c.found and not c.unexplained for c in still], 148 / 150),
+        _share_figure("one effect: detected", [bool(c.found or c.said) or c.unexplained for c in one], 0.97),
+        _share_figure(
             "one effect: named first", [bool(c.said) and c.said[0].effect == c.hidden[0].effect for c in one], 0.92
         ),
-        share_figure("one effect: truth in the set", [c.match(c.hidden[0]) is not None for c in one], 0.97),
-        share_figure(
+        _share_figure("one effect: truth in the set", [c.match(c.hidden[0]) is not None for c in one], 0.97),
+        _share_figure(
             "one effect: at its place",
             [any((f.effect, f.place) == (h.effect, h.place) for f in c.said) for c in one for h in c.hidden],
             0.9,
         ),
-        share_figure("one effect: nothing else named", [not c.wrong() and len(c.named) <= 1 for c in one]),
-        share_figure(
+        _share_figure("one effect: nothing else named", [not c.wrong() and len(c.named) <= 1 for c in one]),
+        _share_figure(
             "two effects: both named",
             [all(any(f.effect == h.effect for f in c.named) for h in c.hidden) for c in two],
             0.75,
         ),
-        share_figure("two effects: no wrong name", [not c.wrong() for c in two]),
-        share_figure("outside the catalogue: called unknown", [c.unexplained and not c.named for c in foreign], 0.8),
-        share_figure("outside the catalogue: no name given", [not c.named for c in foreign]),
-        share_figure("noise only disturbed: no name given", [not c.named for c in noise]),
-        share_figure("no wrong name in any case", [not c.wrong() for c in done]),
-        share_figure("95 % intervals that cover", inside, 0.91),
+        _share_figure("two effects: no wrong name", [not c.wrong() for c in two]),
+        _share_figure("outside the catalogue: called unknown", [c.unexplained and not c.named for c in foreign], 0.8),
+        _share_figure("outside the catalogue: no name given", [not c.named for c in foreign]),
+        _share_figure("noise only disturbed: no name given", [not c.named for c in noise]),
+        _share_figure("no wrong name in any case", [not c.wrong() for c in done]),
+        _share_figure("95 % intervals that cover", inside, 0.91),
     ]
 
 
 def campaign_medians(cases: list[Case]) -> dict[str, float]:
-    """{name: number}: size of the sets, held-out misfit over the noise floor, seconds; nan where there is none."""
+    """{name: median} of a campaign's cases: sizes, held-out misfit over the noise floor, seconds."""
     done = [c for c in cases if c.failed is None]
     one = [c.match(c.hidden[0]) for c in done if c.kind == "one" and c.hidden[0].strength >= STRONG]
     columns: dict[str, list[float]] = {
@@ -277,14 +275,12 @@ def campaign_medians(cases: list[Case]) -> dict[str, float]:
 
 
 def figures_by_effect(cases: list[Case]) -> list[Group]:
-    """[(effect, [Figure detected, named, placed, covered], {taken for: times})] of strong effects in all cases that
-    hide them.
-    """
+    """Figures by effect: (effect, [Figure detected, named, placed, covered], {effect found: count})."""
     return _grouped(cases, lambda h: h.effect if h.strength >= STRONG else None)
 
 
 def figures_by_strength(cases: list[Case]) -> list[Group]:
-    """The same by strength, of effects of the catalogue."""
+    """Figures by strength of the hidden effect, of effects of the catalogue."""
 
     def group(h: Hidden) -> str | None:
         k = int(np.searchsorted(BINS, h.strength, side="right"))
@@ -305,12 +301,12 @@ def _grouped(cases: list[Case], group: Callable[[Hidden], str | None]) -> list[G
         (
             name,
             [
-                share_figure("detected", [c.seen_as(h) != "nothing" for c, h, _ in rows[name]]),
-                share_figure("named", [f is not None and f.effect == h.effect for _, h, f in rows[name]]),
-                share_figure(
+                _share_figure("detected", [c.seen_as(h) != "nothing" for c, h, _ in rows[name]]),
+                _share_figure("named", [f is not None and f.effect == h.effect for _, h, f in rows[name]]),
+                _share_figure(
                     "placed", [f is not None and (f.effect, f.place) == (h.effect, h.place) for _, h, f in rows[name]]
                 ),
-                share_figure(
+                _share_figure(
                     "covered",
                     [flag for _, h, f in rows[name] if h.effect in BY_NAME for flag in interval_coverage(h, f)],
                 ),
@@ -322,9 +318,7 @@ def _grouped(cases: list[Case], group: Callable[[Hidden], str | None]) -> list[G
 
 
 def confusion_table(cases: list[Case]) -> dict[str, dict[str, int]]:
-    """{hidden: {taken for: times}} of strong effects; "nothing" and each disturbance stand for cases that hide no
-    effect.
-    """
+    """Confusion table {hidden effect: {effect found: count}} of a campaign's strong effects."""
     out = {name: counts for name, _, counts in figures_by_effect(cases)}
     for c in cases:
         if c.failed is None and not c.hidden:

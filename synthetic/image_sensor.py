@@ -1,4 +1,4 @@
-"""Radiance -> grey levels: optics, light lost at the edge, shot and read noise, quantisation (after EMVA 1288)."""
+"""Image sensor: grey levels from radiance by optics, vignetting, shot and read noise, quantisation (EMVA 1288)."""
 
 from functools import lru_cache
 
@@ -12,8 +12,7 @@ BLACK = 4.0  # grey level of no light, so that noise is not cut off
 
 
 def expose_image(radiance: np.ndarray, sensor: Sensor, rng: np.random.Generator, samples: int = 1) -> np.ndarray:
-    """(height, width) uint8 (8 bit) or uint16 (12 bit) image of a radiance (samples height, samples width) float32
-    0..1.
+    """Image (height, width) uint8 or uint16 exposed by a sensor to a radiance 0..1.
 
     sensor : rig.model.design.Sensor; rng : numpy Generator; samples : of the radiance to the pixel each way. Optics act
     on the finer picture, before pixels take their means: a blur that steps from pixel to pixel has corners of its own.

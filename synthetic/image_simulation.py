@@ -1,6 +1,4 @@
-"""A simulation -> its images: exposures in time, rows of a rolling shutter at their own times, several processes at
-once.
-"""
+"""Images of a simulation rendered: exposures in time, rolling shutter, several processes."""
 
 import os
 import threading
@@ -49,7 +47,7 @@ class Images:
 def render_images(
     simulation: Simulation, out: Path, images: Images, seed: int, progress: Callable[[int, int], None] | None = None
 ) -> None:
-    """Draw every image of a simulation into out/images. seed : of the noise, the same for any number of processes.
+    """Render all images of a simulation into out/images. seed : of the noise
 
     Raises MissingLibrary where there is no OpenGL, RigError for an effect that the renderer cannot draw
     """
@@ -82,14 +80,14 @@ def render_images(
 
 
 def check_drawable(effects: Iterable[Effect]) -> None:
-    """Raise RigError for effects that act on corners alone and that a picture cannot show."""
+    """Check that effects are drawable in images. Raises RigError for effects that act on corners alone."""
     for effect in effects:
         if not is_drawable(type(effect)):
             raise RigError(f"{effect.name} is not drawn into images, only into corners: simulate with --corners")
 
 
 def is_drawable(kind: type[Effect]) -> bool:
-    """Whether a picture can show an effect of a class: it does not act on corners alone."""
+    """Whether an effect class is drawable in images: it does not act on corners alone."""
     return kind.bend is Effect.bend and kind.print_ is Effect.print_
 
 
@@ -160,9 +158,8 @@ def _exposed(f: int, i: int, sensor: Sensor) -> np.ndarray:
     return expose_image(radiance, sensor, rng, SAMPLES)
 
 
-def render_image(simulation: Simulation, f: int, i: int, images: Images, seed: int) -> np.ndarray:
-    """The image, uint8 or uint16 (12 bits), of frame f by camera i, drawn in this process, whose scene is made once for
-    a world.
+def render_image(simulation: Simulation, frame: int, camera: int, images: Images, seed: int) -> np.ndarray:
+    """Image of one frame by one camera, rendered in this process, uint8 or uint16 (12 bits).
 
     simulation : Simulation, possibly another of the same world each time; images : Images; seed : of the noise
     Raises what `render_images` raises
@@ -175,7 +172,7 @@ def render_image(simulation: Simulation, f: int, i: int, images: Images, seed: i
         _prepare()
     _state.update(simulation=simulation, images=images, seed=seed)
     _state["exposures"] = _exposures()  # of this simulation, so it has to stand there
-    return _exposed(f, i, images.sensor)
+    return _exposed(frame, camera, images.sensor)
 
 
 def _exposures() -> list[tuple[float, list[RigidTransform]]]:

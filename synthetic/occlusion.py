@@ -1,6 +1,4 @@
-"""What stands between a camera and a marker: struts, plates and cubes, worked out from the same solids that the scene
-draws.
-"""
+"""Occlusion of markers by struts, plates and cubes between them and a camera."""
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -23,7 +21,7 @@ OWN_DEPTH = 2e-3  # m; what is nearer to the marker than this is the marker itse
 def is_occluded(
     design: Design, stages: list[RigidTransform], frame: np.ndarray, eye: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """(k,) bool, whether the straight line from an eye to a point is blocked.
+    """Whether each point (k,) is occluded from an eye: the straight line between them is blocked.
 
     design : Design as it really is; stages : where each stage's platform stands, RigidTransform (F,), the last alone
         but of a chain

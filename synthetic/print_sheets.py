@@ -1,6 +1,4 @@
-"""Cube nets and loose markers as sheets to print, true to scale, with rulers and a legend on each (PDF by
-matplotlib).
-"""
+"""Sheets to print, true to scale: cube nets and loose markers with rulers and a legend (PDF)."""
 
 import io
 from collections.abc import Iterator
@@ -16,13 +14,13 @@ from matplotlib.patches import Polygon, Rectangle
 from rig.errors import RigError
 from rig.formats.output_files import write_bytes
 from rig.model.design import Design, Target
-from synthetic.cube_assembly_page import draw_assembly_page
-from synthetic.cube_nets import NET, SIDES, Piece, Placed, Size, arrange_net
-from synthetic.sheet_rulers import (
+from synthetic.cube_nets_and_stl import NET, SIDES, Piece, Placed, Size, arrange_net
+from synthetic.sheet_rulers_and_assembly_page import (
     FOOT,
     LEFT,
     MARGIN,
     cut_line_style,
+    draw_assembly_page,
     draw_rulers_and_legend,
     fold_line_style,
     usable_area,
@@ -66,8 +64,7 @@ class Page(NamedTuple):
 
 
 def write_sheets(design: Design, path: str | Path, paper: str = "A4") -> list[str]:
-    """Write a PDF with the sheets of all targets and a page that says how they are folded and where they stand; returns
-    a line of text for each.
+    """Write a PDF with the sheets of all targets of a design and the assembly page.
 
     Raises RigError for an unknown paper, a face or a marker too large for it, or a design without targets
     """
@@ -91,14 +88,12 @@ def write_sheets(design: Design, path: str | Path, paper: str = "A4") -> list[st
 
 
 def sheets_of_target(target: Target, paper: str) -> list[Page]:
-    """The sheets of a target on paper of one size. Raises RigError for a face or a marker that is too large, with the
-    paper that would do
-    """
+    """Sheets of a target on paper of one size. Raises RigError for a face or marker that is too large."""
     return [*_of_net(target, paper), *_of_loose(target, paper)]
 
 
 def blank_sheet(paper: tuple[float, float]) -> tuple[Figure, Axes]:
-    """(Figure, Axes in mm from its lower left corner) of an empty sheet. paper : (width, height) mm"""
+    """Blank sheet: (Figure, Axes in mm from the lower left corner). paper : (width, height) mm"""
     figure = Figure(figsize=(paper[0] / 25.4, paper[1] / 25.4))
     axes = figure.add_axes((0, 0, 1, 1))
     axes.set(xlim=(0, paper[0]), ylim=(0, paper[1]))
@@ -107,7 +102,7 @@ def blank_sheet(paper: tuple[float, float]) -> tuple[Figure, Axes]:
 
 
 def draw_sheet(axes: Axes, page: Page) -> None:
-    """Draw a sheet."""
+    """Draw a sheet of nets or markers."""
     for one in page.placed:
         assert page.size is not None
         _piece(axes, np.array([LEFT + one.x, MARGIN + FOOT + one.y]), page.target, one.piece, page.size)

@@ -1,4 +1,4 @@
-"""The printed pattern of a marker in a picture: each picture element's exact share of white, by area.
+"""Printed pattern of a marker drawn into an image: the exact share of white in each pixel.
 
 An element's square is carried to the marker's cells by the lens and the homography; over one element both are as good
 as affine, so what it sees there is a parallelogram, and what part of that lies on white cells is an area. Where one
@@ -28,22 +28,20 @@ class Footprint(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def bilinear_value(picture, x, y, channel) -> float:
-    """Value of a channel of a picture (h, w, channels) at (x, y), between its four neighbours."""
+def bilinear_value(image, x, y, channel) -> float:
+    """Bilinear value of a channel of an image (h, w, channels) at (x, y)."""
     x0, y0 = int(x), int(y)
     fx, fy = x - x0, y - y0
-    top = picture[y0, x0, channel] + fx * (np.float32(picture[y0, x0 + 1, channel]) - picture[y0, x0, channel])
-    bottom = picture[y0 + 1, x0, channel] + fx * (
-        np.float32(picture[y0 + 1, x0 + 1, channel]) - picture[y0 + 1, x0, channel]
-    )
+    top = image[y0, x0, channel] + fx * (np.float32(image[y0, x0 + 1, channel]) - image[y0, x0, channel])
+    bottom = image[y0 + 1, x0, channel] + fx * (np.float32(image[y0 + 1, x0 + 1, channel]) - image[y0 + 1, x0, channel])
     return top + fy * (bottom - top)
 
 
 @njit(cache=True, nogil=True)
-def draw_marker_pattern(picture, places, box, ideal, H, cells, number, out) -> None:
-    """Lay a marker's pattern into a picture whose elements show its white paper.
+def draw_marker_pattern(image, places, box, ideal, H, cells, number, out) -> None:
+    """Draw a marker's pattern into an image whose pixels show its white paper.
 
-    picture : (h, w, 3) uint8 pinhole picture: grey with white paper, grey with black paper, number of the marker's part
+    image : (h, w, 3) uint8 pinhole picture: grey with white paper, grey with black paper, number of the marker's part
     places : (k, l, 2) where in it each element of the finer picture looks; box : x0, y0, x1, y1 of the elements about
         the marker
     ideal : (2, y1 - y0 + 2, x1 - x0 + 2) x / z, y / z of the box's elements, widened by one on every side
@@ -55,7 +53,7 @@ def draw_marker_pattern(picture, places, box, ideal, H, cells, number, out) -> N
     for y in range(y0, y1):
         for x in range(x0, x1):
             px, py = places[y, x, 0], places[y, x, 1]
-            if picture[int(py + 0.5), int(px + 0.5), 2] != number:
+            if image[int(py + 0.5), int(px + 0.5), 2] != number:
                 continue
             j, i = y - y0 + 1, x - x0 + 1
             a, b = ideal[0, j, i], ideal[1, j, i]
@@ -72,13 +70,13 @@ def draw_marker_pattern(picture, places, box, ideal, H, cells, number, out) -> N
             seen = Footprint(X, Y, Xa * au + Xb * bu, Xa * av + Xb * bv, Ya * au + Yb * bu, Ya * av + Yb * bv)
             share = white_share(cells, seen, work)
             if share < 1:
-                black = bilinear_value(picture, px, py, 1)
+                black = bilinear_value(image, px, py, 1)
                 out[y, x] = black + share * (out[y, x] - black)
 
 
 @njit(cache=True, nogil=True)
 def white_share(cells, seen, work) -> float:
-    """Share of white (0..1) in a Footprint of a pattern.
+    """Share of white (0..1) of a pattern's cells in a pixel's Footprint.
 
     cells : (n, n) 1 white, 0 black, cell (0, 0) from 0 to 1 along both; white beyond; work : (4, 12, 2), overwritten
     """

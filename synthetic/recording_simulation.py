@@ -1,6 +1,4 @@
-"""A world under a plan -> a recording folder, with images, corners or an instrument's poses; the truth goes
-elsewhere.
-"""
+"""Simulation of a recording: a secret machine run under a plan, written as a folder; the truth kept apart."""
 
 from __future__ import annotations
 
@@ -16,7 +14,7 @@ from rig.formats.output_files import write_text
 from rig.model import motion_simulation
 from rig.model.cube_remounting import quarter_turns, rig_toml_with_turns
 from rig.model.design import Camera, Design, Instrument, MeasuringLimbs
-from rig.model.mechanism_kinds import axes_of
+from rig.model.mechanism_kinds import require_axes
 from rig.model.pose import exp, pose_to_vector, transform_points
 from rig.planning.plan import Plan, add_payload_channel
 from rig.recording.corner_and_pose_tables import DISTANCE, POSE_COLUMNS
@@ -24,7 +22,7 @@ from rig.recording.recording_folder import LIMB, Corners, Sensors
 from rig.recording.recording_tables import write_corners, write_table
 from synthetic import secret_machine as worlds
 from synthetic.occlusion import is_occluded
-from synthetic.remounted_cubes import remount_cubes
+from synthetic.secret_machine import remount_cubes
 from vision.predict import Sightings, State, facing, is_inside_image, predict_sightings
 from vision.targets import MarkerMap, marker_map
 
@@ -61,13 +59,12 @@ class Simulation:
 
 
 def stage_poses_of_run(run: motion_simulation.Run) -> list[RigidTransform]:
-    """[T_base_stage : RigidTransform (n,)] of what a Run moved: the platform last, alone but of a chain."""
+    """[Pose T_base_stage (n,)] of each stage of a Run, the platform last."""
     return [*run.stages, run.T_base_platform]
 
 
 def simulate(world: worlds.World, plan: Plan, rng: np.random.Generator, given: Sensors | None = None) -> Simulation:
-    """Simulation of a world under a plan: cubes put back, temperatures drawn, the machine run. Raises what
-    `machine.run` raises.
+    """Simulation of a world under a plan: cubes remounted, temperatures drawn, the machine run.
 
     given : Sensors as they truly are and as they are logged, in place of drawn temperatures and the plan's payload, or
         None
@@ -75,7 +72,7 @@ def simulate(world: worlds.World, plan: Plan, rng: np.random.Generator, given: S
     world = remount_cubes(world, dict(plan.turned))
     if given is None:
         true, log = worlds.draw_temperatures(
-            plan.commands.t[-1], rng, worlds.strut_count(axes_of(world.true.mechanism))
+            plan.commands.t[-1], rng, worlds.strut_count(require_axes(world.true.mechanism))
         )
         sensors, log = add_payload_channel(plan, true), add_payload_channel(plan, log)
     else:
@@ -104,15 +101,13 @@ def _with_limbs(
     return Sensors(rows, channels | {name: np.interp(rows, t, own) for name, own in zip(limbs.channels, read.T)})
 
 
-def visible_markers(simulation: Simulation, steepest: float = STEEPEST) -> tuple[Sightings, np.ndarray]:
-    """(Sightings, corners (k, 4, 2) px) of every marker seen whole: facing a camera, inside its image, nothing in the
-    way.
-    """
+def visible_markers(simulation: Simulation, max_viewing_angle: float = STEEPEST) -> tuple[Sightings, np.ndarray]:
+    """(Sightings, corners (k, 4, 2) px) of visible markers: facing a camera, inside its image, not occluded."""
     world = simulation.world
     stated = real = marker_map(world.true)
     for effect in world.effects:
         real = effect.attach(real)
-    parts = [_sight_of(simulation, stage, stated, real, steepest) for stage in np.unique(real.stage).tolist()]
+    parts = [_sight_of(simulation, stage, stated, real, max_viewing_angle) for stage in np.unique(real.stage).tolist()]
     found = Sightings(*(np.concatenate([getattr(f, name) for f, _ in parts]) for name in ("frame", "camera", "marker")))
     return found, np.concatenate([uv for _, uv in parts])
 
@@ -155,7 +150,7 @@ def _body(simulation: Simulation, stage: int) -> motion_simulation.Run:
 
 
 def carried_camera_poses(cameras: tuple[Camera, ...], T_base_platform: RigidTransform) -> dict[int, RigidTransform]:
-    """{index: T_base_camera (F,)} of the cameras that a platform at poses (F,) carries."""
+    """{index: pose T_base_camera (F,)} of the cameras carried by a platform at poses (F,)."""
     return {i: T_base_platform * camera.pose for i, camera in enumerate(cameras) if camera.mount == "hand"}
 
 
@@ -184,7 +179,7 @@ def _covered(
 
 
 def noisy_corners(simulation: Simulation, noise: float, rng: np.random.Generator) -> Corners:
-    """recording.Corners of a simulation with Gaussian noise (px) on each coordinate."""
+    """Corners of a simulation with Gaussian noise (px) on each coordinate."""
     found, uv = visible_markers(simulation)
     names = [camera.name for camera in simulation.world.true.cameras]
     order = np.lexsort((found.marker, found.camera, found.frame))
@@ -210,7 +205,7 @@ def write_recording(
     progress: Callable[[int, int], None] | None = None,
     spoil: Callable[[Corners], Corners] | None = None,
 ) -> None:
-    """Write a recording folder as its owner would have it.
+    """Write the recording folder of a simulation as its owner would have it.
 
     out : folder; text : the owner's rig.toml; noise : px, to write corners; or images : Images, to render
     progress : called with (done, of) pictures, or None; spoil : what happens to Corners (-> Corners) before they are
@@ -254,7 +249,7 @@ def write_recording(
         )
     instrument, looks = simulation.world.stated.instrument, bool(cameras and simulation.world.stated.targets)
     if instrument is not None or not looks:
-        write_measured(out / "poses.csv", simulation.run.T_base_platform, instrument or EXACT, rng)
+        _write_measured_poses(out / "poses.csv", simulation.run.T_base_platform, instrument or EXACT, rng)
     if not looks:
         return
     if images is None:
@@ -266,7 +261,7 @@ def write_recording(
         render_images(simulation, out, images, int(rng.integers(1 << 62)), progress)
 
 
-def write_measured(
+def _write_measured_poses(
     path: Path, T_base_platform: RigidTransform, instrument: Instrument, rng: np.random.Generator
 ) -> None:
     """Write poses.csv as an Instrument sees poses (n,), with its noise: whole, or positions, orientations or a wire's
@@ -291,7 +286,7 @@ def write_measured(
 
 
 def truth_corners(simulation: Simulation) -> list[list]:
-    """Rows [frame, camera, marker, corner, u, v] of every marker seen whole, for a truth file."""
+    """True corners as rows [frame, camera, marker, corner, u, v] of every visible marker, for a truth file."""
     c = noisy_corners(simulation, 0.0, np.random.default_rng(0))
     return [
         [int(f), name, int(m), int(k), round(float(u), 5), round(float(v), 5)]

@@ -1,4 +1,4 @@
-"""Scene -> ideal image (pyrender, off screen through EGL): the only file that knows OpenGL's axes and pixel centres.
+"""Renderer of ideal images of a scene (pyrender, off screen through EGL); OpenGL's axes are known only here.
 
 The scene is drawn as an oversized pinhole picture, finer than the camera's, and bent through the lens by sampling it
 bilinearly at SAMPLES x SAMPLES places of each pixel; the sensor blurs that finer picture before it takes the pixels'
@@ -27,7 +27,7 @@ from rig.errors import MissingLibrary
 from rig.model.design import Camera, Design
 from rig.model.pose import exp
 from synthetic.printed_pattern import bilinear_value, draw_marker_pattern
-from synthetic.rig_meshes import BLACK, WHITE, Ink, Part, body_poses, part_brightness
+from synthetic.rig_meshes import BLACK, WHITE, Ink, Part, mesh_body_matrices, part_brightness
 from vision import lens
 
 FINER = 1.25  # how many pixels of the pinhole picture to one of the camera's
@@ -42,7 +42,7 @@ PACKAGES = "libegl1 libgl1"
 
 
 def import_pyrender() -> Any:
-    """The pyrender module without its viewer. Raises MissingLibrary naming the packages where there is no OpenGL."""
+    """Import pyrender without its viewer. Raises MissingLibrary where there is no OpenGL."""
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
     if "pyrender" not in sys.modules:
         viewer: Any = types.ModuleType("pyrender.viewer")  # the real one pulls in pyglet and X11
@@ -103,7 +103,7 @@ class Renderer:
             focal length
         """
         pinhole = self.cameras[camera_name]
-        poses = body_poses(self.mechanism, [*below, T_base_platform])
+        poses = mesh_body_matrices(self.mechanism, [*below, T_base_platform])
         for part, node in zip(self.parts, self.nodes):
             matrix = poses[part.body]
             self.scene.set_pose(node, matrix)

@@ -1,4 +1,4 @@
-"""The rig as meshes (trimesh): plates, struts, cubes and sheets with their markers, and something to stand in front of.
+"""Meshes of the rig (trimesh): plates, struts, cubes and sheets with markers, and a background.
 
 Every part is a flat grey, a sheet of paper with a marker's ink on it, or a textured face; brightness comes from the
 lamps by Lambert's law, face by face, so that the renderer need only multiply. Ink is no texture: it is laid exactly,
@@ -71,7 +71,7 @@ AMBIENT = 0.25
 def rig_parts(
     design: Design, background: str = "plain", rng: np.random.Generator | None = None, markers: MarkerMap | None = None
 ) -> list[Part]:
-    """All Parts of a rig. background : "plain" or "cluttered"; rng : numpy Generator, for the clutter.
+    """Parts (meshes) of a rig and of its background, plain or cluttered.
 
     markers : MarkerMap of where and how large the markers really are, by default as the design has them
     """
@@ -88,7 +88,7 @@ def rig_parts(
         found += _blank_faces(target)
     for k in range(len(placed.id)):
         found.append(
-            marker_face(
+            _marker_face(
                 carriers[placed.target[k]],
                 placed.dictionary[k],
                 int(placed.id[k]),
@@ -100,10 +100,10 @@ def rig_parts(
     return found + _surroundings(design, background, rng)
 
 
-class Standing(NamedTuple):
+class StrutStage(NamedTuple):
     """What stands on struts, by itself or as a chain's stage. stage; prefix : of its struts' names; base,
-    platform : names of the bodies between which they stand; number : of what moves, as `body_poses` is told where that
-        is."""
+    platform : names of the bodies between which they stand; number : of what moves, as `mesh_body_matrices` is told
+        where that is."""
 
     stage: Struts
     prefix: str
@@ -112,21 +112,20 @@ class Standing(NamedTuple):
     number: int
 
 
-def strut_stages(mechanism: Mechanism) -> list[Standing]:
-    """What of a mechanism stands on struts, from the base up; an arm's links are not drawn."""
+def strut_stages(mechanism: Mechanism) -> list[StrutStage]:
+    """[StrutStage] of a mechanism: the stages that stand on struts, from the base up; none for an arm."""
     stages = mechanism.stages if isinstance(mechanism, Chain) else (mechanism,)
     names = ["base", *(f"stage {k + 1}" for k in range(len(stages) - 1)), "platform"]
     return [
-        Standing(stage, f"stage {k + 1} " if isinstance(mechanism, Chain) else "", names[k], names[k + 1], k)
+        StrutStage(stage, f"stage {k + 1} " if isinstance(mechanism, Chain) else "", names[k], names[k + 1], k)
         for k, stage in enumerate(stages)
         if isinstance(stage, Hexapod | Planar2)
     ]
 
 
-def body_matrices(stages: list[RigidTransform]) -> dict[str, np.ndarray]:
-    """{body: (..., 4, 4) matrix to the base} of those between which struts stand. stages : where each stage's platform
-    stands, RigidTransform (...), the last alone but of a chain"""
-    *below, platform = (T.as_matrix() for T in stages)
+def body_matrices(stage_poses: list[RigidTransform]) -> dict[str, np.ndarray]:
+    """{body: (..., 4, 4) matrix to the base} of bodies between struts, from the stages' poses."""
+    *below, platform = (T.as_matrix() for T in stage_poses)
     return {
         "base": np.broadcast_to(np.eye(4), platform.shape),
         "platform": platform,
@@ -134,14 +133,12 @@ def body_matrices(stages: list[RigidTransform]) -> dict[str, np.ndarray]:
     }
 
 
-def body_poses(mechanism: Mechanism, stages: list[RigidTransform]) -> dict[str, np.ndarray]:
-    """{body: (4, 4) matrix to the base} at one pose, struts as long as the pose asks. stages : see `body_matrices`, one
-    pose each
-    """
-    poses = {"world": np.eye(4), **body_matrices(stages)}
+def mesh_body_matrices(mechanism: Mechanism, stage_poses: list[RigidTransform]) -> dict[str, np.ndarray]:
+    """{body: (4, 4) matrix to the base} of all bodies that have meshes, at one pose, struts included."""
+    poses = {"world": np.eye(4), **body_matrices(stage_poses)}
     for stands in strut_stages(mechanism):
         T_below = RigidTransform.from_matrix(poses[stands.base])
-        ends = strut_ends(stands.stage, T_below.inv() * stages[stands.number])
+        ends = strut_ends(stands.stage, T_below.inv() * stage_poses[stands.number])
         for i, (low, high) in enumerate(zip(*(T_below.apply(end) for end in ends))):
             along = (high - low) / np.linalg.norm(high - low)
             side = np.cross(along, [1.0, 0, 0] if abs(along[0]) < 0.9 else [0, 1.0, 0])
@@ -159,7 +156,7 @@ def body_poses(mechanism: Mechanism, stages: list[RigidTransform]) -> dict[str, 
 
 
 def part_brightness(part: Part, matrix: np.ndarray) -> float:
-    """Brightness 0..1 of a part in its body's pose (4, 4), albedo times what the lamps give."""
+    """Brightness 0..1 of a part at its body's matrix (4, 4): albedo times the light of the lamps."""
     centre = matrix[:3, :3] @ part.centre + matrix[:3, 3]
     light = AMBIENT
     for lamp in LAMPS:
@@ -171,7 +168,7 @@ def part_brightness(part: Part, matrix: np.ndarray) -> float:
 
 
 def plate_radius(body: str, joints: np.ndarray, design: Design) -> float:
-    """m, of the disc that carries a body's joints (6, 3) m and its cubes."""
+    """Radius, m, of the plate that carries a body's joints (6, 3) m and its cubes."""
     cubes = [
         float(np.linalg.norm(target.pose.translation[:2])) + 0.8 * target.edge
         for target in design.targets
@@ -188,7 +185,7 @@ def _plate(body: str, joints: np.ndarray, design: Design) -> list[Part]:
 
 
 def strut_ends(mechanism: Struts, T_base_platform: RigidTransform) -> tuple[np.ndarray, np.ndarray]:
-    """(lower, upper) (..., axes, 3) m, both ends of the struts in the base frame at poses (...)."""
+    """Ends (lower, upper) (..., axes, 3) m of the struts in the base frame at poses (...)."""
     matrix = T_base_platform.as_matrix()
     if isinstance(mechanism, Planar2):
         low, joints = np.pad(mechanism.base_joints, ((0, 0), (0, 1))), np.zeros((2, 3))
@@ -198,7 +195,7 @@ def strut_ends(mechanism: Struts, T_base_platform: RigidTransform) -> tuple[np.n
     return np.broadcast_to(low, high.shape), high
 
 
-def _struts(stands: Standing) -> list[Part]:
+def _struts(stands: StrutStage) -> list[Part]:
     radius = np.linalg.norm(stands.stage.base_joints, axis=1).mean()
     found = []
     for i in range(len(stands.stage.axes)):
@@ -219,7 +216,7 @@ def _blank_faces(target: Target) -> list[Part]:
     ]
 
 
-def marker_face(
+def _marker_face(
     body: str, dictionary: str, number: int, T_body_marker: RigidTransform, side: float, size: float
 ) -> Part:
     """Part of a square white sheet of a size (m) with a marker of a side (m) in its middle; posed x right, y up, z
@@ -259,13 +256,13 @@ def _surroundings(design: Design, background: str, rng: np.random.Generator | No
     found = []
     for face in FACES:
         pose = RigidTransform.from_translation([0, 0, 0]) * face_pose(face, 2 * reach)
-        quad = _quad("world", pose, reach, 0.9, clutter_texture(rng), np.array([[0, 1], [1, 1], [1, 0], [0, 0.0]]))
+        quad = _quad("world", pose, reach, 0.9, _clutter_texture(rng), np.array([[0, 1], [1, 1], [1, 0], [0, 0.0]]))
         quad.mesh.invert()
         found.append(quad)
     return found
 
 
-def clutter_texture(rng: np.random.Generator, size: int = 1024) -> np.ndarray:
+def _clutter_texture(rng: np.random.Generator, size: int = 1024) -> np.ndarray:
     """(size, size) 0..1 picture of blobs, bars and squares, dark squares on white among them, that a detector must not
     believe.
     """

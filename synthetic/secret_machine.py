@@ -1,7 +1,8 @@
-"""A secret machine: what its owner believes, and what it really is, drawn at random and kept apart."""
+"""Secret machine of a simulation, drawn at random: geometry, cameras, temperatures, remounted cubes; truth file."""
 
 import json
-from collections.abc import Iterable
+import zlib
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,16 +10,66 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.effects.catalogue.cube_misplacement import CubeMisplacement
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_text import Kinds
+from rig.errors import RigError
 from rig.formats import machine_json
+from rig.formats.machine_json import GEOMETRY, PLACES
 from rig.formats.output_files import write_text
 from rig.model import mechanisms
+from rig.model.cube_remounting import design_with_turned_cubes, quarter_turns
 from rig.model.design import Arm, Camera, Chain, Design, Hexapod, Planar2
-from rig.model.pose import exp
+from rig.model.pose import exp, pose
 from rig.recording.recording_folder import Sensors
-from synthetic import secret_geometry
+
+JOINT = 3e-4  # m, standard deviation of a joint's coordinate from where the owner has it
+ZERO = 3e-4  # m, of a strut's zero
+ROW = np.array([1e-3, 3e-4, 3e-4, 1e-3, 0.0])  # rad, m, m, rad, rad: of an arm's theta, d, a, alpha, beta
+ASKEW = 1e-4  # rad, greatest of axes that are parallel by design
+STOOD = (3e-3, 5e-3)  # m, rad, of where an arm that cameras see stands, and of its hand
+AWAY, HAND = 1.0, 0.1  # m, of where an instrument stands and of its target on the hand, where nobody knows
+
+
+def draw_geometry(stated: Design, rng: np.random.Generator, size: float) -> Hexapod | Planar2 | Arm | Chain:
+    """True geometry of a stated design's mechanism drawn at random. size : multiplies every deviation"""
+    m = stated.mechanism
+    if m.kind == "hexapod":
+        return replace(
+            m,
+            base_joints=m.base_joints + size * JOINT * rng.normal(size=(6, 3)),
+            platform_joints=m.platform_joints + size * JOINT * rng.normal(size=(6, 3)),
+            strut_zeros=m.strut_zeros + size * ZERO * rng.normal(size=6),
+        )
+    if m.kind == "planar2":
+        return replace(
+            m,
+            base_joints=m.base_joints + size * JOINT * rng.normal(size=(2, 2)),
+            strut_zeros=m.strut_zeros + size * ZERO * rng.normal(size=2),
+        )
+    if m.kind == "arm":
+        return _arm(m, stated, rng, size)
+    if isinstance(m, Chain):
+        stages = tuple(draw_geometry(replace(stated, mechanism=stage, cameras=()), rng, size) for stage in m.stages)
+        return replace(m, stages=stages)  # type: ignore[arg-type]
+    raise RigError(f"a mechanism of kind {m.kind!r} cannot be simulated; {', '.join(GEOMETRY)} can")
+
+
+def _arm(m: Arm, stated: Design, rng: np.random.Generator, size: float) -> Arm:
+    rows = m.rows + size * ROW * rng.normal(size=m.rows.shape)
+    flat = np.abs(np.cos(m.rows[:, 3])) > 0.999
+    rows[flat, 3:] = m.rows[flat, 3:] + size * ASKEW * rng.uniform(-1, 1, (flat.sum(), 2))
+    ends, instrument = [m.base, m.tool], stated.instrument
+    if (
+        instrument is None and stated.cameras and stated.targets
+    ):  # where it stands among the cubes, and how its hand holds them
+        ends = [end * exp(size * np.repeat(STOOD, 3) * rng.normal(size=6)) for end in ends]
+    for k, (place, far) in enumerate(zip(PLACES, (AWAY, HAND))):
+        if instrument is not None and getattr(instrument, place) == "free":
+            ends[k] = pose(far * rng.uniform(-1, 1, 3), rng.normal(size=3))
+    return replace(m, joints=rows, base=ends[0], tool=ends[1])
+
 
 MOUNT = (3e-3, 5e-3)  # m, rad, of a camera's stated pose
 FOCAL, CENTRE = 4e-4, 1.0  # of the focal length; px
@@ -38,10 +89,8 @@ class World:
 
 
 def draw_machine(stated: Design, rng: np.random.Generator, size: float = 1.0, effects: Iterable[Effect] = ()) -> World:
-    """World around a stated design. rng : numpy Generator; size : multiplies every deviation; effects : Effects at
-    work.
-    """
-    m = secret_geometry.draw_geometry(stated, rng, size)
+    """Secret machine (World) drawn at random around a stated design. size : multiplies every deviation"""
+    m = draw_geometry(stated, rng, size)
     true = replace(stated, mechanism=m, cameras=tuple(_camera(camera, rng, size) for camera in stated.cameras))
     limbs = stated.insitu
     if limbs is not None:
@@ -70,13 +119,12 @@ def _camera(camera: Camera, rng: np.random.Generator, size: float) -> Camera:
 
 
 def strut_count(mechanism: Hexapod | Planar2 | Arm | Chain) -> int:
-    """How many struts a mechanism has: none for an arm."""
+    """Number of struts of a mechanism: none for an arm."""
     return len(mechanism.axes) if mechanisms.kinematics_of(mechanism).AXIS == "strut" else 0
 
 
 def draw_temperatures(duration: float, rng: np.random.Generator, struts: int = 6) -> tuple[Sensors, Sensors]:
-    """(true Sensors, logged Sensors) over a duration (s): the room drifts by a kelvin or two, struts warm up by as much
-    again.
+    """(true Sensors, logged Sensors) of temperatures drawn at random over a duration (s).
 
     Channels ambient_temperature_C and, for so many struts, strut1_temperature_C ..; the log is the truth every
     LOG_EVERY s, with noise.
@@ -95,13 +143,38 @@ def draw_temperatures(duration: float, rng: np.random.Generator, struts: int = 6
 
 
 def write_truth(path: Path, world: World, T_base_platform: RigidTransform, **more: Any) -> None:
-    """Write the truth of a recording as JSON: the machine as it is, its effects, poses as row-major 4 x 4, and more."""
+    """Write the truth file of a recording (JSON): the machine, its effects and its poses."""
     tree = machine_json.machine_dict(world.true, world.effects)
     write_text(path, json.dumps({**tree, "poses": T_base_platform.as_matrix().reshape(-1, 16).tolist(), **more}) + "\n")
 
 
 def world_from_truth(path: Path, stated: Design, kinds: Kinds = BY_NAME) -> World:
-    """World of a truth file: the same machine and cameras again. kinds : effects that there are. Raises FileError for a
-    file that is none.
-    """
+    """World read from a truth file: the same machine and cameras. kinds : known effects"""
     return World(stated, *machine_json.load_machine(path, stated, kinds))
+
+
+SEAT = np.repeat([1e-4, 1e-3], 3)  # m, rad, by which a cube that is put back sits off
+
+
+def remount_cubes(world: World, quarters: Mapping[str, int]) -> World:
+    """The World with cubes remounted at quarters {cube: quarter turns}, with the small errors of remounting.
+
+    Raises RigError for a cube that there is not
+    """
+    stated = design_with_turned_cubes(world.stated, quarters)
+    stands = quarter_turns(stated)
+    if not stands:
+        return world
+    own = zlib.crc32(
+        np.array([np.round(camera.matrix, 6) for camera in world.true.cameras]).tobytes()
+    )  # a truth file has the same
+
+    def off(name: str, quarter: int) -> CubeMisplacement:
+        rng = np.random.default_rng([own, zlib.crc32(name.encode()), quarter])
+        return CubeMisplacement(f"target {name}", tuple((SEAT * rng.normal(size=6)).tolist()))
+
+    return World(
+        stated,
+        design_with_turned_cubes(world.true, stands),
+        (*world.effects, *(off(name, quarter) for name, quarter in stands.items())),
+    )

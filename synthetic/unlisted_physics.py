@@ -1,5 +1,4 @@
-"""Physics that the catalogue does not hold, and noise that is not what it should be: what a blind case may hide as
-well.
+"""Physics not listed in the catalogue, and irregular corner noise, that blind cases may hide as unknown.
 
 An effect out of the catalogue is one like any other, only that no diagnosis knows it; `draw_unlisted_effect` makes one
 of a plausible size. A disturbance
@@ -15,7 +14,7 @@ import numpy as np
 from rig.effects.framework.effect import Effect, Motion
 from rig.errors import RigError
 from rig.model.design import Camera, Design
-from rig.model.mechanism_kinds import hexapod_of
+from rig.model.mechanism_kinds import require_hexapod
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, transform_points
 from rig.recording.corner_and_pose_tables import Corners
@@ -48,7 +47,7 @@ class CablePull(Effect):
         force = self.spring * np.maximum(length - self.slack, 0) * away / length
         force = (np.swapaxes(matrix[:, :3, :3], 1, 2) @ force[..., None])[..., 0]
         give = np.concatenate([force, np.cross(at, force) / self.arm**2], axis=1) * self.softness
-        return (hexapod.jacobian(motion.posed(), hexapod_of(motion.mechanism)) @ give[..., None])[..., 0]
+        return (hexapod.jacobian(motion.posed(), require_hexapod(motion.mechanism)) @ give[..., None])[..., 0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +63,7 @@ class BendingStrut(Effect):
     on_pose: ClassVar = True
 
     def deviation(self, motion: Motion) -> np.ndarray:
-        matrix, m = motion.posed().as_matrix(), hexapod_of(motion.mechanism)
+        matrix, m = motion.posed().as_matrix(), require_hexapod(motion.mechanism)
         struts = m.platform_joints @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3] - m.base_joints
         length = np.linalg.norm(struts, axis=2)
         level = 1 - (struts @ motion.gravity / np.linalg.norm(motion.gravity) / length) ** 2
@@ -84,8 +83,8 @@ class WanderingBase(Effect):
     on_pose: ClassVar = True
 
     def deviation(self, motion: Motion) -> np.ndarray:
-        moved = transform_points(exp(_course(self.course, motion.t, 6)), hexapod_of(motion.mechanism).base_joints)
-        matrix, m = motion.posed().as_matrix(), hexapod_of(motion.mechanism)
+        moved = transform_points(exp(_course(self.course, motion.t, 6)), require_hexapod(motion.mechanism).base_joints)
+        matrix, m = motion.posed().as_matrix(), require_hexapod(motion.mechanism)
         tips = m.platform_joints @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3]
         return np.linalg.norm(tips - m.base_joints, axis=2) - np.linalg.norm(tips - moved, axis=2)
 
@@ -194,12 +193,11 @@ def _course(course: tuple[float, ...], t: np.ndarray, size: int) -> np.ndarray:
 
 
 def draw_unlisted_effect(design: Design, duration: float, rng: np.random.Generator) -> Effect:
-    """One effect out of the catalogue, of a plausible size. design : Design; duration : s of the recording; rng : numpy
-    Generator.
+    """Unlisted effect (not in the catalogue) drawn at random, of a plausible size.
 
     Raises RigError for a rig that lacks what it needs.
     """
-    m = hexapod_of(design.mechanism)
+    m = require_hexapod(design.mechanism)
     radius, stroke = float(np.linalg.norm(m.base_joints, axis=1).mean()), float(np.ptp(m.strut_range, axis=1).mean())
     strut = f"strut {rng.integers(1, 7)}"
     camera = f"camera {design.cameras[rng.integers(len(design.cameras))].name}"
@@ -263,7 +261,7 @@ OUT_OF_CATALOGUE = (
 )
 
 
-def add_air_shimmer(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
+def _add_air_shimmer(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
     """Every picture is warped a little by the air, smoothly over the image and anew from frame to frame: 1 to 4 times
     the noise.
     """
@@ -281,7 +279,7 @@ def add_air_shimmer(corners: Corners, design: Design, noise: float, rng: np.rand
     return replace(corners, uv=uv)
 
 
-def add_outliers(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
+def _add_outliers(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
     """Up to one corner in thirty lies somewhere else, by 1 to 30 px."""
     wrong = rng.random(len(corners.uv)) < rng.uniform(0.005, 0.03)
     direction = rng.normal(size=corners.uv.shape)
@@ -291,7 +289,7 @@ def add_outliers(corners: Corners, design: Design, noise: float, rng: np.random.
     )
 
 
-def add_uneven_noise(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
+def _add_uneven_noise(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
     """Noise grows towards the edges of the image, threefold, and one camera is twice as noisy as the others."""
     radius = np.linalg.norm(corners.uv - np.median(corners.uv, axis=0), axis=1) / 600
     worse = np.where(np.array(corners.camera) == design.cameras[rng.integers(len(design.cameras))].name, 2.0, 1.0)
@@ -299,12 +297,12 @@ def add_uneven_noise(corners: Corners, design: Design, noise: float, rng: np.ran
     return replace(corners, uv=corners.uv + extra[:, None] * rng.normal(size=corners.uv.shape))
 
 
-def add_heavy_tailed_noise(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
+def _add_heavy_tailed_noise(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
     """Noise has the tails of Student's t with three degrees of freedom."""
     return replace(corners, uv=corners.uv + noise * rng.standard_t(3, size=corners.uv.shape))
 
 
-def add_shaken_frames(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
+def _add_shaken_frames(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
     """One frame in fifteen was shaken: all its corners are five times as noisy."""
     shaken = rng.random(corners.frame.max() + 1) < 1 / 15
     return replace(
@@ -312,7 +310,7 @@ def add_shaken_frames(corners: Corners, design: Design, noise: float, rng: np.ra
     )
 
 
-DISTURBANCES = (add_air_shimmer, add_outliers, add_uneven_noise, add_heavy_tailed_noise, add_shaken_frames)
+DISTURBANCES = (_add_air_shimmer, _add_outliers, _add_uneven_noise, _add_heavy_tailed_noise, _add_shaken_frames)
 
 
 def _log(rng: np.random.Generator, low: float, high: float) -> float:

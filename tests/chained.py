@@ -3,8 +3,8 @@
 import numpy as np
 
 from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
-from rig.planning.layout.layout_elements import cube_lines
+from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.planning.layout.camera_and_cube_placement import cube_lines
 
 GANTRY = """[mechanism]
 kind = "chain"
@@ -46,9 +46,9 @@ def written(folder, seen=False, cameras=3, size=(1280, 1024), carriage=False):
 
     carriage : whether the gantry's carriage has cubes of its own
     """
-    text = hexapod_layout.hexapod_layout(0.25, cameras, *size)
+    text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.25, cameras, *size)
     start, end, cameras = (text.index(word) for word in ("[mechanism]", "[actuator]", "[[camera]]"))
     stage = text[start:end].replace("[mechanism]", "[[mechanism.stage]]")
     rest = text[end:] + carriage * carriage_cubes() if seen else INSTRUMENT + text[end:cameras]
     (folder / "rig.toml").write_text(text[:start] + GANTRY + stage + rest)
-    return design_file.load(folder / "rig.toml")
+    return design_file.load_design(folder / "rig.toml")

@@ -79,9 +79,9 @@ def opengl():
 
 @pytest.fixture(scope="session")
 def rig_text():
-    from rig.planning.layout import hexapod_layout
+    from rig.planning.layout import hexapod_and_two_strut_layout
 
-    return hexapod_layout.hexapod_layout(0.3, cameras=3, width=1280, height=1024, cubes=4)
+    return hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=3, width=1280, height=1024, cubes=4)
 
 
 @pytest.fixture(scope="session")
@@ -90,19 +90,21 @@ def design(rig_text, tmp_path_factory):
 
     path = tmp_path_factory.mktemp("rig") / "rig.toml"
     path.write_text(rig_text)
-    return design_file.load(path)
+    return design_file.load_design(path)
 
 
 def make_recording(folder, design, rig_text, seed, count=24, noise=0.04, size=1.0, effects=()):
     """A simulated recording at corner level in a folder, its World and its true poses."""
-    from rig.planning import plan
+    from rig.planning import configuration_sets, plan
     from synthetic import recording_simulation, secret_machine
 
     rng = np.random.default_rng(seed)
     secret = secret_machine.draw_machine(design, rng, size, effects)
     strokes = design.mechanism.strut_range
-    route = plan.settled_plan(
-        plan.low_discrepancy(strokes, count, seed=seed), strokes.mean(axis=1), plan.plan_speed(design)
+    route = plan.plan_of_configurations(
+        configuration_sets.sobol_configurations(strokes, count, seed=seed),
+        strokes.mean(axis=1),
+        plan.planned_axis_speeds(design),
     )
     done = recording_simulation.simulate(secret, route, rng)
     recording_simulation.write_recording(done, folder, rig_text, rng, noise)
@@ -123,14 +125,14 @@ def limbed(tmp_path_factory):
     folder holds a second recording of the same machine, "again", another day."""
     from rig.formats.rig_toml import design_file
     from rig.planning import plan
-    from rig.planning.layout import hexapod_layout
+    from rig.planning.layout import hexapod_and_two_strut_layout
     from rig.recording import recording_folder
     from synthetic import recording_simulation, secret_machine
 
     folder = tmp_path_factory.mktemp("limbs")
-    text = hexapod_layout.hexapod_layout(0.3, limbs=6)
+    text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, limbs=6)
     (folder / "rig.toml").write_text(text)
-    design = design_file.load(folder / "rig.toml")
+    design = design_file.load_design(folder / "rig.toml")
     rng = np.random.default_rng(2)
     machine = secret_machine.draw_machine(design, rng)
     done = recording_simulation.simulate(machine, plan.build_plan(design, "axes:5,sobol:50"), rng)
@@ -142,4 +144,4 @@ def limbed(tmp_path_factory):
         rng,
         noise=0.04,
     )
-    return design, recording_folder.load(folder / "rec"), done
+    return design, recording_folder.load_recording(folder / "rec"), done

@@ -11,10 +11,10 @@ from pathlib import Path
 
 from rig.driving import emulators
 from rig.driving.clock import SystemClock
-from rig.driving.emulators import terminal_and_tcp_server
+from rig.driving.emulators import emulator_ports
 from rig.driving.emulators.controller_faults import Faults
 from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
+from rig.planning.layout import hexapod_and_two_strut_layout
 
 WIDTH, HEIGHT = 64, 48
 CONTROLLER = """
@@ -47,15 +47,15 @@ def _emulate(folder: str, protocol: str, pipe) -> None:
     listening = socket.create_server(("127.0.0.1", 0))
     threading.Thread(target=cameras, args=(listening,), daemon=True).start()
     link = Path(folder) / "port"
-    text = hexapod_layout.hexapod_layout(0.3, cameras=1, width=WIDTH, height=HEIGHT).replace(
+    text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=1, width=WIDTH, height=HEIGHT).replace(
         'shutter = "global"', f'shutter = "global"\nsource = "emulator:127.0.0.1:{listening.getsockname()[1]}"'
     )
     (Path(folder) / "rig.toml").write_text(text + CONTROLLER.format(protocol=protocol, port=link))
     clock = SystemClock()
     made = emulators.emulator_of_design(
-        design_file.load(Path(folder) / "rig.toml"), Faults((), np.random.default_rng(0)), clock
+        design_file.load_design(Path(folder) / "rig.toml"), Faults((), np.random.default_rng(0)), clock
     )
-    wire = terminal_and_tcp_server.Terminal(link)
+    wire = emulator_ports.Terminal(link)
     told = open(Path(folder) / "told.csv", "w", encoding="utf-8")  # noqa: SIM115
     count = 0
 
@@ -67,7 +67,7 @@ def _emulate(folder: str, protocol: str, pipe) -> None:
             count += 1
 
     pipe.send(True)
-    terminal_and_tcp_server.serve_emulator(made, wire, lambda: True, lambda name: None, record)
+    emulator_ports.serve_emulator(made, wire, lambda: True, lambda name: None, record)
 
 
 class EmulatedRig:

@@ -15,7 +15,7 @@ from calib.models.chain.identification import identify_chain
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import sample_recording
 from rig.cli import command_line
-from rig.effects.texts.effect_text import parse_effect, require_place
+from rig.effects.texts.effect_text import parse_effect, require_existing_place
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats import csv_table, machine_json
 from rig.formats.rig_toml import design_file
@@ -23,7 +23,7 @@ from rig.model.mechanisms import arm, chain, hexapod
 from rig.model.mechanisms import axis_places as chain_places
 from rig.model.motion_simulation import run_machine
 from rig.model.pose import exp, log, pose, pose_difference
-from rig.planning.configuration_sets import low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Commands
 from tests.chained import written
@@ -42,7 +42,7 @@ def gantry(design):
 
 
 def test_a_chain_is_its_stages_one_upon_the_other(gantry):
-    x = low_discrepancy(chain.travel(gantry), 20, 0.9)
+    x = sobol_configurations(chain.travel(gantry), 20, 0.9)
     T = arm.forward(x[:, :3], gantry.stages[0]) * hexapod.forward(x[:, 3:], gantry.stages[1])
     assert np.abs(pose_difference(T, chain.forward(x, gantry))).max() < 1e-14
     assert gantry.axes == ("s1q1", "s1q2", "s1q3", "s2l1", "s2l2", "s2l3", "s2l4", "s2l5", "s2l6")
@@ -50,7 +50,7 @@ def test_a_chain_is_its_stages_one_upon_the_other(gantry):
 
 
 def test_the_jacobians_are_the_differences(gantry):
-    x = low_discrepancy(chain.travel(gantry), 1, 0.5)[0]
+    x = sobol_configurations(chain.travel(gantry), 1, 0.5)[0]
     at = chain.forward(x, gantry)
     np.testing.assert_allclose(
         chain.jacobian(x, gantry), differences(lambda v: log(at.inv() * chain.forward(v, gantry)), x), atol=1e-8
@@ -63,7 +63,7 @@ def test_the_jacobians_are_the_differences(gantry):
 
 
 def test_the_inverse_reaches_poses_within_the_travels_and_says_which_it_does_not(gantry):
-    x = low_discrepancy(chain.travel(gantry), 12, 0.5, 3)
+    x = sobol_configurations(chain.travel(gantry), 12, 0.5, 3)
     wanted = chain.forward(x, gantry)
     found = chain.inverse(wanted, gantry)
     assert (
@@ -97,7 +97,7 @@ def test_stages_are_told_from_one_recording_and_what_cannot_be_is_named(tmp_path
         tmp_path / "truth.json",
     )
     true, _ = machine_json.load_machine(tmp_path / "truth.json", design)
-    samples = sample_recording(recording_folder.load(tmp_path / "rec")).samples
+    samples = sample_recording(recording_folder.load_recording(tmp_path / "rec")).samples
     found = identify_chain(samples, design.mechanism)
     # the true machine in the parameters that are freedoms of their own: what poses without noise say of it, to the last
     # digit
@@ -137,7 +137,7 @@ def test_stages_are_told_from_one_recording_and_what_cannot_be_is_named(tmp_path
 
 def test_of_a_machine_as_stated_nothing_is_off(gantry):
     """A machine as stated: nothing is found to be off, and what is named as untold is told by parameters of its own."""
-    x = low_discrepancy(chain.travel(gantry), 40, 0.9)
+    x = sobol_configurations(chain.travel(gantry), 40, 0.9)
     T = chain.forward(x, gantry) * exp(np.zeros(6))
     samples = Samples(
         np.arange(40),
@@ -171,7 +171,7 @@ def test_a_loop_closes_under_an_instrument(tmp_path, capfd):
         tmp_path / "truth.json",
     )
     m = design.mechanism
-    found = verified(tmp_path, capfd, lines(chain.forward(low_discrepancy(chain.travel(m), 8, 0.5, 5), m)))
+    found = verified(tmp_path, capfd, lines(chain.forward(sobol_configurations(chain.travel(m), 8, 0.5, 5), m)))
     holds(found)
     assert found["before"]["position"]["rms"] > 10 * found["after"]["position"]["rms"]
     kept = calibration_file.load(tmp_path / "calibration.json").correction
@@ -187,7 +187,7 @@ def test_an_instrument_that_sees_positions_alone_says_so_of_a_carriage_too(desig
         (tmp_path / "rec" / name).write_text("".join(",".join(cells) + "\n" for cells in short))
     stated = (tmp_path / "rec" / "rig.toml").read_text()
     (tmp_path / "rec" / "rig.toml").write_text(stated.replace("rotation_sigma = 5e-5\n", ""))
-    stage = recording_folder.load(tmp_path / "rec").stages[1]
+    stage = recording_folder.load_recording(tmp_path / "rec").stages[1]
     np.testing.assert_array_equal(stage.T_base_platform.translation, np.array(short[1:], float)[:, 1:])
     assert stage.T_base_platform.rotation.magnitude().max() == 0 and stage.covariance is None
     capfd.readouterr()
@@ -208,7 +208,7 @@ def test_what_is_no_chain_is_told_by_line(tmp_path, change, says):
     text = (tmp_path / "rig.toml").read_text()
     (tmp_path / "rig.toml").write_text(text.replace(*change, 1))
     with pytest.raises(FileError, match=says) as error:
-        design_file.load(tmp_path / "rig.toml")
+        design_file.load_design(tmp_path / "rig.toml")
     assert error.value.line is not None
 
 
@@ -217,7 +217,7 @@ def test_what_is_no_chain_is_told_by_line(tmp_path, change, says):
     [("backlash:stage2strut3:gap=1e-4", "stage 2 strut 3"), ("backlash:stage 1 joint 2:gap=1e-4", "stage 1 slide 2")],
 )
 def test_effects_sit_at_the_axes_of_stages(design, gantry, text, place):
-    effect = require_place(parse_effect(text), design)
+    effect = require_existing_place(parse_effect(text), design)
     assert effect.place == place
     t = np.array([0.0, 1.0, 2.0, 3.0])
     home, far = chain.home(gantry), chain.travel(gantry)[:, 0]
@@ -239,7 +239,7 @@ def test_effects_sit_at_the_axes_of_stages(design, gantry, text, place):
 )
 def test_places_that_a_chain_does_not_have_are_refused(design, text, says):
     with pytest.raises(RigError, match=says):
-        require_place(parse_effect(text), design)
+        require_existing_place(parse_effect(text), design)
 
 
 @pytest.mark.slow
@@ -250,7 +250,7 @@ def test_configurations_are_planned_that_tell_all_stages(tmp_path, capfd):
     assert "6 combinations of them no pose tells" in said and "16 configurations for 54 parameters" in said
     rows = [line.split() for line in said.splitlines() if " um  " in line or " urad  " in line]
     assert len(rows) == 8 and all(float(row[0]) < float(row[1]) for row in rows)
-    m = design_file.load(tmp_path / "rig.toml").mechanism
+    m = design_file.load_design(tmp_path / "rig.toml").mechanism
     assert not chain.limits(csv_table.read(tmp_path / "plan.csv", ("frame", *m.axes)).matrix(m.axes), m).any()
 
 

@@ -16,7 +16,7 @@ from rig.formats import machine_json
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import chain
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
 from rig.recording import recording_folder
 from synthetic import rig_meshes
 from synthetic.occlusion import is_occluded
@@ -42,7 +42,7 @@ def test_cubes_on_the_carriage_tell_its_stages_apart(tmp_path, capfd):
         tmp_path / "truth.json",
     )
     true, _ = machine_json.load_machine(tmp_path / "truth.json", design)
-    read = recording_folder.load(tmp_path / "rec")
+    read = recording_folder.load_recording(tmp_path / "rec")
     samples = sample_recording(read).samples
     (stage,) = samples.below
     stands = chain.stage_poses(samples.commanded, true.mechanism)[0]
@@ -104,18 +104,18 @@ def test_stages_that_are_measured_stand_in_files_of_their_own(tmp_path, capfd):
         command_line.main(["measure", str(tmp_path / "rec"), "--places", "free", "--out", str(tmp_path / "free")]) == 1
     )
     assert "places of markers cannot be adjusted on a rig with targets on stages" in capfd.readouterr().err
-    back = recording_folder.load(tmp_path / "measured")
-    assert len(back.corners.frame) == len(recording_folder.load(tmp_path / "rec").corners.frame) and list(
+    back = recording_folder.load_recording(tmp_path / "measured")
+    assert len(back.corners.frame) == len(recording_folder.load_recording(tmp_path / "rec").corners.frame) and list(
         back.stages
     ) == [1]
     by_vision = sample_recording(back).samples
     (tmp_path / "measured" / "corners.csv").unlink()
-    by_file = sample_recording(recording_folder.load(tmp_path / "measured")).samples
+    by_file = sample_recording(recording_folder.load_recording(tmp_path / "measured")).samples
     assert np.abs(pose_difference(by_vision.below[0].T_base_stage, by_file.below[0].T_base_stage)).max() < 1e-5
     assert by_file.below[0].covariance.shape == (8, 6, 6) and by_file.take(np.arange(3)).below[0].seen.sum() == 3
     (tmp_path / "measured" / "poses_stage1.csv").rename(tmp_path / "measured" / "poses_stage2.csv")
     with pytest.raises(FileError, match="no 'stage 2' below a last platform; there are platform, base, stage 1"):
-        recording_folder.load(tmp_path / "measured")
+        recording_folder.load_recording(tmp_path / "measured")
     assert design.targets[-1].stage == 1 and not design.without_stages().targets[-1].stage
 
 
@@ -134,16 +134,16 @@ def test_cubes_that_cannot_be_measured_on_a_stage_are_told_by_line(tmp_path, cha
     text = (tmp_path / "rig.toml").read_text()
     (tmp_path / "rig.toml").write_text(text.replace(*change, 1))
     with pytest.raises(FileError, match=says) as error:
-        design_file.load(tmp_path / "rig.toml")
+        design_file.load_design(tmp_path / "rig.toml")
     assert error.value.line is not None
 
 
 def test_what_stands_on_the_carriage_is_drawn_there_and_hides_what_is_behind(tmp_path):
     design = written(tmp_path, seen=True)
     m = design.mechanism
-    x = low_discrepancy(chain.travel(m), 1, 0.9, 3)
+    x = sobol_configurations(chain.travel(m), 1, 0.9, 3)
     stages = chain.stage_poses(x, m)
-    poses = rig_meshes.body_poses(m, [T[0] for T in stages])
+    poses = rig_meshes.mesh_body_matrices(m, [T[0] for T in stages])
     parts = {part.body for part in rig_meshes.rig_parts(design)}
     assert {
         "stage 1",
@@ -188,7 +188,9 @@ def test_a_loop_closes_from_images(tmp_path, capfd, carriage):
     )
     m = design.mechanism
     holds(
-        verified(tmp_path, capfd, lines(chain.forward(low_discrepancy(chain.travel(m), 4, 0.5, 5), m)), ("--images",))
+        verified(
+            tmp_path, capfd, lines(chain.forward(sobol_configurations(chain.travel(m), 4, 0.5, 5), m)), ("--images",)
+        )
     )
 
 
@@ -209,4 +211,4 @@ def test_a_loop_closes_from_corners(tmp_path, capfd, carriage):
         tmp_path / "truth.json",
     )
     m = design.mechanism
-    holds(verified(tmp_path, capfd, lines(chain.forward(low_discrepancy(chain.travel(m), 8, 0.5, 5), m))))
+    holds(verified(tmp_path, capfd, lines(chain.forward(sobol_configurations(chain.travel(m), 8, 0.5, 5), m))))

@@ -38,9 +38,9 @@ def test_measure_writes_what_the_contract_says(worked):
         corner_and_pose_tables.COVARIANCE_COLUMNS
     )
     assert (out / "corners.csv").read_text().splitlines()[0].startswith("frame,camera,marker,corner,u,v,sigma")
-    nominal, adjusted = design_file.load(base / "fit" / "rig.toml"), design_file.load(out / "rig.toml")
+    nominal, adjusted = design_file.load_design(base / "fit" / "rig.toml"), design_file.load_design(out / "rig.toml")
     assert np.abs(pose_difference(nominal.cameras[0].pose, adjusted.cameras[0].pose)).max() > 1e-4
-    again = recording_folder.load(out)  # what was measured is itself a recording
+    again = recording_folder.load_recording(out)  # what was measured is itself a recording
     assert again.poses.covariance.shape == (60, 6, 6)
     page = (out / "report.html").read_text()
     links = Links()
@@ -63,7 +63,9 @@ def test_results_for_programs_are_whole_json_and_say_what_the_files_say(worked, 
         {},
     )
     np.testing.assert_allclose(
-        measured["cameras"][0]["matrix"], design_file.load(base / "measured" / "rig.toml").cameras[0].matrix, atol=1e-6
+        measured["cameras"][0]["matrix"],
+        design_file.load_design(base / "measured" / "rig.toml").cameras[0].matrix,
+        atol=1e-6,
     )
     stored = json.loads((base / "calibration.json").read_text())
     assert (
@@ -252,7 +254,10 @@ def test_more_that_goes_wrong(worked, tmp_path):
 def test_held_cameras_stay(worked, tmp_path):
     base, _ = worked
     run("measure", base / "measured", "--out", tmp_path / "o", "--hold", "poses,lenses")
-    one, two = design_file.load(base / "measured" / "rig.toml"), design_file.load(tmp_path / "o" / "rig.toml")
+    one, two = (
+        design_file.load_design(base / "measured" / "rig.toml"),
+        design_file.load_design(tmp_path / "o" / "rig.toml"),
+    )
     assert np.abs(pose_difference(one.cameras[0].pose, two.cameras[0].pose)).max() < 1e-9
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from calib.files import calibration_file
 from rig.formats.rig_toml import design_file
-from rig.planning.configuration_sets import low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.plan import axis_strokes
 from rig.recording import recording_tables
 from tests.cli import command
@@ -25,11 +25,11 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     base = tmp_path_factory.mktemp("confounds")
     text = (BENCH / "fit" / "rig.toml").read_text()
     (base / "rig.toml").write_text(text + INSTRUMENT)
-    design = design_file.load(base / "rig.toml")
+    design = design_file.load_design(base / "rig.toml")
     from rig.cli.command_line import main
 
     for seed, name in enumerate(("sorted", "other")):
-        values = low_discrepancy(axis_strokes(design), 60, seed=seed)
+        values = sobol_configurations(axis_strokes(design), 60, seed=seed)
         strut = np.argsort(values[:, 0])
         recording_tables.write_configurations(base / f"{name}.csv", design.mechanism.axes, values[strut])
         assert not main(

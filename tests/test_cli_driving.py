@@ -43,8 +43,8 @@ def rig(emulated):
 @pytest.fixture
 def calibration(emulated, rig):
     """A calibration of a machine that is not quite as stated."""
-    nominal = design_file.load(rig).mechanism
-    fitted = secret_machine.draw_machine(design_file.load(rig), np.random.default_rng(4)).true.mechanism
+    nominal = design_file.load_design(rig).mechanism
+    fitted = secret_machine.draw_machine(design_file.load_design(rig), np.random.default_rng(4)).true.mechanism
     path = emulated.folder / "calibration.json"
     save(
         path,
@@ -251,7 +251,7 @@ def test_stop_finds_who_drives_from_a_bare_environment(emulated, rig, capsys, tm
 
 
 def test_one_process_drives(rig, capsys):
-    port = design_file.load(rig).controller.port
+    port = design_file.load_design(rig).controller.port
     with Occupied(port):
         assert re.search(r"process \d+ is driving", said(capsys, "status", rig, ok=False))
         with pytest.raises(RigError, match="is driving"):

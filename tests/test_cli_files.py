@@ -108,7 +108,7 @@ def test_a_recording_drawn_again_is_replaced_and_its_manifest_tells_no_truth(her
         and "backlash" not in manifest
         and "77" not in json.loads(manifest)["origin"]["arguments"]
     )
-    assert recording_folder.load(here / "sim").exposures.frame.size
+    assert recording_folder.load_recording(here / "sim").exposures.frame.size
     assert command_line.main(["simulate", "rig.toml", "--plan", "sobol:3", "--out", "other", "--force"]) == 0
     assert set(tree(here / "other")) == {
         ".rig-made.json",

@@ -12,7 +12,7 @@ from rig.cli.command_line import main
 from rig.cli.shared.run_terminal_display import Block
 from rig.cli.shared.terminal_output import Escaped
 from rig.formats.printable_text import escape_unprintable
-from rig.planning.layout.hexapod_layout import hexapod_layout
+from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
 from tests.conftest import ROOT
 
 WIPE = "\x1b[2J\x1b]0;title\x07"  # clears a screen, and names its window
@@ -57,7 +57,7 @@ def test_names_of_folders_and_images_are_escaped(recording, printed):
     ],
 )
 def test_values_and_keys_of_toml_are_escaped(tmp_path, printed, edit):
-    text = hexapod_layout(0.3, cameras=1)
+    text = hexapod_layout_rig_toml(0.3, cameras=1)
     assert edit[0] in text
     (tmp_path / "rig.toml").write_text(text.replace(*edit, 1))
     assert "x1b" in printed("effects", tmp_path / "rig.toml", "--json") + printed(
@@ -77,7 +77,7 @@ def test_what_a_controller_answers_is_escaped(tmp_path, printed):
     thread = threading.Thread(target=answer, daemon=True)
     thread.start()
     stated = f'[controller]\nprotocol = "grblhal"\nport = "{os.ttyname(slave)}"\nmax_speed = 0.01\ntimeout = 0.1\n'
-    (tmp_path / "rig.toml").write_text(hexapod_layout(0.3, cameras=1) + stated)
+    (tmp_path / "rig.toml").write_text(hexapod_layout_rig_toml(0.3, cameras=1) + stated)
     assert "rig status: " in printed("status", tmp_path / "rig.toml")
     os.write(slave, b"q")
     thread.join()

@@ -10,7 +10,7 @@ import pytest
 from rig.cli.command_line import main
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp
-from rig.planning.configuration_sets import low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
 from rig.recording import recording_tables
 from rig.recording.corner_and_pose_tables import Poses
 
@@ -23,7 +23,7 @@ def recorded(folder, design, rig_text, seed, count=60):
     """
     folder.mkdir()
     (folder / "rig.toml").write_text(rig_text + SIGMAS)
-    commands = low_discrepancy(design.mechanism.strut_range, count, 0.8, seed)
+    commands = sobol_configurations(design.mechanism.strut_range, count, 0.8, seed)
     T = hexapod.forward(commands, design.mechanism)
     x = T.translation - [0.0, 0.0, 0.44]
     T = T * exp(np.concatenate([1e-3 * x + 5e-3 * x * x[:, [1, 2, 0]], 1e-3 * x[:, ::-1]], axis=1))

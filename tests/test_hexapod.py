@@ -6,7 +6,7 @@ import pytest
 
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod
-from rig.planning.configuration_sets import low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
 from tests.loops import holds, lines, rig, verified
 
 
@@ -39,9 +39,12 @@ def test_a_loop_closes(tmp_path, capfd, drawn):
         "--truth",
         tmp_path / "truth.json",
     )
-    m = design_file.load(tmp_path / "rig.toml").mechanism
+    m = design_file.load_design(tmp_path / "rig.toml").mechanism
     found = verified(
-        tmp_path, capfd, lines(hexapod.forward(low_discrepancy(m.strut_range, 4 if drawn else 8, 0.5, 5), m)), drawn
+        tmp_path,
+        capfd,
+        lines(hexapod.forward(sobol_configurations(m.strut_range, 4 if drawn else 8, 0.5, 5), m)),
+        drawn,
     )
     holds(found)
     assert found["before"]["position"]["rms"] > 10 * found["after"]["position"]["rms"]

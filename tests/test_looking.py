@@ -17,16 +17,17 @@ from rig.cli.shared.run_observation import RunObserver, Stopping
 from rig.cli.shared.run_page import RunPage, run_verdict
 from rig.cli.shared.run_preparation import draw_markers, warm_up
 from rig.cli.shared.run_terminal_display import Block, Lines, view_lines
-from rig.driving.cameras.camera_interface import Frame
+from rig.driving.cameras.camera_interface_and_clock import Frame
 from rig.driving.clock import SimulatedClock
 from rig.driving.operator_loop import Shot
 from rig.driving.run_journal import Departure, Ended, Exposed, Readings
-from rig.driving.run_steps import steps_of_plan
+from rig.driving.run_steps_and_progress import steps_of_plan
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp
-from rig.planning.layout import hexapod_layout
-from rig.planning.plan import build_plan, low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.planning.plan import build_plan
 from tests.vision.reading.test_camera_and_marker_alarms import sight
 from vision.reading.live_measurement import Live, sight_from_limbs
 
@@ -158,10 +159,10 @@ def by_limbs(folder, slip, at):
     """(Looking that has seen 60 frames by limbs of which the fifth slips by `slip` m from a frame on, its Live, what
     was withdrawn)
     """
-    (folder / "rig.toml").write_text(hexapod_layout.hexapod_layout(0.3, limbs=6))
-    design = design_file.load(folder / "rig.toml")
+    (folder / "rig.toml").write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, limbs=6))
+    design = design_file.load_design(folder / "rig.toml")
     true, nominal, rng = design.mechanism, measuring_limbs.limb_hexapod(design), np.random.default_rng(5)
-    commands = low_discrepancy(true.strut_range, 60, 0.6)
+    commands = sobol_configurations(true.strut_range, 60, 0.6)
     poses = hexapod.forward(commands, true)
     live = Told(poses * exp(np.r_[np.full(3, 4e-6), np.full(3, 2e-5)] * rng.normal(size=(60, 6))))
     clock, withdrawn, planned = SimulatedClock(), [], steps_of_plan(build_plan(design, "sobol:6"))

@@ -11,7 +11,7 @@ import sys
 import numpy as np
 import pytest
 
-from rig.planning.layout.hexapod_layout import hexapod_layout
+from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
 from tests.conftest import ROOT
 
 TOY = '''"""An axis sticks out by a constant that changes sign with the day's half."""
@@ -22,7 +22,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.base import Effect, Motion, Parameter
-from rig.effects.framework.covariate import Covariate
+from rig.effects.framework.diagnosis_interface import Covariate
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ def recorded(house, kind):
     folder = house / kind
     folder.mkdir(exist_ok=True)
     text = (
-        hexapod_layout(0.3)
+        hexapod_layout_rig_toml(0.3)
         if kind == "hexapod"
         else 'schema = "rig/1"\n' + RIGS[kind] + INSTRUMENT.format("free" if kind == "arm" else "rig")
     )

@@ -10,7 +10,7 @@ import pytest
 from rig.cli import command_line
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import two_strut_plane
-from rig.planning.plan import low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
 from tests.loops import calibrated, holds, lines, rig, verified
 
 
@@ -47,8 +47,8 @@ def recorded(folder, *words, plan="sobol:24", size="640x512", again=False):
 
 
 def wanted(folder, count=6):
-    m = design_file.load(folder / "rig.toml").mechanism
-    return lines(two_strut_plane.forward(low_discrepancy(m.strut_range, count, 0.7, 5), m))
+    m = design_file.load_design(folder / "rig.toml").mechanism
+    return lines(two_strut_plane.forward(sobol_configurations(m.strut_range, count, 0.7, 5), m))
 
 
 def test_a_loop_closes_from_corners(tmp_path, capfd):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rig.driving.run_journal import Departure, Ended, Exposed, Resumed, read_journal
-from rig.driving.run_steps import steps_of_plan
+from rig.driving.run_steps_and_progress import steps_of_plan
 from rig.formats.rig_toml import design_file
 from rig.model.controller_settings import PROTOCOLS
 from rig.planning.plan import build_plan
@@ -75,7 +75,7 @@ def reported(log):
 def check(emulated, out, before, log, seen):
     """What must hold of a run that was killed and resumed. seen : frames reported before it was killed"""
     rows, _ = read_journal(out / "journal.jsonl")
-    design = design_file.load(out / "rig.toml")
+    design = design_file.load_design(out / "rig.toml")
     planned = steps_of_plan(build_plan(design, PLAN))
     assert isinstance(rows[-1], Ended) and rows[-1].reason == "", log.read_text()
     frames = [row for row in rows if isinstance(row, Exposed)]
@@ -92,7 +92,7 @@ def check(emulated, out, before, log, seen):
     assert max(apart, default=0.0) < SAME, "a move that the journal does not have"
     for goal in (step.goal for step in planned[1:]):
         assert any(np.abs(np.subtract(move, goal)).max() < SAME for move in told)
-    found = recording_folder.load(out)
+    found = recording_folder.load_recording(out)
     np.testing.assert_allclose(found.commanded()[2], [planned[row.step].goal for row in frames], atol=2e-9)
 
 

@@ -12,7 +12,7 @@ from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
 from rig.model.mechanisms import arm
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
 from rig.recording import recording_folder
 from synthetic.secret_machine import world_from_truth
 from tests.loops import holds, lines, rig, verified
@@ -39,8 +39,8 @@ def recorded(folder, carried, *words, cameras=2, plan="sobol:40", size="1280x102
 
 
 def wanted(folder, count=8):
-    m = design_file.load(folder / "rig.toml").mechanism
-    return lines(arm.forward(low_discrepancy(m.limits, count, 0.6, 5), m))
+    m = design_file.load_design(folder / "rig.toml").mechanism
+    return lines(arm.forward(sobol_configurations(m.limits, count, 0.6, 5), m))
 
 
 @pytest.mark.parametrize("carried, cameras", [("cubes", 2), ("hand", 1)])
@@ -64,7 +64,7 @@ def test_where_the_hand_is_is_the_inverse_of_where_the_base_is_seen(tmp_path):
     the same in every frame.
     """
     recorded(tmp_path, "hand", cameras=1, plan="sobol:24")
-    rec = recording_folder.load(tmp_path / "rec")
+    rec = recording_folder.load_recording(tmp_path / "rec")
     poses, _ = measure_recording(rec)
     world = world_from_truth(tmp_path / "truth.json", rec.design)
     frames, t = rec.exposures.times()
@@ -92,7 +92,7 @@ def test_what_a_camera_in_the_hand_cannot_be_is_told_by_line(tmp_path, change, s
     text = (tmp_path / "rig.toml").read_text()
     (tmp_path / "rig.toml").write_text(text.replace(*change, 1))
     with pytest.raises(FileError, match=says) as error:
-        design_file.load(tmp_path / "rig.toml")
+        design_file.load_design(tmp_path / "rig.toml")
     assert error.value.line is not None
 
 
@@ -101,7 +101,7 @@ def test_a_fixed_camera_beside_one_in_the_hand_is_refused(tmp_path):
     text = (tmp_path / "rig.toml").read_text()
     (tmp_path / "rig.toml").write_text(text.replace('mount = "hand"', 'mount = "fixed"', 1))
     with pytest.raises(FileError, match="all of its cameras there, or none"):
-        design_file.load(tmp_path / "rig.toml")
+        design_file.load_design(tmp_path / "rig.toml")
 
 
 @pytest.mark.parametrize(
@@ -156,7 +156,7 @@ def test_arms_of_few_joints_are_laid_out_where_cameras_see_them(tmp_path, capfd,
 
 def test_a_plan_of_an_arm_takes_what_is_seen_and_tells_most(tmp_path, capfd):
     rig("design", "--arm", "puma560", "--seen", "hand", "--cameras", "1", "--out", tmp_path / "rig.toml")
-    text, limits = (tmp_path / "rig.toml").read_text(), design_file.load(tmp_path / "rig.toml").mechanism.limits
+    text, limits = (tmp_path / "rig.toml").read_text(), design_file.load_design(tmp_path / "rig.toml").mechanism.limits
     wide = limits + np.array([-0.5, 0.5])  # so that the cubes are out of sight in many configurations
     stated = text[text.index("limits = ") : text.index("#", text.index("limits = "))]
     (tmp_path / "rig.toml").write_text(text.replace(stated, f"limits = {wide.tolist()} "))
@@ -173,7 +173,7 @@ def test_a_plan_of_an_arm_takes_what_is_seen_and_tells_most(tmp_path, capfd):
         "--out",
         tmp_path / "rec",
     )
-    corners = recording_folder.load(tmp_path / "rec").corners
+    corners = recording_folder.load_recording(tmp_path / "rec").corners
     assert set(corners.frame.tolist()) == set(range(12))
     rows = [line.split() for line in said.splitlines() if " um  " in line or " urad  " in line]
     assert len(rows) == 8 and all(float(row[0]) < float(row[1]) for row in rows[2:])
@@ -182,10 +182,10 @@ def test_a_plan_of_an_arm_takes_what_is_seen_and_tells_most(tmp_path, capfd):
 def test_reversals_at_speed_tell_an_arms_lag_from_a_clock():
     from calib.diagnose.problems.arm.effect_separation import arm_effect_separation
     from rig.effects.texts.effect_text import parse_effect
-    from rig.planning.layout import shipped_arms
+    from rig.planning.layout import shipped_arm_layout
     from rig.planning.plan import build_plan
 
-    design, found = shipped_arms.load_shipped_arm("puma560"), {}
+    design, found = shipped_arm_layout.load_shipped_arm("puma560"), {}
     lag, late = parse_effect("servo_lag:rig:time_constant=0.02"), parse_effect("time_offset:clock:offset=-0.02")
     for text in ("moving:40", "zigzag:40"):
         plan = build_plan(design, text, 3)

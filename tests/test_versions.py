@@ -60,7 +60,7 @@ def listed(path: Path) -> None:
 def held(path: Path) -> None:
     """A diagnosis that is to be taken into a calibration."""
     path.rename(path.parent / "diagnosis.json")
-    platform_findings_refit.load_findings(path.parent, recording_folder.load(DATA / "bench" / "check"))
+    platform_findings_refit.load_findings(path.parent, recording_folder.load_recording(DATA / "bench" / "check"))
 
 
 def suggesting(path: Path) -> None:
@@ -115,10 +115,10 @@ def test_a_newer_file_of_toml_and_a_newer_investigation_are_refused_with_their_p
         FileError,
         match=r"rig.toml:1:\d+: was written by a newer rig: its schema is 'rig/2', and this one reads \"rig/1\"",
     ):
-        design_file.load(tmp_path / "rig.toml")
+        design_file.load_design(tmp_path / "rig.toml")
     (tmp_path / "import.toml").write_text('\nschema = "import/2"\n')
     with pytest.raises(FileError, match=r"import.toml:2:\d+: was written by a newer rig: its schema is 'import/2'"):
-        import_recipe.load(tmp_path / "import.toml")
+        import_recipe.load_recipe(tmp_path / "import.toml")
     (tmp_path / "asked").mkdir()
     (tmp_path / "asked" / "investigation.json").write_text('{"schema": "investigation/2"}')
     (tmp_path / "rig.toml").write_text(text)
@@ -214,4 +214,4 @@ def recording_of(folder: Path) -> recording_folder.Recording:
     """A recording of the rig that the diagnosis is of, without a frame that it knew."""
     (folder / "frames.csv").write_text("frame,t,camera,image\n0,1,,\n")
     (folder / "poses.csv").write_text("frame,x,y,z,rx,ry,rz\n0,0,0,0.45,0,0,0\n")
-    return recording_folder.load(folder)
+    return recording_folder.load_recording(folder)

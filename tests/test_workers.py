@@ -58,7 +58,17 @@ def test_workers_are_as_many_as_asked(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     with worker_processes.limit_workers(3), worker_processes.limit_workers(None):
         assert worker_count() == 3
-        assert len({pid for pid, _ in parallel_map(lambda k: (os.getpid(), time.sleep(0.01)), range(12), few=1)}) > 1
+        assert (
+            len(
+                {
+                    pid
+                    for pid, _ in parallel_map(
+                        lambda k: (os.getpid(), time.sleep(0.01)), range(12), items_per_process=1
+                    )
+                }
+            )
+            > 1
+        )
     assert worker_count() == 1
     for words in (["--workers", "0"], ["--jobs", "2000"]):
         assert main(["measure", str(tmp_path), "--out", str(tmp_path / "o"), *words]) == 1
@@ -155,12 +165,12 @@ def test_a_cluster_does_calls_in_order_and_raises_what_they_raise(tmp_path):
         assert there.map(killed_once, things, lambda done, of: told.append((done, of))) == [2 * k for k in range(40)]
         assert told == [(k, 40) for k in range(1, 41)] and (tmp_path / "killed").exists()
         with pytest.raises(FileError, match="x.csv:3: is wrong 5"):
-            parallel_map(fail, range(40), far=True)
+            parallel_map(fail, range(40), on_cluster=True)
         nested = parallel_map(
             lambda k: (os.getpid(), {pid for pid in parallel_map(lambda _: os.getpid(), range(40))}),
             range(4),
-            few=1,
-            far=True,
+            items_per_process=1,
+            on_cluster=True,
         )
         assert all(inner == {pid} and pid != os.getpid() for pid, inner in nested)
     with pytest.raises(RigError, match="has no worker"), _no_workers() as address, dask_cluster.use_cluster(address):
@@ -178,7 +188,7 @@ def test_work_at_which_workers_end_is_given_up():
         dask_cluster.use_cluster(here.scheduler_address),
         pytest.raises(RigError, match="ended one after the other"),
     ):
-        parallel_map(lambda k: os._exit(9), range(4), few=1, far=True)
+        parallel_map(lambda k: os._exit(9), range(4), items_per_process=1, on_cluster=True)
 
 
 @contextmanager

@@ -123,7 +123,7 @@ def scores(folder, make, *words):
         "--truth",
         folder / "truth.json",
     )
-    clean = recording_folder.load(folder / "rec")
+    clean = recording_folder.load_recording(folder / "rec")
     if clean.poses is not None:
         poses = np.array(json.loads((folder / "truth.json").read_text())["poses"]).reshape(-1, 4, 4)
         clean = replace(clean, poses=replace(clean.poses, T_base_platform=RigidTransform.from_matrix(poses)))

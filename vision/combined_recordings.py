@@ -12,15 +12,15 @@ from rig.model.cube_remounting import WORDS
 from rig.model.pose import log
 from rig.recording.combined_recordings import (
     Owners,
-    camera_name,
-    dropped_channels,
+    camera_owners_by_design,
+    channels_not_in_all,
+    combined_camera_name,
     is_measured_by_instrument,
     join_recordings,
     require_one_rig,
-    stated_camera_owners,
-    target_seats,
+    target_owners_by_design,
 )
-from rig.recording.data_provenance import content_marks, frames_with_known_data, marks_of_frames
+from rig.recording.frame_content_hashes import content_hashes, frames_with_known_hashes, hashes_of_frames
 from rig.recording.recording_folder import Recording
 from vision.recording_adjustment import Measurement
 from vision.recording_measurement import measure_recording
@@ -74,20 +74,20 @@ class CombinedRecordings:
             + "; each one's own: poses, history of moves, start of clock and warming up, log"
         )
         for m in self.moved:
-            now = camera_name(m.camera, self.owners[m.recording])
+            now = combined_camera_name(m.camera, self.owners[m.recording])
             how = (
                 "is stated otherwise"
                 if np.isnan(m.distance)
                 else f"stands elsewhere, by {m.distance * 1e3:.3g} mm and {m.angle * 1e3:.3g} mrad"
             )
             out.append(f"camera {m.camera} {how} in {parts[m.recording].recording.name}: it is camera {now} here")
-        for k, seats in enumerate(target_seats([part.recording.design for part in parts])):
+        for k, seats in enumerate(target_owners_by_design([part.recording.design for part in parts])):
             for target in parts[k].recording.design.targets:
                 if target.turned is not None and seats[target.name] == k:
                     out.append(
                         f"cube {target.name} was put back {WORDS[target.turned]} for "
                         f"{parts[k].recording.name}: it is target "
-                        f"{camera_name(target.name, seats)} here, its place its own"
+                        f"{combined_camera_name(target.name, seats)} here, its place its own"
                     )
         return out + ([f"not asked, since not all logged them: {', '.join(self.dropped)}"] if self.dropped else [])
 
@@ -99,7 +99,7 @@ def combine_recordings(recordings: Sequence[Recording], progress: Progress | Non
     Raises RigError naming what their rig.toml contradict each other in, and what measuring raises
     """
     require_combinable(recordings)
-    owners = stated_camera_owners(recordings)
+    owners = camera_owners_by_design(recordings)
     moved = [
         Elsewhere(k, name, np.nan, np.nan)
         for k, own in enumerate(owners)
@@ -114,13 +114,13 @@ def combine_recordings(recordings: Sequence[Recording], progress: Progress | Non
         owners, found = _standing(owners, measured)
         moved += found
         if any(
-            any(own.values()) for own in target_seats([r.design for r in recordings])
+            any(own.values()) for own in target_owners_by_design([r.design for r in recordings])
         ):  # whose prints are read under one identity, and are two targets
             recordings = [
                 r if r.corners is not None else replace(r, corners=m.corners()) for r, m in zip(recordings, measured)
             ]
     return CombinedRecordings(
-        join_recordings(recordings, owners), owners, tuple(moved), tuple(dropped_channels(recordings))
+        join_recordings(recordings, owners), owners, tuple(moved), tuple(channels_not_in_all(recordings))
     )
 
 
@@ -131,14 +131,14 @@ def require_combinable(recordings: Sequence[Recording]) -> None:
     require_one_rig(recordings)
     known: set[str] = set()
     for recording in recordings:
-        of = content_marks(recording)
-        twice = frames_with_known_data(of, known)
+        of = content_hashes(recording)
+        twice = frames_with_known_hashes(of, known)
         if twice:
             raise RigError(
                 f"{recording.folder}: {len(twice)} of {len(of)} frames are in another of the recordings; "
                 "the same pose does not count twice"
             )
-        known |= set(marks_of_frames(of))
+        known |= set(hashes_of_frames(of))
 
 
 def _of(progress: Progress, number: int, count: int) -> Progress:

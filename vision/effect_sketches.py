@@ -10,8 +10,14 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.effects import sketches
 from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.sketches.effect_example import Sketch, effect_example, effect_text, sketch_hexapod
-from rig.effects.sketches.motion_effect_figures import HIGH, TIMES, enlargement, enlargement_text, unit_of
+from rig.effects.sketches.effect_example import Sketch, effect_example, place_and_values_text, sketch_hexapod
+from rig.effects.sketches.motion_effect_figures import (
+    HIGH,
+    TIMES,
+    enlargement_factor,
+    enlargement_text,
+    largest_suitable_unit,
+)
 from rig.model.design import Camera, Design, Marker, Target
 from rig.model.motion_simulation import Run
 from rig.model.pose import pose
@@ -43,11 +49,11 @@ def effect_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
     Raises RigError for an effect that neither the rig of the sketches nor its camera can have
     """
     if kind.stage in MOTION_STAGES:
-        return sketches.drawn(kind, factor)
+        return sketches.draw_sketch(kind, factor)
     way = effect_example(kind, PLACES[kind.places[-1]], factor, sketch_targets(), corner_displacement)
     true, found = (_seen(effects, way.t, way.sensors) for effects in ([], [way.effect]))
     by = found[-1] - true[-1]
-    much = enlargement(float(np.linalg.norm(by, axis=-1).max()), DRAWN)
+    much = enlargement_factor(float(np.linalg.norm(by, axis=-1).max()), DRAWN)
     off = np.abs(by).max(axis=(1, 2)) > CHANGES * np.abs(by).max()
     layers: list[Arrows | Cells | Quads] = [
         Quads(true[-1]),
@@ -59,12 +65,12 @@ def effect_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
     )
     size = np.sqrt(np.mean(np.sum((found - true) ** 2, axis=-1), axis=(1, 2)))
     if np.ptp(size) <= CHANGES * size.max():
-        return Sketch(effect_text(way.effect), (picture,))
-    scale, unit = unit_of(way.t[-1], TIMES)
+        return Sketch(place_and_values_text(way.effect), (picture,))
+    scale, unit = largest_suitable_unit(way.t[-1], TIMES)
     through = plot_panel(
         "Through time", (f"time, {unit}", "RMS, px"), [Series(way.t / scale, size, "", "line", 1)], high=HIGH
     )
-    return Sketch(effect_text(way.effect), (picture, through))
+    return Sketch(place_and_values_text(way.effect), (picture, through))
 
 
 def corner_displacement(effect: Effect, camera: Camera) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from rig.errors import FileError, RigError
 from rig.formats.output_files import write_bytes
 from rig.model.design import Camera
-from rig.recording.exposures import read_image
+from rig.recording.exposures_and_images import read_image
 from rig.recording.recording_folder import Exposures, Recording
 from vision import lens
 from vision.corners.marker_detection import grey_image

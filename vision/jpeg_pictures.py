@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from rig.recording.exposures import read_image
+from rig.recording.exposures_and_images import read_image
 from rig.recording.recording_folder import Recording
 from vision.corners.marker_detection import grey_image
 

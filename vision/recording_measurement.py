@@ -36,7 +36,7 @@ def measured(
     Raises NotEnoughData for a recording with neither corners nor images
 
     >>> import rig, vision
-    >>> found = vision.measured(rig.load("tests/data/bench/check"))
+    >>> found = vision.measured(rig.load_recording("tests/data/bench/check"))
     >>> len(found.frames), found.covariance.shape
     (6, (6, 6, 6))
     >>> found.noise < 0.1  # px, standard deviation of a corner

@@ -36,7 +36,7 @@ from calib.models.corrected_pose_covariance import corrected_pose_covariance
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.recording_samples import Sampled
 from rig.errors import NotEnoughData
-from rig.recording.data_provenance import content_marks, marks_of_frames
+from rig.recording.frame_content_hashes import content_hashes, hashes_of_frames
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_elements import result_html
 from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
@@ -209,7 +209,7 @@ def certificate_provenance(
     for recording in recordings:
         name = recording.folder.resolve().name
         origin = calibration_file.calibration_provenance(recording, (), seed, recording.has_images)
-        content = hashlib.sha256("\n".join(marks_of_frames(content_marks(recording))).encode()).hexdigest()
+        content = hashlib.sha256("\n".join(hashes_of_frames(content_hashes(recording))).encode()).hexdigest()
         inputs[name if name not in inputs else str(recording.folder)] = {
             **origin["inputs_sha256"],
             "exposures": content,

@@ -63,7 +63,7 @@ from rig.model import mechanisms
 from rig.model.design import Arm
 from rig.model.mechanism_kinds import Struts
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import FILL, low_discrepancy
+from rig.planning.configuration_sets import FILL, sobol_configurations
 
 AUTO = "auto"
 ELSE = "direction, order, temperature or noise explain what is left as well as the place does"
@@ -333,7 +333,9 @@ def claim_without_geometry(samples: Samples, certified: Certified, rng: np.rando
         return claim_of_too_few_configurations(told, middle)
     if certified.left is None:
         return claim_without_held_out_data(told, middle)
-    commands, T = commands_with_pose(low_discrepancy(kinematics.travel(correction.nominal), PLACES, FILL), correction)
+    commands, T = commands_with_pose(
+        sobol_configurations(kinematics.travel(correction.nominal), PLACES, FILL), correction
+    )
     offset = pose_difference(T, kinematics.forward(commands, correction.nominal))
     stated = float(
         extension_error_squares(correction, commands, inverse_strut_length_jacobian(T, correction.fitted))[0]

@@ -85,7 +85,7 @@ def best_six_limbs(stated: MeasuringLimbs, home: RigidTransform, T: RigidTransfo
     Raises RigError for fewer than six, and where no six hold the platform.
     """
     of = stated_limb_legs(stated, home)
-    return np.arange(redundant_legs.SIX) if len(of.names) == redundant_legs.SIX else redundant_legs.best_six(of, T)
+    return np.arange(redundant_legs.SIX) if len(of.names) == redundant_legs.SIX else redundant_legs.best_six_legs(of, T)
 
 
 def stated_limb_legs(stated: MeasuringLimbs, home: RigidTransform) -> redundant_legs.Legs:

@@ -12,7 +12,7 @@ from calib.models.platform.identification import PRIOR, Identified, identify_pla
 from calib.samples.pose_samples import Samples, time_block_folds
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Design, Hexapod, MeasuringLimbs
-from rig.model.mechanism_kinds import hexapod_of
+from rig.model.mechanism_kinds import require_hexapod
 from rig.model.mechanisms import hexapod as mechanism
 from rig.model.mechanisms import redundant_legs
 from rig.model.pose import pose_difference, pose_to_vector
@@ -120,7 +120,7 @@ def calibrate_limbs(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[L
     nominal : Hexapod as stated; sigma : m of one reading
     """
     found: Identified = identify_platform(_add_reading_noise(samples, nominal, sigma), nominal)
-    return Limbs(hexapod_of(found.mechanism), found.covariance, np.hypot(found.scatter, sigma)), found
+    return Limbs(require_hexapod(found.mechanism), found.covariance, np.hypot(found.scatter, sigma)), found
 
 
 def _add_reading_noise(samples: Samples, nominal: Hexapod, sigma: float) -> Samples:

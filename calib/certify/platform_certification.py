@@ -154,7 +154,9 @@ def held_out_errors_by_fold(
 
     names = np.unique(fold).tolist()
     progress("holding configurations out", 0, len(names))
-    found = parallel_map(errors, names, lambda done, of: progress("holding configurations out", done, of), few=1)
+    found = parallel_map(
+        errors, names, lambda done, of: progress("holding configurations out", done, of), items_per_process=1
+    )
     out = [np.empty((len(samples), 6)) for _ in found[0]]
     for k, parts in zip(names, found):
         for whole, part in zip(out, parts):

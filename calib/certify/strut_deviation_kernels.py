@@ -10,7 +10,8 @@ from scipy.spatial.transform import RigidTransform
 from calib.samples.pose_samples import Samples
 from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts
-from rig.planning.plan import FILL, low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.plan import FILL
 from rig.recording.recording_folder import PAYLOAD
 
 PLACES = 64  # of the workspace, at which signs are looked at
@@ -52,7 +53,7 @@ def strut_load_signs(samples: Samples, nominal: Struts) -> list[tuple[np.ndarray
         return mean_and_variance
 
     recorded = seen(samples.T_base_platform, samples.effective, carried)
-    anywhere = there(((low_discrepancy(nominal.strut_range, PLACES, FILL) - middle) / half).tobytes())
+    anywhere = there(((sobol_configurations(nominal.strut_range, PLACES, FILL) - middle) / half).tobytes())
     both = np.concatenate([recorded, anywhere])
     turning = recorded.any(axis=0) & (both.min(axis=0) < 1) & (both.max(axis=0) > -1)
     return [(recorded[:, i], use(i)) if turns else None for i, turns in enumerate(turning)]

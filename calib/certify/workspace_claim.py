@@ -30,7 +30,8 @@ from calib.samples.pose_samples import Samples
 from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts
 from rig.model.pose import pose_difference
-from rig.planning.plan import FILL, low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.plan import FILL
 
 PLACES = 128  # of the workspace
 DRAWS = 1000
@@ -241,7 +242,7 @@ def workspace_claim(
 
 def sample_workspace(correction: Correction[Any, Any]) -> tuple[np.ndarray, RigidTransform]:
     """Samples of the workspace: (commands (m, axes) m, poses (m,) of the corrected machine)."""
-    return commands_with_pose(low_discrepancy(correction.nominal.strut_range, PLACES, FILL), correction)
+    return commands_with_pose(sobol_configurations(correction.nominal.strut_range, PLACES, FILL), correction)
 
 
 def draw_fit_variance_ratio(

@@ -30,11 +30,11 @@ from calib.models.platform.identification import (
 from calib.models.platform.parameter_accuracy import stated_geometry_accuracy
 from calib.samples.pose_samples import Samples
 from rig.compute.parallel_map import parallel_map
-from rig.effects.framework.covariate import DRAWN
+from rig.effects.framework.diagnosis_interface import PLOT_UNITS
 from rig.errors import NotConverged, RigError, Unreachable
 from rig.model import mechanisms
 from rig.model.design import Arm, Chain, Hexapod, Planar2
-from rig.model.mechanism_kinds import Struts, struts_of
+from rig.model.mechanism_kinds import Struts, require_struts
 
 ITERATIONS = 100
 TOLERANCE = 1e-12  # m
@@ -167,7 +167,7 @@ class Correction(Generic[M, R]):
 
     def responses(self, T_base_platform: RigidTransform, effective: np.ndarray) -> Responses:
         """Responses at poses (n,), of which the fitted geometry gets effective (n, axes) m or rad."""
-        fitted = struts_of(self.fitted)
+        fitted = require_struts(self.fitted)
         return Responses(
             inverse_strut_length_jacobian(T_base_platform, fitted),
             strut_length_jacobian(T_base_platform, fitted),
@@ -278,7 +278,7 @@ def require_reachable(commands: np.ndarray, mechanism: Struts | Arm | Chain, lab
     texts.
     """
     places = mechanisms.axis_places(mechanism)
-    shown = [DRAWN[unit] for unit in mechanisms.axis_units(mechanism)]
+    shown = [PLOT_UNITS[unit] for unit in mechanisms.axis_units(mechanism)]
     beyond = mechanisms.kinematics_of(mechanism).limits(commands, mechanism)
     bad = np.flatnonzero((beyond != 0).any(axis=1))
     if not len(bad):
@@ -321,7 +321,7 @@ def calibrate_correction(
     only : (axes,) bool, the struts that may have one where it is to be found; all by default
     Raises RigError for a machine without struts, NotEnoughData as `identify`
     """
-    nominal = struts_of(nominal)
+    nominal = require_struts(nominal)
     found = identify_geometry(samples, nominal) if geometry is None else geometry
     parts: tuple[Radial | None, ...] = (None,) * len(nominal.axes)
     like = remainder if isinstance(remainder, tuple) else parts
@@ -368,4 +368,4 @@ def _remainder(
         )
 
     axes = range(len(like))
-    return tuple([part(i) for i in axes] if given else parallel_map(part, axes, few=1))
+    return tuple([part(i) for i in axes] if given else parallel_map(part, axes, items_per_process=1))

@@ -14,7 +14,7 @@ from calib.samples.pose_samples import Samples
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts
-from rig.planning.configuration_sets import FILL, low_discrepancy
+from rig.planning.configuration_sets import FILL, sobol_configurations
 
 AVERAGED = 256  # configurations over which a table for one joint alone is the mean
 
@@ -67,7 +67,7 @@ def axis_correction_tables(correction: Correction[Any, Any], count: int) -> Join
     c = x + trim, c the fixed point c = x + rho(c) at the axis' own level x, the other axes all over their strokes
     """
     strokes = mechanisms.kinematics_of(correction.nominal).travel(correction.nominal)
-    others = low_discrepancy(strokes, AVERAGED, FILL)
+    others = sobol_configurations(strokes, AVERAGED, FILL)
     levels = np.linspace(strokes[:, 0], strokes[:, 1], count, axis=1)
     trims, left = np.empty(levels.shape), np.empty(len(levels))
     for i, own in enumerate(levels):

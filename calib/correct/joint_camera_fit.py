@@ -18,7 +18,7 @@ from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled
 from rig.errors import RigError
 from rig.model.design import Camera, Design, Hexapod
-from rig.model.mechanism_kinds import Struts, hexapod_of
+from rig.model.mechanism_kinds import Struts, require_hexapod
 from rig.model.mechanisms import hexapod as mechanism
 from rig.model.pose import exp, skew
 from vision import lens
@@ -168,8 +168,8 @@ def refine_correction_with_cameras(
         commanded - correction.rho(commanded),
         state,
         design.cameras,
-        hexapod_of(correction.nominal),
-        hexapod_of(found.mechanism),
+        require_hexapod(correction.nominal),
+        require_hexapod(found.mechanism),
     )
     return replace(correction, fitted=done.mechanism), replace(
         found, mechanism=done.mechanism, covariance=done.covariance, root=done.root

@@ -11,7 +11,7 @@ from calib.correct.correction import Correction
 from calib.correct.pose_route import Route
 from calib.samples.pose_samples import Samples
 from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of
+from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of_effects
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms, motion_simulation
 from rig.model import motion_simulation as machine
@@ -54,7 +54,7 @@ class Physics:
     @property
     def coordinates(self) -> list[Coordinate]:
         """[Coordinate] of the effects' parameters, in the order of the covariance."""
-        return coordinates_of(self.effects)
+        return coordinates_of_effects(self.effects)
 
     def machine(self, mechanism: Struts | Arm | Chain) -> Design:
         """Design of a mechanism with what effects look at besides; it has no cameras."""

@@ -29,7 +29,7 @@ from calib.samples.pose_samples import Samples
 from rig.model import mechanisms
 from rig.model.design import Planar2
 from rig.model.mechanism_kinds import Struts
-from rig.planning.configuration_sets import FILL, low_discrepancy
+from rig.planning.configuration_sets import FILL, sobol_configurations
 
 PLACES = 500  # at which a single step is held against the fixed point
 
@@ -117,7 +117,7 @@ def pass_residual_poses(samples: Samples, correction: Correction[Any, Any]) -> K
     home = home_pose(nominal)
     T = correction.predict(samples.commanded)
     _, all_over = commands_with_pose(
-        low_discrepancy(mechanisms.kinematics_of(nominal).travel(nominal), PLACES, 1.0), correction
+        sobol_configurations(mechanisms.kinematics_of(nominal).travel(nominal), PLACES, 1.0), correction
     )
     x, box = (pose_space_map.pose_coordinates(poses, home)[:, some] for poses in (T, all_over))
     both = np.concatenate([x, box])
@@ -173,7 +173,7 @@ def single_step_errors(correction: Correction[Any, Any]) -> tuple[float, float]:
     Source: configuration-space patent, [0030], [0091]
     """
     _, wanted = commands_with_pose(
-        low_discrepancy(mechanisms.kinematics_of(correction.nominal).travel(correction.nominal), PLACES, FILL),
+        sobol_configurations(mechanisms.kinematics_of(correction.nominal).travel(correction.nominal), PLACES, FILL),
         correction,
     )
     off = correction.single_step(wanted) - correction.inverse(wanted)

@@ -15,10 +15,10 @@ from calib.models.arm.error_model import parameter_names
 from calib.models.arm.instrument_observations import sample_observations
 from calib.models.arm.joint_physics_fit import History, JointFit, Prior, fit_geometry_and_effects
 from calib.samples.recording_samples import Sampled
-from rig.effects.framework.fit_coordinates import coordinates_of
+from rig.effects.framework.fit_coordinates import coordinates_of_effects
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.mechanism_kinds import arm_of
+from rig.model.mechanism_kinds import require_arm
 from rig.recording.recording_folder import Recording
 
 
@@ -56,7 +56,7 @@ def refit_arm_with_findings(
     Raises RigError where neither poses nor positions were measured, and what identifying raises
     """
     said, samples, design = progress or silent_progress, sampled.samples, recording.design
-    nominal = arm_of(design.mechanism)
+    nominal = require_arm(design.mechanism)
     if samples.measured in UNPLACED:
         raise RigError(f"physics is taken in where poses or positions were measured: {UNPLACED[samples.measured]}")
     commands = recording.commands
@@ -66,7 +66,8 @@ def refit_arm_with_findings(
     before = None
     if findings.sigma is not None:
         before = Prior(
-            np.array([c.read(findings.effects[c.effect]) for c in coordinates_of(findings.effects)]), findings.sigma
+            np.array([c.read(findings.effects[c.effect]) for c in coordinates_of_effects(findings.effects)]),
+            findings.sigma,
         )
     start = start_arm(sample_observations(samples), nominal, sampled.instrument)
     found = fit_geometry_and_effects(

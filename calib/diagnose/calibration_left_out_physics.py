@@ -32,7 +32,7 @@ from calib.files.calibration_from_recording import SEED
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled
 from rig.errors import NotEnoughData
-from rig.recording.data_provenance import Marks, frames_with_known_data
+from rig.recording.frame_content_hashes import Marks, frames_with_known_hashes
 from rig.recording.recording_folder import Recording
 from rig.report.refutations import refutations_of_file
 from rig.report.verdict import State
@@ -206,7 +206,7 @@ def _made_from(of: Marks, paths: Iterable[Path]) -> list[tuple[Path, dict[str, A
     return [
         (path, tree)
         for path, tree in found
-        if tree is not None and frames_with_known_data(of, set(tree["provenance"].get("data", ())))
+        if tree is not None and frames_with_known_hashes(of, set(tree["provenance"].get("data", ())))
     ]
 
 

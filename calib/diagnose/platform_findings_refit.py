@@ -23,14 +23,14 @@ from calib.samples.recording_samples import Sampled, samples_within_freedoms
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.catalogue.marker_swap import MarkerSwap
 from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of
+from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of_effects
 from rig.effects.texts.effect_text import Kinds
 from rig.errors import FileError
 from rig.formats import json_file, machine_json
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files.folder_manifest import load_manifest as manifest
-from rig.model.mechanism_kinds import struts_of
-from rig.recording.data_provenance import content_marks, frames_with_known_data
+from rig.model.mechanism_kinds import require_struts
+from rig.recording.frame_content_hashes import content_hashes, frames_with_known_hashes
 from rig.recording.recording_folder import Recording
 
 
@@ -92,7 +92,7 @@ class PlatformRefit:
         """(n, axes, c) m by which struts lengthen with each coordinate; nothing for those that only cameras see."""
         k, effects = self.refined.point, self.physics.effects
         out = []
-        for c in coordinates_of(effects):
+        for c in coordinates_of_effects(effects):
             high, low = c.around(effects[c.effect])
             ends = [
                 _motion((*effects[: c.effect], c.written(effects[c.effect], end), *effects[c.effect + 1 :]))
@@ -130,7 +130,7 @@ def load_findings(folder: Path, recording: Recording, kinds: Kinds = BY_NAME) ->
     unknown = tuple(_unknown(entry) for entry in entries if entry.text("effect") == UNKNOWN)
     origin = manifest(folder).origin
     known = [line.partition(" ")[2] for line in origin.data] if origin is not None else []
-    another = known and not frames_with_known_data(content_marks(recording), known)
+    another = known and not frames_with_known_hashes(content_hashes(recording), known)
     return Findings(effects, _sigma(effects, entries, tree) if another else None, unknown)
 
 
@@ -151,7 +151,7 @@ def _sigma(effects: tuple[Effect, ...], entries: list[Entries], tree: Entries) -
             )
         left.remove(own)
         found[number] = own.table("parameters")
-    for c in coordinates_of(effects):
+    for c in coordinates_of_effects(effects):
         value = found[c.effect].table(c.name)
         ends = value.get("ci95")
         if not isinstance(ends, list) or np.shape(ends)[:1] != (2,):
@@ -173,7 +173,7 @@ def refit_platform_with_findings(
 
     Raises RigError for a machine without struts, and what refining raises
     """
-    nominal = struts_of(recording.design.mechanism)
+    nominal = require_struts(recording.design.mechanism)
     said = progress or silent_progress
     said("refining physics and geometry together", 0, 1)
     point, _, _ = operating_point_of_recording(recording, progress, sampled=sampled)

@@ -23,7 +23,7 @@ from calib.models.platform.identification import (
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import sample_recording
 from rig.model import mechanisms
-from rig.model.mechanism_kinds import Struts, struts_of
+from rig.model.mechanism_kinds import Struts, require_struts
 from rig.model.pose import exp
 from rig.recording.recording_folder import Recording
 
@@ -57,7 +57,7 @@ def remove_instrument_displacement(recording: Recording) -> tuple[Recording, lis
 
     Raises what sampling raises
     """
-    samples, m = sample_recording(recording).samples, struts_of(recording.design.mechanism)
+    samples, m = sample_recording(recording).samples, require_struts(recording.design.mechanism)
     number = _numbers(recording, samples.frame)
     motions, scatter, start = (
         np.zeros((len(recording.parts), 6)),

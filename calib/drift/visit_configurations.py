@@ -24,7 +24,7 @@ from calib.models.platform.optimal_configurations import allowed_configurations
 from calib.workspace.reachable_poses import is_pose_lost
 from rig.errors import RigError
 from rig.model.design import Actuator, Design
-from rig.planning import plan
+from rig.planning import configuration_sets
 from rig.recording.recording_folder import Commands
 
 CANDIDATES = 400
@@ -83,7 +83,7 @@ def choose_visit_configurations(
     if not LEAST <= count <= CANDIDATES:
         raise RigError(f"--count takes {LEAST} to {CANDIDATES} poses, got {count}")
     candidates = allowed_configurations(
-        plan.low_discrepancy(mechanism.strut_range, CANDIDATES, FILL, seed),
+        configuration_sets.sobol_configurations(mechanism.strut_range, CANDIDATES, FILL, seed),
         lambda c: is_pose_lost(calibration.correction, c),
     )
     told = _Told(candidates, mechanism.strut_range.mean(axis=1), *_columns(calibration, design, candidates))

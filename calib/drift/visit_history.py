@@ -22,8 +22,8 @@ from rig.formats import json_file
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files import write_text
 from rig.model.design import DISTORTION_TERMS, Camera
-from rig.model.pose import pose_entry_text
-from rig.recording.data_provenance import content_marks, frames_with_known_data, marks_of_frames
+from rig.model.pose import pose_to_entry
+from rig.recording.frame_content_hashes import content_hashes, frames_with_known_hashes, hashes_of_frames
 from rig.recording.recording_folder import Recording
 
 KEPT = 8  # latest visits that a change may have begun with; older ones are one
@@ -76,12 +76,12 @@ def add_visit(history: History, recording: Recording, calibration: Calibration) 
     Raises RigError for data that were taken already or that the calibration was made from, and as `visit_equations`
         does
     """
-    of = content_marks(recording)
+    of = content_hashes(recording)
     for known, what in (
         (history.data, "are in the history already"),
         (calibration.provenance.get("data", ()), "made the calibration"),
     ):
-        same = frames_with_known_data(of, known)
+        same = frames_with_known_hashes(of, known)
         if same:
             raise RigError(
                 f"{recording.folder}: {len(same)} of {len(recording.exposures.times()[0])} frames (the "
@@ -108,7 +108,7 @@ def add_visit(history: History, recording: Recording, calibration: Calibration) 
         history,
         reference=reference,
         visits=_summed((*history.visits, visit)),
-        data=history.data | set(marks_of_frames(of)),
+        data=history.data | set(hashes_of_frames(of)),
     )
     return made, verdict
 
@@ -153,7 +153,7 @@ def write_history(path: Path | str, history: History) -> None:
             "height": c.height,
             "matrix": c.matrix.tolist(),
             "distortion": c.distortion.tolist(),
-            "pose": pose_entry_text(c.pose),
+            "pose": pose_to_entry(c.pose),
             "shutter": c.shutter,
             "row_time": c.row_time,
         }

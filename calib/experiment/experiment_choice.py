@@ -146,7 +146,7 @@ def evaluate_experiment(
     chosen_configurations : {apart:N: (N, axes)} of `_plan_configurations`. Raises RigError for one that the rig cannot
         follow.
     """
-    plan, stands = build_plan(design, plan_text, seed, own=chosen_configurations), quarter_turns(design)
+    plan, stands = build_plan(design, plan_text, seed, own_parts=chosen_configurations), quarter_turns(design)
     todo = turning_instructions(dict(plan.turned), stands)
     plan = replace(plan, turned=tuple({**stands, **dict(plan.turned)}.items()))
     found = [_worth(question, plan) for question in open_questions]

@@ -10,7 +10,7 @@ from calib.diagnose.engine.selection_inputs import PLATFORM
 from calib.experiment.experiment_question import PerFrame, Prediction, Question
 from rig.errors import RigError
 from rig.model.design import Design
-from rig.planning.configuration_sets import grid, low_discrepancy
+from rig.planning.configuration_sets import grid_configurations, sobol_configurations
 from rig.planning.plan import Plan, axis_strokes, build_plan
 
 POOL = 96  # configurations to choose from, beside the corners of what the axes reach
@@ -30,8 +30,8 @@ def discriminating_configurations(
     if not open_ones:
         raise RigError("one name alone is thought of, so there are no two that come apart anywhere")
     strokes = axis_strokes(design)
-    pool = np.concatenate([low_discrepancy(strokes, POOL, seed=seed), grid(strokes, 2)])
-    plan = build_plan(design, "pool", own={"pool": pool})
+    pool = np.concatenate([sobol_configurations(strokes, POOL, seed=seed), grid_configurations(strokes, 2)])
+    plan = build_plan(design, "pool", own_parts={"pool": pool})
     return pool[choose_exposures([q.predict_outcomes_by_frame(plan) for q in open_ones], count)]
 
 

@@ -13,7 +13,7 @@ from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.design import Arm, Chain, Planar2
 from rig.planning.approach_balance import balanced_order
-from rig.planning.configuration_sets import low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
 
 CANDIDATES = 1500
 FILL = 0.95  # of the travels
@@ -55,7 +55,7 @@ def informative_configurations(
         are seen
     """
     kinematics = mechanisms.kinematics_of(mechanism)
-    values = low_discrepancy(kinematics.travel(mechanism), CANDIDATES, FILL, seed)
+    values = sobol_configurations(kinematics.travel(mechanism), CANDIDATES, FILL, seed)
     index, T = filter_closed_commands(values, lambda some: kinematics.forward(some, mechanism))
     values = values[index]
     seen = np.ones(len(values), bool) if visible_marker_count is None else visible_marker_count(T) >= FEWEST

@@ -44,9 +44,9 @@ from rig.formats.checked_entries import Entries
 from rig.formats.input_files import read_bytes
 from rig.formats.output_files import write_text
 from rig.model.design import Arm, Chain
-from rig.model.mechanism_kinds import Struts, struts_of
-from rig.recording.data_provenance import content_marks, frames_with_known_data, marks_of_frames
-from rig.recording.exposures import LARGEST_IMAGE_FILE
+from rig.model.mechanism_kinds import Struts, require_struts
+from rig.recording.exposures_and_images import LARGEST_IMAGE_FILE
+from rig.recording.frame_content_hashes import content_hashes, frames_with_known_hashes, hashes_of_frames
 from rig.recording.recording_folder import Recording
 
 SCHEMA = "calibration/1"
@@ -92,8 +92,8 @@ def calibration_provenance(
     other_files: Iterable[Path] = (),
     data: Iterable[str] = (),
 ) -> dict[str, Any]:
-    """dict of the inputs' SHA-256, the marks of their data (see rig.recording.data_provenance), versions, arguments and
-    seed.
+    """dict of the inputs' SHA-256, the marks of their data (see rig.recording.frame_content_hashes), versions,
+    arguments and seed.
 
     recording : Recording; used_images : whether they were read; other_files : other files that were read, data : marks
         of theirs
@@ -110,7 +110,7 @@ def calibration_provenance(
     return {
         "recording": recording.name,
         "inputs_sha256": files,
-        "data": sorted({*marks_of_frames(content_marks(recording)), *data}),
+        "data": sorted({*hashes_of_frames(content_hashes(recording)), *data}),
         "arguments": list(arguments),
         "seed": seed,
         "versions": package_versions(),
@@ -152,7 +152,7 @@ def additional_pass_provenance(
 
 def frames_used_in_calibration(calibration: Calibration, recording: Recording) -> list[int]:
     """Frames of a recording that were used in a calibration, directly or through its measurement."""
-    return frames_with_known_data(content_marks(recording), calibration.provenance.get("data", ()))
+    return frames_with_known_hashes(content_hashes(recording), calibration.provenance.get("data", ()))
 
 
 def _hash(paths: Iterable[Path]) -> str:
@@ -239,7 +239,7 @@ def _correction_in(tree: Entries, nominal: Struts | Arm | Chain, fitted: Struts 
         return ArmCorrection(
             nominal, fitted, _parts_in(tree, axes, True), tree.array("visited", (None, axes)), extension=extension
         )
-    posed = tuple(pose_map_from_entries(one, struts_of(nominal)) for one in tree.tables("pose_maps"))
+    posed = tuple(pose_map_from_entries(one, require_struts(nominal)) for one in tree.tables("pose_maps"))
     return Correction(nominal, fitted, _parts_in(tree, axes, False), extension=extension, posed=posed)
 
 

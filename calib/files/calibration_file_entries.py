@@ -11,15 +11,15 @@ from calib.correct.physics_compensation import Physics, Unknown
 from calib.correct.pose_space_map import NAMES, PoseMap
 from calib.correct.summand_extension import pose_coordinate_indices
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.framework.fit_coordinates import coordinates_of
-from rig.effects.texts.effect_text import Kinds, effect_from_dict, effect_to_dict, require_place
+from rig.effects.framework.fit_coordinates import coordinates_of_effects
+from rig.effects.texts.effect_text import Kinds, effect_from_dict, effect_to_dict, require_existing_place
 from rig.errors import FileError, RigError
 from rig.formats.checked_entries import LARGEST_RIG, Entries
-from rig.formats.input_files import value_text
+from rig.formats.input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Actuator, Arm, Chain, Hexapod, Planar2, Platform
 from rig.model.mechanism_kinds import Struts
-from rig.model.pose import pose_entry_text
+from rig.model.pose import pose_to_entry
 
 
 def require_text(tree: Entries, key: str, known_texts: Sequence[str]) -> None:
@@ -31,8 +31,8 @@ def require_text(tree: Entries, key: str, known_texts: Sequence[str]) -> None:
         )
         start = max(differs - 20, 0)
         tree.fail(
-            f"{key} is {value_text(found[start : differs + 40])} where this rig reads "
-            f"{value_text(known_texts[0][start : differs + 40])} "
+            f"{key} is {short_repr(found[start : differs + 40])} where this rig reads "
+            f"{short_repr(known_texts[0][start : differs + 40])} "
             f"(character {differs + 1}); nothing is converted",
             key,
             value=found,
@@ -44,11 +44,11 @@ def require_schema_contents(tree: Entries, needed: Sequence[str], refused: Seque
     schema = tree.text("schema")
     for key in needed:
         if tree.get(key, None) is None:
-            tree.fail(f"{key} is missing, and a file of schema {value_text(schema)} has it", "schema")
+            tree.fail(f"{key} is missing, and a file of schema {short_repr(schema)} has it", "schema")
     for key in refused:
         if key in tree.tree:
             tree.fail(
-                f"{key} is there, and a file of schema {value_text(schema)} has none: a reader of that "
+                f"{key} is there, and a file of schema {short_repr(schema)} has none: a reader of that "
                 "schema would leave it out in silence",
                 key,
             )
@@ -139,8 +139,8 @@ def mechanism_dict(mechanism: Struts | Arm | Chain) -> dict[str, Any]:
             "kind": "arm",
             "joints": mechanism.rows.tolist(),
             "limits": mechanism.limits.tolist(),
-            "base": pose_entry_text(mechanism.base),
-            "tool": pose_entry_text(mechanism.tool),
+            "base": pose_to_entry(mechanism.base),
+            "tool": pose_to_entry(mechanism.tool),
             **({"slides": mechanism.slides.tolist()} if mechanism.slides.any() else {}),
         }
     if isinstance(mechanism, Planar2):
@@ -154,7 +154,7 @@ def mechanism_dict(mechanism: Struts | Arm | Chain) -> dict[str, Any]:
         "platform_joints": mechanism.platform_joints.tolist(),
         "strut_range": mechanism.strut_range.tolist(),
         "strut_zeros": mechanism.strut_zeros.tolist(),
-        "home": pose_entry_text(mechanism.home),
+        "home": pose_to_entry(mechanism.home),
     }
 
 
@@ -269,7 +269,7 @@ def physics_from_entries(
     for entry in table.tables("effects"):
         try:
             effects.append(
-                require_place(effect_from_dict(entry.tree, kinds), held.machine(mechanism))
+                require_existing_place(effect_from_dict(entry.tree, kinds), held.machine(mechanism))
                 if not _seen(entry)
                 else effect_from_dict(entry.tree, kinds)
             )
@@ -277,7 +277,7 @@ def physics_from_entries(
             raise
         except RigError as error:
             table.fail(f"physics: {error}", "effects")
-    own = len(coordinates_of(tuple(effects)))
+    own = len(coordinates_of_effects(tuple(effects)))
     covariance, cross = table.array("covariance", (own, own)), table.array("cross_covariance", (parameter_count, own))
     if (np.diag(covariance) < 0).any() or not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-300):
         table.fail("physics.covariance is no covariance", "covariance")
@@ -301,7 +301,7 @@ def _seen(entry: Entries) -> bool:
 def pose_map_dict(pose_map: PoseMap) -> dict[str, Any]:
     """dict of a PoseMap, as JSON holds it."""
     return {
-        "home": pose_entry_text(pose_map.home),
+        "home": pose_to_entry(pose_map.home),
         "coordinates": [NAMES[i] for i in pose_map.coordinates],
         "field": interpolation_methods.field_to_dict(pose_map.field),
     }

@@ -14,7 +14,7 @@ from calib.models.chain import error_model as chains
 from calib.models.platform.identification import NAMES, PRIOR, pose_parameter_jacobian
 from rig.model import mechanisms
 from rig.model.design import Arm, Chain, Hexapod, Planar2
-from rig.model.mechanism_kinds import Mechanism, struts_of
+from rig.model.mechanism_kinds import Mechanism, require_struts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +52,7 @@ def geometric_parameters(mechanism: Mechanism) -> Freedoms:
             partial(chains.parameter_jacobian, chain=mechanism),
         )
         return Freedoms(found.names, found.units, found.size, found.jacobian, True)
-    struts = struts_of(mechanism)
+    struts = require_struts(mechanism)
     names = NAMES[struts.kind]
     return Freedoms(names, ("m",) * len(names), np.full(len(names), PRIOR), partial(_of_struts, struts), False)
 

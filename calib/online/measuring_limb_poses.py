@@ -14,8 +14,8 @@ from calib.online.measuring_limbs_file import Accepted
 from calib.samples.pose_samples import Samples, pair_samples
 from calib.samples.recording_samples import Sampled
 from rig.model.design import Hexapod
-from rig.model.mechanism_kinds import hexapod_of
-from rig.recording.frame_mask import select_frames
+from rig.model.mechanism_kinds import require_hexapod
+from rig.recording.frame_selection import select_frames
 from rig.recording.recording_folder import Recording
 from vision.recording_measurement import measure_recording
 
@@ -173,7 +173,7 @@ def check_limb_poses(
     if recording.commands is not None:
         look = _is_checked_by_vision(
             pair_samples(recording, poses.frames, poses.T_base_platform, poses.own, poses.common),
-            hexapod_of(recording.design.mechanism),
+            require_hexapod(recording.design.mechanism),
             check_interval,
         )
     measured, _ = measure_recording(select_frames(recording, poses.frames[look]), progress=progress)

@@ -23,7 +23,7 @@ CAMERAS = Instrument("free", "free", *UNSTATED)  # that see an arm's hand, or th
 class Sampled:
     """samples : Samples; source : where the poses came from, in words; measurement, collected : from vision, or None
     files : beside the recording, from which the poses were computed; data : marks of what those were learnt from (see
-        rig.recording.data_provenance)
+        rig.recording.frame_content_hashes)
     instrument : who saw the poses and whether it is known where it stands and where its target sits: of an arm that
     cameras see neither is, so that its base among the base's targets and its hand in the platform's frame are solved
     for; None where all are known

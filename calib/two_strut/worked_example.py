@@ -12,7 +12,7 @@ from calib.correct.summand_extension import fit_summand_field, measured_summands
 from calib.samples.pose_samples import Samples
 from rig.model.design import Planar2
 from rig.model.mechanisms import two_strut_plane
-from rig.planning.configuration_sets import FILL, grid_division
+from rig.planning.configuration_sets import FILL, divided_grid_configurations
 from rig.report.pages.svg_elements import svg_text
 
 L1, L2 = 0.42, 0.58  # m
@@ -38,7 +38,7 @@ class Worked:
 
 def worked_example() -> Worked:
     """Worked example with all its steps computed."""
-    x = grid_division(NOMINAL.strut_range, "1@1")
+    x = divided_grid_configurations(NOMINAL.strut_range, "1@1")
     x = x[np.lexsort((x[:, 1], x[:, 0]))]
     measured = two_strut_plane.forward(x, REAL)
     samples = Samples(np.arange(4), np.arange(4.0), x, measured, np.zeros((4, 6, 6)), np.zeros((4, 6, 0)))

@@ -14,7 +14,7 @@ from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
 from rig.model.design import Arm
 from rig.model.pose import pose_to_vector
-from rig.planning.configuration_sets import low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
 
 DRAWN, FEWER = 8192, 4096  # configurations of either machine; of an arm, whose commands are sought step by step
 ALONG = {2: 16, 3: 10}  # cells along the longest side of a workspace that is flat, and of one that is not
@@ -86,7 +86,7 @@ def map_workspace(correction: Correction[Any, Any], covariance: Covariance, coun
     """
     nominal = correction.nominal
     count = count or (FEWER if isinstance(nominal, Arm) else DRAWN)
-    drawn = low_discrepancy(mechanisms.kinematics_of(nominal).travel(nominal), count, 1.0)
+    drawn = sobol_configurations(mechanisms.kinematics_of(nominal).travel(nominal), count, 1.0)
     owner = uncorrected_machine(correction)
     believed, real = reachable_side(owner, correction, drawn), reachable_side(correction, owner, drawn)
     short = isinstance(nominal, Arm) and len(nominal.axes) < 6

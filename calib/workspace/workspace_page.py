@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.workspace.workspace_cells import SHORT, Workspace
-from rig.effects.framework.covariate import DRAWN
-from rig.formats.number_rounding import round_to_digits
+from rig.effects.framework.diagnosis_interface import PLOT_UNITS
+from rig.formats.number_parsing_and_rounding import round_to_digits
 from rig.report.pages.html_elements import heading, note, paragraph, table
 from rig.report.pages.page_and_svg_templates import Link, Page, write_page
 from rig.report.pages.plots import panel_row
@@ -38,7 +38,7 @@ def workspace_lines(workspace: Workspace, unit: str) -> list[str]:
         f"singular values from {np.nanmin(workspace.singular):.3f} of the greatest",
     ]
     if inner.any():
-        scale, shown = DRAWN.get(unit, (1.0, unit))
+        scale, shown = PLOT_UNITS.get(unit, (1.0, unit))
         out.append(
             f"{inner.sum()} cells have room to all limits, up to {np.nanmax(workspace.room) * scale:.4g} {shown}"
         )
@@ -136,7 +136,7 @@ SINGULAR = Quantity(
 
 def axis_margin_quantity(unit: str) -> Quantity:
     """Quantity of the margin to the axis limits. unit : of an axis, m or rad."""
-    scale, shown = DRAWN.get(unit, (1.0, unit))
+    scale, shown = PLOT_UNITS.get(unit, (1.0, unit))
     return Quantity(
         "room",
         "room to the nearest limit of an axis, the greatest there",

@@ -21,11 +21,11 @@ time. Results show themselves in a notebook; three notebooks go the whole way:
 
     import rig, vision, calib
 
-    recording = rig.load("REC")                      # a folder, checked
+    recording = rig.load_recording("REC")                      # a folder, checked
     measured = vision.measured(recording)            # poses with covariance, cameras adjusted
     calibration = calib.calibrated(recording)        # geometry, corrections, what they are worth
     report = calib.diagnosed(recording)              # what physics is left out
-    certificate = calib.certified(calibration, [rig.load("REC2")])
+    certificate = calib.certified(calibration, [rig.load_recording("REC2")])
     calib.save("calibration.json", calibration)
 
 Below the entry points all modules may be imported, room by room; arrays are told with shape and unit in their \

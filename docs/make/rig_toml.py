@@ -13,8 +13,8 @@ import tomlkit
 
 from docs.make.told import fields_told, headline
 from rig.formats.checked_entries import REQUIRED, Entries, Key
-from rig.formats.rig_toml import arm_dynamics, design_file
-from rig.formats.rig_toml.arm_dynamics import ArmDynamics
+from rig.formats.rig_toml import arm_dynamics_entries, design_file
+from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
 from rig.formats.rig_toml.arm_joint_entries import Joint
 from rig.formats.toml_positions import value_positions
 from rig.model.controller_settings import Controller
@@ -34,7 +34,7 @@ from rig.model.design import (
     SensorPort,
     Target,
 )
-from rig.planning.layout import hexapod_layout, shipped_arms, two_strut_layout
+from rig.planning.layout import hexapod_and_two_strut_layout, shipped_arm_layout
 
 HEAD = """# rig.toml, table by table
 
@@ -222,17 +222,19 @@ def _limits(least: float | None, most: float | None, above: float | None, unit: 
 
 def samples() -> list[dict[str, Any]]:
     """Rigs as tables, which between them state everything that the reader asks for."""
-    whole = tomllib.loads(hexapod_layout.hexapod_layout(0.3, cameras=1, cubes=1, limbs=6))
+    whole = tomllib.loads(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=1, cubes=1, limbs=6))
     whole["camera"][0] |= {"shutter": "rolling", "row_time": 1e-5, "source": "uvc:0", "mount": "fixed"}
     whole["controller"] = {"protocol": "grblhal", "port": "/dev/ttyACM0", "max_speed": 0.01}
     whole["sensors"] = {"port": "/dev/ttyUSB1", "channels": ["ambient_temperature_C"]}
     whole["experiment"] = {"may": ["payload", "wait"]}
     whole["instrument"] = {"base": "rig", "tool": "rig", "position_sigma": 1e-5, "rotation_sigma": 1e-4}
     whole["sensor"] = {name: getattr(Sensor(), name) for name in Sensor.__slots__}
-    listed = tomllib.loads(two_strut_layout.two_strut_layout(0.3, cameras=1, cubes=1))
+    listed = tomllib.loads(hexapod_and_two_strut_layout.two_strut_layout_rig_toml(0.3, cameras=1, cubes=1))
     marker = {"id": 90, "side": 0.03, "pose": {"position": [0.0, 0.0, 0.1], "rotvec": [0.0, 0.0, 0.0]}}
     listed["target"].append({"name": "plate", "body": "base", "dictionary": "DICT_5X5_100", "marker": [marker]})
-    arms = [tomllib.loads(shipped_arms.shipped_arm_rig_toml(name)) for name in shipped_arms.shipped_arm_names()]
+    arms = [
+        tomllib.loads(shipped_arm_layout.shipped_arm_rig_toml(name)) for name in shipped_arm_layout.shipped_arm_names()
+    ]
     joint = {"joint": "prismatic", "theta": 0.0, "d": 0.0, "a": 0.0, "alpha": 0.0, "limits": [0.0, 0.2]}
     arms.append({"schema": "rig/1", "mechanism": {"kind": "arm", "joints": [joint]}})
     return [whole, listed, *arms, {**whole, "mechanism": {"kind": "free"}, "controller": None}]
@@ -244,9 +246,9 @@ def asked() -> dict[tuple[str, Key], Asked]:
     for tree in samples():
         text = tomlkit.dumps({key: value for key, value in tree.items() if value is not None})
         root = Log(tomllib.loads(text), (), Path("rig.toml"), value_positions(text), found)
-        mechanism = design_file.design_of(root).mechanism
+        mechanism = design_file.design_of_entries(root).mechanism
         if isinstance(mechanism, Arm):
-            arm_dynamics.dynamics_of_table(root.table("dynamics", optional=True), len(mechanism.axes))
+            arm_dynamics_entries.dynamics_of_table(root.table("dynamics", optional=True), len(mechanism.axes))
     return {at: what for at, what in found.items() if at[1] not in TABLE_KEYS or at == ("[instrument]", "kind")}
 
 
@@ -292,7 +294,7 @@ def page() -> str:
         rows = [_row(at, what, told) for at, what in found.items() if at[0] == heading]
         if rows:
             parts.append("\n| key | takes | if left out | what |\n|---|---|---|---|\n" + "\n".join(rows) + "\n")
-    whole = _indented(hexapod_layout.hexapod_layout(0.3, cameras=1, cubes=1))
+    whole = _indented(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=1, cubes=1))
     return (
         "".join(parts) + f"\n## A whole one\n\nAs `rig design --radius 0.3 --cameras 1 --cubes 1` writes it:\n\n{whole}"
     )

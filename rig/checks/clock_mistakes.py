@@ -1,6 +1,7 @@
-"""Times in another unit, on another clock or from another origin, told from how the files' times lie to each other."""
+"""Mistakes of clocks: times in wrong units, repeated or apart; a shift between frames' and commands' clocks."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,7 +24,7 @@ RATE = (1e-4, 5000.0)  # frames per s
 
 
 def time_range_mistakes(times: dict[str, np.ndarray]) -> Iterator[Mistake]:
-    """Files whose times lie apart. times : {file name: (n,) s as written}, "frames.csv" among them.
+    """Mistakes of time ranges: files whose times do not overlap.
 
     A file whose span is a unit's multiple of the others' is in that unit; one that does not overlap has another origin.
     """
@@ -89,22 +90,24 @@ def _zone(shift: float) -> str:
 
 
 def speed_mistakes(
-    t: np.ndarray, values: np.ndarray, frames: np.ndarray, unit: str, top: float | None
+    t: np.ndarray, values: np.ndarray, frames: np.ndarray, unit: str, max_speed: float | None
 ) -> Iterator[Mistake]:
-    """Speeds and frame rates that no machine has: all times in another unit.
+    """Mistakes of speed: axis speeds above any plausible maximum, or frame rates; then times are in another unit.
 
-    t : (n,) s and values : (n, axes) m or rad of the commands; frames : (F,) s; unit : "m" or "rad"; top : m/s stated,
-        or None
+    t : (n,) s and values : (n, axes) m or rad of the commands; frames : (F,) s; unit : "m" or "rad"; max_speed : m/s
+        stated, or None
     """
     step = np.abs(np.diff(values, axis=0)).max(axis=1) / np.maximum(np.diff(t), 1e-12) if len(t) > 1 else np.zeros(0)
     if len(step) and step.max() > 0:
         fastest = float(np.quantile(step[step > 0], 0.9))
-        low, high = (SLOWEST * top, FASTEST * top) if top else USUAL[unit]
+        low, high = (SLOWEST * max_speed, FASTEST * max_speed) if max_speed else USUAL[unit]
         against = (
-            f"the top speed is stated as {top:g} {unit}/s" if top else f"machines move by {low:g} to {high:g} {unit}/s"
+            f"the top speed is stated as {max_speed:g} {unit}/s"
+            if max_speed
+            else f"machines move by {low:g} to {high:g} {unit}/s"
         )
         if not low <= fastest <= high:
-            factor = (top or np.sqrt(low * high)) / fastest
+            factor = (max_speed or np.sqrt(low * high)) / fastest
             named = min((n for n in UNITS), key=lambda n: abs(np.log(factor / UNITS[n])))
             near = abs(np.log(factor / UNITS[named])) < np.log(30.0)
             yield Mistake(
@@ -136,7 +139,7 @@ def speed_mistakes(
 
 
 def repeated_time_mistakes(t: np.ndarray) -> Iterator[Mistake]:
-    """Frames that all claim one time, or most. t : (F,) s of the distinct frames."""
+    """Mistakes of repeated times: all frames, or most, have the same time t (F,) s."""
     if len(t) > 3:
         same = int((np.diff(t) == 0).sum())
         if same > 0.2 * len(t):
@@ -147,3 +150,80 @@ def repeated_time_mistakes(t: np.ndarray) -> Iterator[Mistake]:
                 True,
                 0.7,
             )
+
+
+FEWEST = 5  # frames and dwells by which two clocks are told
+SHARE = 0.95  # of the frames, that must come to lie in dwells
+UNIQUENESS = 0.9  # share of the best count, above which another place would be as good
+NOW = 0.9  # of the frames, that stand as they are timed: then nothing is asked of clocks
+LAG = 0.5  # s; clocks that differ by less are an effect, not a mistake
+STILL = 1e-3  # of the fastest move: slower is standing, as what logs read back never stands to the last digit
+MOST_PAIRS = 4_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class DwellShift:
+    """shift : s to add to frames; room : s, half the width of the shifts that serve as well; frames : how many then lie
+    in a dwell.
+    """
+
+    shift: float
+    room: float
+    frames: int
+
+
+def dwell_clock_shift(frames: np.ndarray, t: np.ndarray, values: np.ndarray) -> DwellShift | None:
+    """DwellShift: the clock shift that puts the most frames into dwells of the commands; None if none stands out.
+
+    frames : (m,) s; t : (n,) s of the commands, increasing; values : (n, axes) m or rad
+    """
+    dwells = _dwells(t, values)
+    if min(len(frames), len(dwells)) < FEWEST or len(frames) * len(dwells) > MOST_PAIRS:
+        return None
+    at = np.concatenate(
+        [np.subtract.outer(dwells[:, 0], frames).ravel(), np.subtract.outer(dwells[:, 1], frames).ravel()]
+    )
+    step = np.repeat([1, -1], len(at) // 2)
+    order = np.lexsort((-step, at))  # a dwell begins before another ends at the same shift
+    at, count = at[order], np.cumsum(step[order])
+    best = int(count.argmax())
+    low, high = at[best], at[best + 1]
+    far = (at < low - (dwells[:, 1] - dwells[:, 0]).max()) | (at > high + (dwells[:, 1] - dwells[:, 0]).max())
+    if count[best] < SHARE * len(frames) or count[far].max(initial=0) > UNIQUENESS * count[best]:
+        return None
+    return DwellShift(float(low + high) / 2, float(high - low) / 2, int(count[best]))
+
+
+def clock_offset_mistake(frames: np.ndarray, t: np.ndarray, values: np.ndarray) -> Iterator[Mistake]:
+    """Mistake of a clock offset: frames taken in motion that another offset puts into dwells of the commands.
+
+    frames : (m,) s; t : (n,) s of the commands; values : (n, axes) m or rad
+    """
+    dwells = _dwells(t, values)
+    if not len(dwells):
+        return
+    row = np.searchsorted(dwells[:, 0], frames, side="right") - 1
+    now = int(((row >= 0) & ((frames <= dwells[row, 1]) | (frames >= t[-1]))).sum())
+    if now >= NOW * len(frames):
+        return
+    found = dwell_clock_shift(frames, t, values)
+    if found is None or abs(found.shift) <= LAG:
+        return
+    way = "behind" if found.shift > 0 else "ahead of"
+    yield Mistake(
+        f"frames.csv: the frames' clock is {abs(found.shift):.4g} s {way} the commands' (+-{found.room:.2g} "
+        f"s): {found.frames} of "
+        f"{len(frames)} frames were then taken while the commands stand still, as it stands {now}",
+        f"{'Add' if found.shift > 0 else 'Subtract'} {abs(found.shift):.4g} s to t of frames.csv (rig import --set "
+        f"images.shift={found.shift:.3f}, or poses.shift), or log both by one clock",
+        proof=0.9,
+    )
+
+
+def _dwells(t: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """(k, 2) s: from when to when the commands stand."""
+    apart = np.diff(t)
+    speed = np.abs(np.diff(values, axis=0)).max(axis=1) / np.where(apart > 0, apart, np.inf)
+    still = np.concatenate([[False], speed <= STILL * speed.max(initial=0.0), [False]])
+    edges = np.flatnonzero(still[1:] != still[:-1])
+    return t[edges].reshape(-1, 2)

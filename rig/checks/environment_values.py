@@ -1,6 +1,4 @@
-"""What sensors.csv and [environment], [platform] say that nature does not: kelvins, Fahrenheit, grams, a wrong sign,
-exchanged channels.
-"""
+"""Environment values that nature does not have: sensor channels, gravity and masses in wrong units or signs."""
 
 from collections.abc import Iterator
 
@@ -21,7 +19,7 @@ COLDER = 0.4  # K by which exchanged channels differ from where they ought to be
 
 
 def sensor_mistakes(log: Sensors, design: Design) -> Iterator[Mistake]:
-    """Channels of sensors.csv in another unit or under another's name."""
+    """Mistakes in sensor channels of sensors.csv: another unit, or exchanged names."""
     warm = {name: values for name, values in log.channels.items() if name.endswith("_temperature_C")}
     for name, values in warm.items():
         middle = float(np.median(values))
@@ -121,7 +119,7 @@ def _load(load: np.ndarray, room: np.ndarray | None, design: Design) -> Iterator
 
 
 def environment_mistakes(design: Design) -> Iterator[Mistake]:
-    """Gravity of a wrong size or sign, and a platform's mass in grams."""
+    """Mistakes in a design's environment: gravity of a wrong size or sign, a platform's mass in grams."""
     g = np.asarray(design.gravity)
     size = float(np.linalg.norm(g))
     if not GRAVITY[0] <= size <= GRAVITY[1]:

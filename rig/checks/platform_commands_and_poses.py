@@ -1,6 +1,4 @@
-"""Commands held against measured poses of a platform on struts: struts, joints, clocks, poses and frames in another
-order or another way.
-"""
+"""Commands and measured poses of a platform compared: wrong struts, joints, clocks, frames or conventions."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -10,12 +8,12 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.checks.pose_conventions import other_poses
+from rig.checks.units_and_conventions import poses_in_other_conventions
 from rig.checks.user_mistake import Mistake
 from rig.errors import RigError
 from rig.formats import csv_table
 from rig.model.design import Hexapod
-from rig.model.mechanism_kinds import hexapod_of
+from rig.model.mechanism_kinds import require_hexapod
 from rig.model.mechanisms import hexapod as kinematics
 from rig.recording.corner_and_pose_tables import POSE_COLUMNS
 from rig.recording.recording_folder import Commands, Recording
@@ -78,8 +76,7 @@ class Moves:
 def moves_of_recording(
     recording: Recording, frames: np.ndarray, T: RigidTransform, vector: np.ndarray | None = None
 ) -> Moves:
-    """Moves of a recording's commands and poses measured in some of its frames; vector : (n, 6) as poses.csv has them,
-    or None.
+    """Moves of a recording: its commands and the poses measured, T (n,), in some of its frames.
 
     Raises RigError without commands, and for what is no hexapod.
     """
@@ -88,16 +85,18 @@ def moves_of_recording(
     if c is None:
         raise RigError(f"{recording.folder}: there is no commands.csv, so nothing was commanded")
     q = np.stack([np.interp(t, c.t, column) for column in c.values.T], axis=1)
-    return Moves(hexapod_of(recording.design.mechanism), frames, np.searchsorted(known, frames), times, q, T, c, vector)
+    return Moves(
+        require_hexapod(recording.design.mechanism), frames, np.searchsorted(known, frames), times, q, T, c, vector
+    )
 
 
 def written_pose_columns(recording: Recording) -> np.ndarray:
-    """(n, 6) m and rad of poses.csv as its text has them: a pose itself keeps no rotation vector longer than pi."""
+    """(n, 6) m and rad pose columns of poses.csv as written, rotation vectors longer than pi included."""
     return csv_table.read(recording.folder / "poses.csv", POSE_COLUMNS).matrix(POSE_COLUMNS)
 
 
 def commands_disagree_with_poses(moves: Moves) -> bool:
-    """Whether commands and poses differ by more than a calibration mends."""
+    """Whether commands disagree with poses by more than a calibration can correct."""
     if len(moves.frame) < LEAST:
         return False
     L = kinematics.inverse(moves.T, moves.mechanism)
@@ -108,7 +107,7 @@ def commands_disagree_with_poses(moves: Moves) -> bool:
 
 
 def command_pose_mistakes(moves: Moves) -> Iterator[Mistake]:
-    """The mistake that leaves least of the disagreement; one that says how large it is, where none explains it."""
+    """Mistake that best explains why commands disagree with poses, or the size of what none explains."""
     if not commands_disagree_with_poses(moves):
         return
     before = moves.miss()
@@ -358,5 +357,5 @@ def _poses(moves: Moves) -> Iterator[Candidate]:
     """poses.csv written another way. Of poses that vision measured nothing is asked."""
     if moves.vector is None:
         return
-    for what, T in other_poses(moves.vector):
+    for what, T in poses_in_other_conventions(moves.vector):
         yield f"poses.csv: {what}", "Write platform in base: m, and rotation vectors in rad", replace(moves, T=T)

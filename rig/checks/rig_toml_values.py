@@ -1,6 +1,4 @@
-"""Figures of rig.toml that no camera and no machine has: degrees for radians, a matrix in another order or for another
-image size.
-"""
+"""Values of rig.toml that no camera or machine has: degrees for radians, wrong matrices, lenses or limits."""
 
 from collections.abc import Iterator
 
@@ -19,7 +17,7 @@ TANGENTIAL = 0.03
 
 
 def implausible_values(design: Design) -> Iterator[Mistake]:
-    """What single figures of a Design say."""
+    """Mistakes of implausible values in a Design: camera matrices, lenses, an arm's rows and limits."""
     if design.mechanism.kind == "arm":
         yield from _arm(design.mechanism)
     for camera in design.cameras:
@@ -28,9 +26,7 @@ def implausible_values(design: Design) -> Iterator[Mistake]:
 
 
 def overlong_rotation_vectors(tree: dict) -> Iterator[Mistake]:
-    """What the text of rig.toml shows and a pose no longer does: rotation vectors longer than any turn. tree : as
-    tomllib reads it
-    """
+    """Mistakes of overlong rotation vectors (beyond one turn, so in degrees) in the tree of a rig.toml."""
     found = []
     for kind in ("camera", "target"):
         for entry in tree.get(kind, []):

@@ -1,6 +1,4 @@
-"""Why a recording cannot be read, where that is one of the usual mistakes: said in the place of the complaint about a
-single line.
-"""
+"""Mistakes that make a recording unreadable, reported in place of the bare reading error."""
 
 import tomllib
 from collections.abc import Iterator
@@ -27,7 +25,7 @@ FILES = ("commands.csv", "frames.csv", "sensors.csv")
 
 
 def unreadable_recording_mistakes(folder: Path, error: FileError) -> tuple[Mistake, ...]:
-    """Mistakes behind a FileError that loading a folder raised, in order; none where the complaint says it all."""
+    """Mistakes that make a recording's folder unreadable, from the FileError raised, in order; may be none."""
     found: list[Mistake] = []
     for look in (_figures, _times, _numbers, _order, _poses):
         try:
@@ -67,7 +65,7 @@ def _poses(folder: Path, complaint: str) -> Iterator[Mistake]:
     """poses.csv: positions that spread as the rig's size would in another unit."""
     if "poses.csv" not in complaint or "implausible" not in complaint:
         return
-    m = design_file.load(folder / "rig.toml").mechanism
+    m = design_file.load_design(folder / "rig.toml").mechanism
     if isinstance(m, Free | Chain):  # moved by hand, or by several: nothing is known of its size as a whole
         return
     size = arm.reach(m) if m.kind == "arm" else float(m.strut_range.max())

@@ -1,4 +1,4 @@
-"""One mistake that somebody may have made, as it is said to him."""
+"""A user's mistake as reported to them: what is wrong, what to do; and the order of several."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -20,5 +20,5 @@ class Mistake:
 
 
 def sort_mistakes(mistakes: Iterable[Mistake]) -> tuple[Mistake, ...]:
-    """Each once, what spoils results first, the likeliest cause first among these."""
+    """Mistakes sorted, each once: those that spoil results first, of these the likeliest first."""
     return tuple(sorted(dict.fromkeys(mistakes), key=lambda one: (not one.spoils, -one.proof)))

@@ -22,8 +22,8 @@ from rig.cli.shared.worker_options import results_with_progress, worker_pool
 from rig.compute.worker_processes import run_child_process
 from rig.errors import FileError, RigError
 from rig.formats import json_file
-from rig.formats.input_files import read_bytes, value_text
-from rig.formats.number_parsing import parse_whole_number
+from rig.formats.input_files import read_bytes, short_repr
+from rig.formats.number_parsing_and_rounding import parse_whole_number
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from synthetic.diagnosis_score import Case
 
 # a child does not outlive this process
-ALONE = "import sys; from rig.compute.worker_processes import end_with_parent; end_with_parent(int(sys.argv[1])); "
+ALONE = "import sys; from rig.compute.worker_processes import end_when_parent_ends; end_with_parent(int(sys.argv[1])); "
 DIAGNOSE = (
     ALONE
     + "from rig.cli.shared.child_processes import forbid_folder; from rig.cli.command_line import main; "
@@ -174,10 +174,10 @@ def _indices(text: str | None, count: int) -> list[int]:
     try:
         ranges = [[parse_whole_number(end) for end in part.split("-")] for part in text.split(",")]
     except ValueError:
-        raise RigError(f"--cases takes for example 3,7-9, not {value_text(text)}") from None
+        raise RigError(f"--cases takes for example 3,7-9, not {short_repr(text)}") from None
     if any(len(ends) > 2 or not 1 <= ends[0] <= ends[-1] <= count for ends in ranges):
         raise RigError(
-            f"--cases {value_text(text)}: the campaign has cases 1 to {count}, and a range runs from small to large"
+            f"--cases {short_repr(text)}: the campaign has cases 1 to {count}, and a range runs from small to large"
         )
     return sorted({i for ends in ranges for i in range(ends[0], ends[-1] + 1)})
 
@@ -190,7 +190,7 @@ def _same_campaign(path: Path, settings: dict) -> None:
         held = json_file.load(path, "campaign").tree
         other = [name for name in {**settings, **held} if held.get(name) != settings.get(name)]
         if other:
-            told = ", ".join(f"{n} {value_text(held.get(n))} (not {settings.get(n)!r})" for n in other)
+            told = ", ".join(f"{n} {short_repr(held.get(n))} (not {settings.get(n)!r})" for n in other)
             raise RigError(f"{path.parent} holds another campaign, with {told}")
     write_text(path, json.dumps(settings, indent=1) + "\n")
 
@@ -224,7 +224,7 @@ def _drawn_case(index: int, settings: dict, folder: Path) -> tuple[Callable[...,
         settings.get("images", False),
     )
     blind.write_recording(case, folder)
-    world, written = case.simulation.world, recording_folder.load(folder)
+    world, written = case.simulation.world, recording_folder.load_recording(folder)
     written = written if case.image_settings is None else replace(written, corners=blind.simulated_corners(case))
     values = platform_effect_strengths(written, world.true, case.noise, world.effects, case.simulation.sensors)[
         : len(case.hidden)

@@ -224,12 +224,12 @@ def _struts(
     )
     from calib.files.calibration_from_recording import calibration_with_provenance
     from calib.report.calibration_page import write_calibration_page
-    from rig.model.mechanism_kinds import hexapod_of, struts_of
+    from rig.model.mechanism_kinds import require_hexapod, require_struts
 
     if arguments.joint:
-        hexapod_of(recording.design.mechanism)
+        require_hexapod(recording.design.mechanism)
     samples = sampled.samples if taken is None else taken.samples
-    done = certify_platform(samples, struts_of(recording.design.mechanism), rng, progress)
+    done = certify_platform(samples, require_struts(recording.design.mechanism), rng, progress)
     if arguments.joint:
         from calib.correct.joint_camera_fit import refine_correction_with_cameras
 
@@ -333,11 +333,13 @@ def _arm(
     from calib.files.calibration_from_recording import calibration_with_provenance
     from calib.models.arm.calibration_page import write_arm_calibration_page
     from calib.models.arm.certification import arm_workspace_claim, certify_arm
-    from rig.model.mechanism_kinds import arm_of
+    from rig.model.mechanism_kinds import require_arm
 
     together = None if taken is None else taken.together
     samples = sampled.samples if together is None else together.samples
-    done = certify_arm(sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress, together)
+    done = certify_arm(
+        sampled.samples, require_arm(recording.design.mechanism), sampled.instrument, rng, progress, together
+    )
     claim = arm_workspace_claim(samples, done, rng)
     made = calibration_with_provenance(
         recording, sampled, done, claim, arguments.argv, None if taken is None else taken.with_geometry(done)
@@ -370,9 +372,9 @@ def _chain(
     from calib.files.calibration_from_recording import calibration_with_provenance
     from calib.models.chain.calibration_page import write_chain_calibration_page
     from calib.models.chain.certification import certify_chain, chain_workspace_claim
-    from rig.model.mechanism_kinds import chain_of
+    from rig.model.mechanism_kinds import require_chain
 
-    done = certify_chain(sampled.samples, chain_of(recording.design.mechanism), rng, progress)
+    done = certify_chain(sampled.samples, require_chain(recording.design.mechanism), rng, progress)
     claim = chain_workspace_claim(sampled.samples, done, rng)
     calibration = _stored(
         out[0],

@@ -25,7 +25,7 @@ def run(arguments: Namespace) -> None:
     """Write the catalogue of left-out physics as a document: all that `rig effects NAME` says of each, with a sketch
     that its model draws.
     """
-    from rig.effects.texts.catalogue_page import catalogue_markdown
+    from rig.effects.texts.catalogue_description import catalogue_markdown
     from rig.errors import RigError
     from rig.formats.output_files import write_text
     from rig.formats.output_files.atomic_file import is_written_directly

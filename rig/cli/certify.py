@@ -24,7 +24,7 @@ from rig.cli.shared.command_options import (
     require_matplotlib,
 )
 from rig.errors import RigError
-from rig.formats.number_parsing import parse_number
+from rig.formats.number_parsing_and_rounding import parse_number
 from rig.report.verdict import Evidence, exit_status
 
 if TYPE_CHECKING:

@@ -31,12 +31,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Say all that is wrong or unlikely with a recording, the most likely cause first; 1 where results would mean
     nothing.
     """
-    from rig.checks.recording_without_images import file_mistakes
+    from rig.checks.recording_files import recording_file_mistakes
     from rig.checks.unreadable_recording import unreadable_recording_mistakes
     from rig.recording import recording_folder as recordings
 
     try:
-        recording = recordings.load(arguments.recording)
+        recording = recordings.load_recording(arguments.recording)
     except FileError as error:
         return _say(
             arguments,
@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
                 Mistake(str(error), "Mend this first: nothing else could be looked at"),
             ),
         )
-    found = [*file_mistakes(recording)]
+    found = [*recording_file_mistakes(recording)]
     if any(one.spoils and one.proof >= CERTAIN for one in found):
         rest = Mistake("corners and poses were not looked at", "Mend what is wrong first and check again", False, 0.0)
         return _say(arguments, sort_mistakes([*found, rest]))

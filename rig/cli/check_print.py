@@ -48,11 +48,11 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Say which side the markers really have, and what to write into rig.toml."""
     from rig.formats.rig_toml import design_file
-    from rig.recording.exposures import read_image
+    from rig.recording.exposures_and_images import read_image
     from rig.recording.image_file_check import MOST_OF_A_PHOTOGRAPH
     from vision import printed_marker_size
 
-    design = design_file.load(arguments.design)
+    design = design_file.load_design(arguments.design)
     if not arguments.photo.is_file():
         raise FileError(arguments.photo, "no such file")
     try:

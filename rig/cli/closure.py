@@ -68,7 +68,7 @@ def run(arguments: Namespace) -> int:
     chosen = (
         _chosen(arguments.use, of)
         if arguments.use
-        else redundant_legs.best_six(of, redundant_legs.leg_closures(of, read, first).T_base_platform)
+        else redundant_legs.best_six_legs(of, redundant_legs.leg_closures(of, read, first).T_base_platform)
     )
     found = redundant_legs.leg_closures(of, read, chosen)
     _tell(of, found, frames, chosen, bool(arguments.use))
@@ -95,10 +95,10 @@ def _legs(arguments: Namespace, recording: Recording) -> tuple[Legs, np.ndarray,
     from calib.certify import measuring_limb_checks, measuring_limbs
     from calib.files import calibration_file
     from calib.online import measuring_limbs_file
-    from rig.model.mechanism_kinds import hexapod_of
+    from rig.model.mechanism_kinds import require_hexapod
     from rig.model.mechanisms import redundant_legs
 
-    machine, stated = hexapod_of(recording.design.mechanism), measuring_limbs.stated_limbs(recording.design)
+    machine, stated = require_hexapod(recording.design.mechanism), measuring_limbs.stated_limbs(recording.design)
     frames, lengths = measuring_limbs.limb_readings(recording)
     n = len(stated.channels)
     every, _, values = recording.commanded()
@@ -110,7 +110,7 @@ def _legs(arguments: Namespace, recording: Recording) -> tuple[Legs, np.ndarray,
         calibration.refuse_physics("closing legs")
         struts = (
             "l",
-            hexapod_of(calibration.correction.fitted),
+            require_hexapod(calibration.correction.fitted),
             np.hypot(calibration.scatter, EXACT),
             calibration.covariance,
         )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from rig.cli.shared import calibration_and_effect_files, poses_from_readings
 from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option, file_or_stdout
 from rig.errors import RigError, Unreachable
-from rig.formats.number_parsing import parse_numbers
+from rig.formats.number_parsing_and_rounding import parse_numbers
 
 if TYPE_CHECKING:
     import numpy as np

@@ -3,7 +3,7 @@
 from argparse import ArgumentParser, Namespace
 
 from rig.cli.shared.command_options import add_overwrite_option, file_or_stdout
-from rig.formats.number_parsing import parse_number, parse_whole_number
+from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -52,8 +52,8 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Write or print a rig.toml."""
     from rig.errors import RigError
-    from rig.planning.layout import hexapod_layout as layout
-    from rig.planning.layout import two_strut_layout
+    from rig.planning.layout import hexapod_and_two_strut_layout
+    from rig.planning.layout import hexapod_and_two_strut_layout as layout
 
     if arguments.arm is not None or arguments.mechanism == "arm":
         _shipped(arguments)
@@ -78,29 +78,30 @@ def run(arguments: Namespace) -> None:
     )
     _write(
         arguments,
-        layout.hexapod_layout(*figures, arguments.limbs)
+        layout.hexapod_layout_rig_toml(*figures, arguments.limbs)
         if kind == "hexapod"
-        else two_strut_layout.two_strut_layout(*figures),
+        else hexapod_and_two_strut_layout.two_strut_layout_rig_toml(*figures),
     )
 
 
 def _shipped(arguments: Namespace) -> None:
     """Write or print the rig.toml of a shipped arm."""
     from rig.errors import RigError
-    from rig.planning.layout import shipped_arms
+    from rig.planning.layout import shipped_arm_layout
 
     if arguments.arm is None:
         raise RigError(
-            f"--mechanism arm takes --arm with the name of a shipped one: {', '.join(shipped_arms.shipped_arm_names())}"
+            "--mechanism arm takes --arm with the name of a shipped one: "
+            f"{', '.join(shipped_arm_layout.shipped_arm_names())}"
         )
     if arguments.mechanism in ("hexapod", "planar2") or arguments.radius is not None:
         raise RigError(
             f"--arm brings its own figures; --mechanism {arguments.mechanism or 'hexapod'} and --radius are for struts"
         )
     if arguments.seen is None:
-        _write(arguments, shipped_arms.shipped_arm_rig_toml(arguments.arm))
+        _write(arguments, shipped_arm_layout.shipped_arm_rig_toml(arguments.arm))
         return
-    from rig.planning.layout.arm_layout import arm_layout as layout
+    from rig.planning.layout.shipped_arm_layout import arm_layout_rig_toml as layout
 
     _write(
         arguments,

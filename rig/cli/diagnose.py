@@ -92,7 +92,7 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Diagnose a recording and write what was found."""
     from rig.effects.texts.effect_text import require_known_effect
-    from rig.recording import data_provenance
+    from rig.recording import frame_content_hashes
 
     experiment_planning.refuse_invalid_experiment_options(arguments)
     progress = Progress()
@@ -122,7 +122,7 @@ def run(arguments: Namespace) -> None:
             progress,
         )
     )
-    arguments.outputs.data = data_provenance.mark_lines(data_provenance.content_marks(recording))
+    arguments.outputs.data = frame_content_hashes.hash_lines(frame_content_hashes.content_hashes(recording))
     arguments.result = json.loads((out / "diagnosis.json").read_text())
     print(f"written: {arguments.out / 'diagnosis.json'}; look at {arguments.out / 'diagnosis.html'}")
 
@@ -133,7 +133,7 @@ def _given(arguments: Namespace, recording: Recording, kinds: Kinds) -> StatedTe
     """
     from calib.diagnose.engine.selection_inputs import StatedTerms
     from calib.diagnose.report.diagnosis_json import UNKNOWN
-    from rig.effects.texts.effect_text import parse_place
+    from rig.effects.texts.effect_text import parse_effect_and_place
 
     before = []
     if arguments.before is not None:
@@ -147,10 +147,12 @@ def _given(arguments: Namespace, recording: Recording, kinds: Kinds) -> StatedTe
                 )
             if name in kinds and not kinds[name].discrete:
                 try:
-                    before.append(parse_place(f"{name} {place}", recording.design, kinds))
+                    before.append(parse_effect_and_place(f"{name} {place}", recording.design, kinds))
                 except RigError as error:
                     raise RigError(f"{path} is of another rig: {error}") from None
-    return StatedTerms(tuple(parse_place(text, recording.design, kinds) for text in arguments.assume), tuple(before))
+    return StatedTerms(
+        tuple(parse_effect_and_place(text, recording.design, kinds) for text in arguments.assume), tuple(before)
+    )
 
 
 def _said(arguments: Namespace) -> tuple[str, ...]:
@@ -254,10 +256,10 @@ def _of_calibrations(
     """
     from calib.certify.calibration_evidence import OfCalibrations
     from calib.diagnose.calibration_left_out_physics import refuted_calibrations, unexplained_and_refuted_calibrations
-    from rig.recording import data_provenance
+    from rig.recording import frame_content_hashes
 
     of, paths = (
-        data_provenance.content_marks(recording),
+        frame_content_hashes.content_hashes(recording),
         calibration_and_effect_files.neighbouring_json_files(recording.folder, arguments.out),
     )
     refuted = []

@@ -46,13 +46,13 @@ def run(arguments: Namespace) -> None:
     from shutil import get_terminal_size
 
     from rig.cli.shared.argument_parser import suggestion_text
-    from rig.effects.texts.catalogue_listing import effect_description, effect_dict, effect_table
+    from rig.effects.texts.catalogue_description import effect_description, effect_description_dict, effect_table
 
     width = get_terminal_size((160, 24)).columns
     known = calibration_and_effect_files.known_effects(calibration_and_effect_files.load_effect_files(arguments))
     if arguments.name is None:
         if arguments.json:
-            print_json([effect_dict(effect) for effect in known.values()])
+            print_json([effect_description_dict(effect) for effect in known.values()])
         else:
             print(effect_table(known.values(), width), end="")
         return
@@ -62,7 +62,7 @@ def run(arguments: Namespace) -> None:
         )
     effect = known[arguments.name]
     if arguments.json:
-        print_json(effect_dict(effect))
+        print_json(effect_description_dict(effect))
     else:
         print(effect_description(effect, width), end="")
 
@@ -70,12 +70,12 @@ def run(arguments: Namespace) -> None:
 def _new(arguments: Namespace) -> None:
     """Write a file with a new effect: as a diagnosis suggests it, or an example."""
     from rig.effects.texts.formula_effect_file import EXAMPLE
-    from rig.effects.texts.user_effect_files import of_source, unnamed
+    from rig.effects.texts.user_effect_files import effect_name_problem, effects_of_source
     from rig.formats.output_files import write_text
 
     if arguments.name is not None or arguments.json:
         raise RigError("--new writes a file; leave out NAME and --json")
-    problem = unnamed(arguments.new)
+    problem = effect_name_problem(arguments.new)
     if problem:
         raise RigError(f"--new {problem}")
     if arguments.place is not None and arguments.source is None:
@@ -83,7 +83,7 @@ def _new(arguments: Namespace) -> None:
     place, formula = ("strut 1", EXAMPLE) if arguments.source is None else _suggested(arguments.source, arguments.place)
     path = Path(f"{arguments.new}.py") if arguments.out is None else arguments.out
     out, source = arguments.outputs.file(path), formula.source(arguments.new)
-    (kind,) = of_source(source, path)
+    (kind,) = effects_of_source(source, path)
     write_text(out, source)
     values = ",".join(f"{name}={value:.6g}" for name, value in formula.values.items())
     print(

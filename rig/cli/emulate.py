@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.errors import RigError
-from rig.formats.number_parsing import parse_number, parse_numbers, parse_whole_number
+from rig.formats.number_parsing_and_rounding import parse_number, parse_numbers, parse_whole_number
 
 if TYPE_CHECKING:
     from rig.cli.shared.child_processes import EmulatedCameraProcess
@@ -83,27 +83,25 @@ def run(arguments: Namespace) -> None:
         return
     from rig.driving import emulators
     from rig.driving.clock import SystemClock
-    from rig.driving.emulators import terminal_and_tcp_server
+    from rig.driving.emulators import emulator_ports
 
     clock = SystemClock()
     if arguments.truth and not arguments.cameras:
         raise RigError("--truth is for --cameras, which show what is true")
     emulator = emulator_of_arguments(arguments, clock)
     wire = (
-        terminal_and_tcp_server.Tcp(_address(arguments.tcp, "--tcp"))
+        emulator_ports.Tcp(_address(arguments.tcp, "--tcp"))
         if arguments.tcp is not None
-        else terminal_and_tcp_server.Terminal(arguments.link)
+        else emulator_ports.Terminal(arguments.link)
     )
     kept = tempfile.TemporaryDirectory(prefix="rig-emulate-")  # of what the cameras follow, where nobody else wants it
     followed = arguments.history or (Path(kept.name) / "history.csv" if arguments.cameras else None)
-    history = emulators.History(emulator, followed) if followed else None
+    history = emulators.TrueCommandsLog(emulator, followed) if followed else None
     cameras = _cameras(arguments, followed) if followed and arguments.cameras else None
     for ending in (signal.SIGINT, signal.SIGTERM):  # a shell's background job ignores the first
         signal.signal(ending, signal.default_int_handler)
     try:
-        terminal_and_tcp_server.serve_emulator(
-            emulator, wire, lambda: True, _say, history.record if history else lambda: None
-        )
+        emulator_ports.serve_emulator(emulator, wire, lambda: True, _say, history.record if history else lambda: None)
     except KeyboardInterrupt:
         print(
             f"{len(emulator.machine.executed)} moves carried out; faults: {', '.join(emulator.faults.struck) or 'none'}"
@@ -138,7 +136,7 @@ def emulator_of_arguments(arguments: Namespace, clock: Clock) -> Emulator:
 
     if not arguments.speed > 0:
         raise RigError(f"--speed must be above 0, not {arguments.speed:g}")
-    design = design_file.load(arguments.design)
+    design = design_file.load_design(arguments.design)
     if design.controller is None:
         raise RigError(f"{arguments.design} has no [controller]; its speeds and zeros are what an emulator needs")
     if arguments.protocol:

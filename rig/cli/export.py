@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option, file_or_stdout
 from rig.errors import RigError
-from rig.formats.number_parsing import parse_number, parse_whole_number
+from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
 if TYPE_CHECKING:
     from rig.model.design import Arm, Hexapod
@@ -91,7 +91,7 @@ def run(arguments: Namespace) -> None:
 
 def _export(arguments: Namespace) -> list[str]:
     """Write or print what is asked for; what it leaves out of a calibration, in words, which is said."""
-    from rig.model.mechanism_kinds import arm_of, hexapod_of
+    from rig.model.mechanism_kinds import require_arm, require_hexapod
 
     if arguments.format in TABLES:
         _tables(arguments)
@@ -99,7 +99,12 @@ def _export(arguments: Namespace) -> list[str]:
     if arguments.format in CAMERAS or arguments.format in SEEN:
         (_cameras if arguments.format in CAMERAS else _seen)(arguments)
         return []
-    from rig.formats.exporters import arm_urdf, geometry_json_and_csv, hexapod_sdf, hexapod_urdf, linuxcnc_genhexkins
+    from rig.formats.exporters import (
+        arm_urdf,
+        geometry_json_and_csv,
+        hexapod_urdf_and_sdf,
+        linuxcnc_and_compensation_tables,
+    )
     from rig.formats.output_files import write_text
 
     mechanism, left_out, lead = _machine(arguments.machine)
@@ -130,17 +135,17 @@ def _export(arguments: Namespace) -> list[str]:
         )
     out = arguments.outputs.file(arguments.out) if arguments.out else None
     text = {
-        "genhexkins": lambda: linuxcnc_genhexkins.genhexkins_settings(
-            hexapod_of(mechanism), arguments.units, lead, arguments.coupling
+        "genhexkins": lambda: linuxcnc_and_compensation_tables.genhexkins_settings(
+            require_hexapod(mechanism), arguments.units, lead, arguments.coupling
         ),
         "urdf": lambda: (
-            arm_urdf.arm_urdf(arm_of(mechanism), arguments.machine.stem)
+            arm_urdf.arm_urdf(require_arm(mechanism), arguments.machine.stem)
             if mechanism.kind == "arm"
-            else hexapod_urdf.hexapod_urdf(hexapod_of(mechanism), arguments.machine.stem)
+            else hexapod_urdf_and_sdf.hexapod_urdf(require_hexapod(mechanism), arguments.machine.stem)
         ),
-        "sdf": lambda: hexapod_sdf.hexapod_sdf(hexapod_of(mechanism), arguments.machine.stem),
-        "json": lambda: geometry_json_and_csv.as_json(_exported(mechanism)),
-        "csv": lambda: geometry_json_and_csv.as_csv(_exported(mechanism)),
+        "sdf": lambda: hexapod_urdf_and_sdf.hexapod_sdf(require_hexapod(mechanism), arguments.machine.stem),
+        "json": lambda: geometry_json_and_csv.geometry_json(_exported(mechanism)),
+        "csv": lambda: geometry_json_and_csv.geometry_csv(_exported(mechanism)),
     }[arguments.format]()
     for line in left_out:
         print(f"rig export: {line}; use `rig correct` where it matters", file=sys.stderr)
@@ -158,7 +163,7 @@ def _tables(arguments: Namespace) -> None:
 
     from calib.correct.correction_tables import axis_correction_tables, grid_correction_table
     from calib.files import calibration_file
-    from rig.formats.exporters import compensation_tables
+    from rig.formats.exporters import linuxcnc_and_compensation_tables
     from rig.formats.output_files import write_text
     from rig.model import mechanisms
 
@@ -169,14 +174,14 @@ def _tables(arguments: Namespace) -> None:
     if mechanism.kind == "arm":
         raise RigError(f"{arguments.format} takes a hexapod's calibration; an arm's is corrected by `rig correct`")
     parts = arguments.parts if arguments.parts is not None else 3 if arguments.format == "grid" else 64
-    most = 9 if arguments.format == "grid" else compensation_tables.MOST - 1
+    most = 9 if arguments.format == "grid" else linuxcnc_and_compensation_tables.MOST - 1
     if not 1 <= parts <= most:
         raise RigError(f"--parts is 1 to {most} for {arguments.format}, not {parts}")
     if arguments.format == "grid":
         out = arguments.outputs.file(arguments.out)
         write_text(
             out,
-            compensation_tables.grid(
+            linuxcnc_and_compensation_tables.correction_grid_csv(
                 *grid_correction_table(correction, parts), mechanism.axes, mechanisms.kinematics_of(mechanism).UNIT
             ),
         )
@@ -190,7 +195,9 @@ def _tables(arguments: Namespace) -> None:
     for i, (levels, trims) in enumerate(zip(found.levels, found.trims)):
         write_text(
             folder / f"joint_{i}.comp",
-            compensation_tables.linuxcnc(levels + correction.fitted.strut_zeros[i], trims, arguments.units),
+            linuxcnc_and_compensation_tables.linuxcnc_compensation_file(
+                levels + correction.fitted.strut_zeros[i], trims, arguments.units
+            ),
         )
     print(
         f"COMP_FILE_TYPE = 0, units {arguments.units}, on top of genhexkins with the calibration's geometry; "
@@ -207,7 +214,7 @@ def _cameras(arguments: Namespace) -> None:
 
     if arguments.machine.suffix != ".toml" or arguments.out is None:
         raise RigError(f"{arguments.format} takes a rig.toml, as `rig measure` writes it too, and --out DIR")
-    found = design_file.load(arguments.machine).cameras
+    found = design_file.load_design(arguments.machine).cameras
     if not found:
         raise RigError(f"{arguments.machine} has no cameras")
     texts = {
@@ -226,13 +233,13 @@ def _cameras(arguments: Namespace) -> None:
 
 def _seen(arguments: Namespace) -> None:
     """Write the poses or the tables of a recording."""
-    from rig.formats.exporters import tum_trajectory
+    from rig.formats.exporters import recording_as_rerun_tum_parquet
     from rig.formats.output_files import write_bytes, write_text
     from rig.recording import recording_folder as recordings
 
-    found = recordings.load(arguments.machine)
+    found = recordings.load_recording(arguments.machine)
     if arguments.format == "tum":
-        text = tum_trajectory.tum_trajectory(found)
+        text = recording_as_rerun_tum_parquet.tum_trajectory(found)
         if arguments.out is None:
             print(text, end="")
             return
@@ -241,7 +248,7 @@ def _seen(arguments: Namespace) -> None:
         return
     if arguments.out is None:
         raise RigError("parquet takes --out DIR")
-    files = tum_trajectory.parquet_tables(arguments.machine)
+    files = recording_as_rerun_tum_parquet.parquet_tables(arguments.machine)
     folder = arguments.outputs.folder(arguments.out)
     for name, data in files.items():
         write_bytes(folder / f"{name}.parquet", data)
@@ -255,7 +262,7 @@ def _machine(path: Path) -> tuple[Mechanism, list[str], float | None]:
     if path.suffix == ".toml":
         from rig.formats.rig_toml import design_file
 
-        design = design_file.load(path)
+        design = design_file.load_design(path)
         return design.mechanism, [], design.actuator.screw_lead
     from calib.files import calibration_file
 
@@ -275,6 +282,6 @@ def _machine(path: Path) -> tuple[Mechanism, list[str], float | None]:
 
 def _exported(mechanism: Mechanism) -> Hexapod | Arm:
     """The mechanism, which has a geometry that can be written."""
-    from rig.model.mechanism_kinds import arm_of, hexapod_of
+    from rig.model.mechanism_kinds import require_arm, require_hexapod
 
-    return arm_of(mechanism) if mechanism.kind == "arm" else hexapod_of(mechanism)
+    return require_arm(mechanism) if mechanism.kind == "arm" else require_hexapod(mechanism)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from rig.cli.shared import calibration_and_effect_files
 from rig.cli.shared.command_options import add_json_result_option, add_port_options
 from rig.errors import RigError
-from rig.formats.number_parsing import parse_number, parse_numbers
+from rig.formats.number_parsing_and_rounding import parse_number, parse_numbers
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -56,7 +56,7 @@ def run(arguments: Namespace) -> None:
     from calib.correct.correction import require_reachable
     from rig.cli.shared.controller_session import design_with_controller, lengths_text, open_driver, print_status
     from rig.model import mechanisms
-    from rig.model.mechanism_kinds import hexapod_of
+    from rig.model.mechanism_kinds import require_hexapod
     from rig.model.pose import pose_to_vector
 
     if not 0 < arguments.speed <= 1:
@@ -67,11 +67,11 @@ def run(arguments: Namespace) -> None:
     )
     calibration_and_effect_files.read_refutations(arguments.calibration)
     correction = calibration.correction
-    _same(correction.nominal, hexapod_of(design.mechanism), arguments)
+    _same(correction.nominal, require_hexapod(design.mechanism), arguments)
     wanted = parse_pose(arguments.pose)
     home = mechanisms.kinematics_of(correction.nominal).home(correction.nominal)
     lengths = correction.uncorrected(wanted) if arguments.uncorrected else _lengths(calibration, wanted, home)
-    require_reachable(np.array([lengths]), hexapod_of(design.mechanism), ["the pose"])
+    require_reachable(np.array([lengths]), require_hexapod(design.mechanism), ["the pose"])
     print(
         f"to command: {lengths_text(lengths)}, which is "
         f"{lengths_text(lengths - correction.uncorrected(wanted))} off the owner's model"
@@ -89,7 +89,7 @@ def run(arguments: Namespace) -> None:
             driver.trust()
         if calibration.physics is not None and not arguments.uncorrected:  # from where it stands, not from home
             lengths = _lengths(calibration, wanted, driver.status().lengths)
-            require_reachable(np.array([lengths]), hexapod_of(design.mechanism), ["the pose"])
+            require_reachable(np.array([lengths]), require_hexapod(design.mechanism), ["the pose"])
         driver.move(lengths, arguments.speed)
         status = driver.status()
         print_status(status, design)

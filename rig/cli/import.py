@@ -73,7 +73,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Make a recording out of foreign files, say what was assumed, and keep it as a recipe."""
-    from rig.checks.recording_without_images import file_mistakes
+    from rig.checks.recording_files import recording_file_mistakes
     from rig.formats import importers
     from rig.formats.output_files import write_text
 
@@ -86,9 +86,9 @@ def run(arguments: argparse.Namespace) -> None:
         raise RigError("--rig rig.toml says what rig the files are of; `rig design` lays one out")
     settings = tuple(arguments.settings)
     recipe = (
-        importers.load(arguments.recipe, settings)
+        importers.load_recipe(arguments.recipe, settings)
         if arguments.recipe is not None
-        else importers.recipe_of_arguments(
+        else importers.recipe_of_options(
             arguments.rig, arguments.images, given, settings, arguments.cameras or (), arguments.bag or ()
         )
     )
@@ -98,12 +98,14 @@ def run(arguments: argparse.Namespace) -> None:
         return
     out = arguments.outputs.folder(arguments.out)
     with tempfile.TemporaryDirectory(prefix="rig-bag-") as unpacked:
-        imported = importers.assemble(importers.unpacked(recipe, Path(unpacked)), arguments.skip_unreadable)
-        importers.write(imported, out)
+        imported = importers.assemble_recording(
+            importers.unpack_recipe_bags(recipe, Path(unpacked)), arguments.skip_unreadable
+        )
+        importers.write_recording(imported, out)
     kept = arguments.out.parent / f"{arguments.out.name}.import.toml"
     if arguments.recipe is None:
-        write_text(arguments.outputs.file(kept), importers.text(imported.recipe, kept.parent))
-    remarks = file_mistakes(_loaded(out, arguments.out))
+        write_text(arguments.outputs.file(kept), importers.recipe_toml(imported.recipe, kept.parent))
+    remarks = recording_file_mistakes(_loaded(out, arguments.out))
     _say(imported)
     arguments.result = _result(
         imported, [str(remark) for remark in remarks], kept if arguments.recipe is None else arguments.recipe
@@ -154,7 +156,7 @@ def _rig(arguments: argparse.Namespace, recipe: "Recipe") -> None:
             "folder, --out REC"
         )
     out = arguments.outputs.file(arguments.out)
-    design, text, said = importers.with_cameras(recipe)
+    design, text, said = importers.design_with_imported_cameras(recipe)
     write_text(out, text or "")
     arguments.result = {
         "schema": "imported/1",
@@ -171,7 +173,7 @@ def _loaded(folder: Path, place: Path) -> "Recording":
     from rig.recording import recording_folder
 
     try:
-        return recording_folder.load(folder)
+        return recording_folder.load_recording(folder)
     except RigError as error:
         raise RigError(f"what was imported is no recording: {str(error).replace(str(folder), str(place))}") from None
 

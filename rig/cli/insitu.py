@@ -19,7 +19,7 @@ from rig.cli.shared.command_options import (
     read_recording,
 )
 from rig.errors import RigError
-from rig.formats.number_parsing import parse_number
+from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
     import numpy as np

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rig.cli.shared.command_options import SEED, add_json_result_option
 from rig.cli.shared.investigation_execution import InvestigationMachine, Waiting, certify_investigation
 from rig.errors import RigError
-from rig.formats.number_parsing import parse_whole_number
+from rig.formats.number_parsing_and_rounding import parse_whole_number
 
 if TYPE_CHECKING:
     from calib.experiment.investigation_folder import Look
@@ -88,7 +88,7 @@ def run(arguments: Namespace) -> int:
     from calib.experiment.investigation_report import investigation_verdict
     from rig.formats.rig_toml import design_file
 
-    design = design_file.load(arguments.design)
+    design = design_file.load_design(arguments.design)
     if design.mechanism.kind not in ("hexapod", "planar2", "arm"):
         raise RigError(
             "an investigation is of a platform on struts or of an arm, not of a mechanism of kind "
@@ -154,7 +154,7 @@ def _begin(arguments: Namespace, rig: InvestigationMachine) -> None:
     from rig.formats import json_file
     from rig.formats.output_files import write_bytes, write_text
     from rig.planning.plan import build_plan
-    from rig.planning.plan_table import write_plan
+    from rig.planning.plan_construction_and_table import write_plan_table
 
     out, own = arguments.out, {"schema": "investigation/1", "rig": rig.digest, "by": rig.by, "seed": arguments.seed}
     if arguments.resume:
@@ -175,7 +175,7 @@ def _begin(arguments: Namespace, rig: InvestigationMachine) -> None:
     except OSError as error:
         raise RigError(f"{out} cannot be made: {error.strerror}") from None
     write_bytes(out / "rig.toml", arguments.design.read_bytes())
-    write_plan(plan_path(out, 1), plan, rig.design.mechanism.axes)
+    write_plan_table(plan_path(out, 1), plan, rig.design.mechanism.axes)
     write_text(out / STATE, json.dumps(own, indent=1) + "\n")
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rig.cli.shared.command_options import add_controller_arguments
 from rig.errors import PositionLost, RigError
-from rig.formats.number_parsing import parse_number, parse_numbers, parse_whole_number
+from rig.formats.number_parsing_and_rounding import parse_number, parse_numbers, parse_whole_number
 
 if TYPE_CHECKING:
     import numpy as np

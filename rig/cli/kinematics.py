@@ -60,11 +60,11 @@ def run(arguments: Namespace) -> None:
 
 def _arm(text: str) -> tuple[Arm, ArmCorrection | None]:
     """(Arm as its owner believes it, its correction or None)."""
-    from rig.model.mechanism_kinds import arm_of
-    from rig.planning.layout import shipped_arms
+    from rig.model.mechanism_kinds import require_arm
+    from rig.planning.layout import shipped_arm_layout
 
     if Path(text).suffix != ".json":
-        return arm_of(shipped_arms.load_shipped_arm(text).mechanism), None
+        return require_arm(shipped_arm_layout.load_shipped_arm(text).mechanism), None
 
     from calib.files import calibration_file
     from calib.models.arm.correction import ArmCorrection
@@ -105,7 +105,7 @@ def _forward(
         }
         if correction is not None:
             entry["corrected"] = pose_to_vector(correction.predict(q[i])).tolist()
-        out.append(entry | ({"steps": _steps(arm_kinematics_steps.forward(q[i], arm))} if steps else {}))
+        out.append(entry | ({"steps": _steps(arm_kinematics_steps.forward_steps(q[i], arm))} if steps else {}))
     return {"schema": "kinematics/1", "units": list(mechanisms.axis_units(arm)), "frames": out}
 
 
@@ -116,10 +116,10 @@ def _near_singular(q: np.ndarray, arm: Arm) -> float:
     import numpy as np
 
     from rig.model.mechanisms import arm as mechanism
-    from rig.model.mechanisms import deficient_arm
+    from rig.model.mechanisms import numerical_arm_inverse
 
     values = np.linalg.svd(mechanism.jacobian(q, arm), compute_uv=False)
-    return float(values[sum(deficient_arm.reachable_directions(arm)) - 1] / values[0])
+    return float(values[sum(numerical_arm_inverse.reachable_direction_counts(arm)) - 1] / values[0])
 
 
 def _inverse(
@@ -159,7 +159,7 @@ def _closed(T: RigidTransform, form: SixR, steps: bool) -> tuple[str, list[dict[
         {
             "q": q.tolist(),
             "singular": _singular(flags),
-            **({"steps": _steps(arm_kinematics_steps.inverse(T, form, q))} if steps else {}),
+            **({"steps": _steps(arm_kinematics_steps.inverse_steps(T, form, q))} if steps else {}),
         }
         for q, flags in zip(found.q[found.there], found.singular[found.there].tolist())
     ]
@@ -170,7 +170,7 @@ def _numeric(T: RigidTransform, arm: Arm, steps: bool) -> tuple[str, list[dict[s
     leave of it.
     """
     from rig.model.mechanisms import arm_kinematics_steps
-    from rig.model.mechanisms.arm_inverse_search import inverse_solutions
+    from rig.model.mechanisms.numerical_arm_inverse import inverse_solutions
 
     found = inverse_solutions(T, arm)
     if not len(found.q):
@@ -181,7 +181,7 @@ def _numeric(T: RigidTransform, arm: Arm, steps: bool) -> tuple[str, list[dict[s
             "singular": "singular" if _near_singular(q, arm) < SINGULAR else "",
             "rest": rest.tolist(),
             "found": "numerically",
-            **({"steps": _steps(arm_kinematics_steps.inverse_steps_of_solution(T, arm, q))} if steps else {}),
+            **({"steps": _steps(arm_kinematics_steps.inverse_steps_of_numerical_solution(T, arm, q))} if steps else {}),
         }
         for q, rest in zip(found.q, found.rest)
     ]
@@ -195,7 +195,7 @@ def _beyond(q: list[float], arm: Arm) -> list[str]:
     from rig.model import mechanisms
     from rig.model.mechanisms import arm as mechanism
 
-    beyond = mechanism.limits(mechanism.nearest_turn(np.array(q), arm, np.zeros(len(q))), arm)
+    beyond = mechanism.limits(mechanism.nearest_equivalent_angles(np.array(q), arm, np.zeros(len(q))), arm)
     return [place for place, by in zip(mechanisms.axis_places(arm), beyond) if by]
 
 

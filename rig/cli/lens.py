@@ -52,11 +52,11 @@ def run(arguments: Namespace) -> None:
 
     from calib.report.lens_page import lens_verdict, write_lens_page
     from rig.formats.output_files import write_text
-    from rig.formats.rig_toml.design_text_edits import camera_block
+    from rig.formats.rig_toml.design_text_edits import camera_toml
     from vision.lenses.board_photographs import calibrate_photographs
 
     found = calibrate_photographs(paths, board, arguments.name, Progress())
-    block = camera_block(found.fit.camera)
+    block = camera_toml(found.fit.camera)
     for path, reason in found.left_out:
         print(f"left out: {path}: {reason}", file=sys.stderr)
     print(

@@ -50,8 +50,8 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Measure a recording and write what was measured."""
-    from rig.formats.rig_toml.design_text_edits import with_cameras, with_places
-    from rig.recording import data_provenance, recording_tables
+    from rig.formats.rig_toml.design_text_edits import replace_cameras, replace_target_markers
+    from rig.recording import frame_content_hashes, recording_tables
     from rig.recording import recording_folder as recordings
 
     free, progress = _free(arguments.hold), Progress()
@@ -62,10 +62,10 @@ def run(arguments: Namespace) -> None:
         recording_checks.check_recording(recording, arguments.anyway)
         _by_limbs(arguments, recording, progress)
         return
-    with data_provenance.content_marks_in_background(recording) as marks:
+    with frame_content_hashes.start_content_hashing(recording) as marks:
         look = recording_checks.check_recording(recording, arguments.anyway)
         out = arguments.outputs.folder(arguments.out)
-        arguments.outputs.data = data_provenance.mark_lines(marks())
+        arguments.outputs.data = frame_content_hashes.hash_lines(marks())
 
     from calib.report.measurement_page import MeasurementResult, write_measurement_page
     from vision.bundle.held_out_frames import crossvalidate
@@ -88,13 +88,15 @@ def run(arguments: Namespace) -> None:
         as_seen, determination = invert_measurement(measured), determination.from_the_hand()
     look_at = image_reader(seen) if any(recording.exposures.image) else None
     wrong = suspects(as_seen, marker_map(seen.design), collected.repeated if collected else (), look_at)
-    text = with_cameras(read_text(recording.folder / "rig.toml"), measured.design.cameras)
-    recording_tables.write_text(out / "rig.toml", with_places(text, adjusted_markers(measured)) if moved else text)
+    text = replace_cameras(read_text(recording.folder / "rig.toml"), measured.design.cameras)
+    recording_tables.write_text(
+        out / "rig.toml", replace_target_markers(text, adjusted_markers(measured)) if moved else text
+    )
     poses = recordings.Poses(measured.frames, measured.T_base_platform, measured.covariance)
     recording_tables.write_poses(out / "poses.csv", poses)
-    recording_tables.write_angles(out / "rpy.csv", poses)
+    recording_tables.write_poses_as_roll_pitch_yaw(out / "rpy.csv", poses)
     recording_tables.write_corners(out / "corners.csv", measured.corners())
-    recording_tables.copy_times(recording.folder, out, recording.exposures, recording.origin)
+    recording_tables.copy_frames_commands_and_sensors(recording.folder, out, recording.exposures, recording.origin)
     told = MeasurementResult(recording, measured, held, collected, moved, determination.lines(), wrong)
     write_measurement_page(out / "report.html", told, page_links(arguments, arguments.out / "report.html"))
     _print_result(arguments, told, out)
@@ -164,19 +166,19 @@ def _by_limbs(arguments: Namespace, recording: Recording, progress: Progress) ->
     adjusted.
     """
     from calib.samples.pose_samples import rms_uncertainty
-    from rig.recording import data_provenance, recording_tables
+    from rig.recording import frame_content_hashes, recording_tables
     from rig.recording.corner_and_pose_tables import Poses
 
     if arguments.hold or arguments.detect or arguments.places != "auto":
         raise RigError("--hold, --places and --detect are about cameras and what they see; leave them out with --limbs")
     found, accepted = poses_from_readings.checked_limb_poses(arguments, recording, progress)
     out = arguments.outputs.folder(arguments.out)
-    arguments.outputs.data = data_provenance.mark_lines(data_provenance.content_marks(recording))
+    arguments.outputs.data = frame_content_hashes.hash_lines(frame_content_hashes.content_hashes(recording))
     recording_tables.write_bytes(out / "rig.toml", read_bytes(recording.folder / "rig.toml"))
     poses = Poses(found.frames, found.T_base_platform, found.covariance)
     recording_tables.write_poses(out / "poses.csv", poses)
-    recording_tables.write_angles(out / "rpy.csv", poses)
-    recording_tables.copy_times(recording.folder, out, recording.exposures, recording.origin)
+    recording_tables.write_poses_as_roll_pitch_yaw(out / "rpy.csv", poses)
+    recording_tables.copy_frames_commands_and_sensors(recording.folder, out, recording.exposures, recording.origin)
     position, rotation = rms_uncertainty(found.covariance)
     print(
         f"poses to {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad (standard uncertainty, RMS), of "

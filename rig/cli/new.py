@@ -39,7 +39,7 @@ def run(arguments: Namespace) -> None:
     nobody is there.
     """
     from rig.formats.output_files import write_text
-    from rig.planning.layout import shipped_arms
+    from rig.planning.layout import shipped_arm_layout
 
     out = arguments.out / "rig.toml"
     there = arguments.out.is_dir()
@@ -59,12 +59,12 @@ def run(arguments: Namespace) -> None:
         name = _answer(
             arguments,
             "arm",
-            f"Which arm? {', '.join(shipped_arms.shipped_arm_names())}",
+            f"Which arm? {', '.join(shipped_arm_layout.shipped_arm_names())}",
             None,
-            _one_of(shipped_arms.shipped_arm_names()),
+            _one_of(shipped_arm_layout.shipped_arm_names()),
         )
         text, seen = (
-            shipped_arms.shipped_arm_rig_toml(name),
+            shipped_arm_layout.shipped_arm_rig_toml(name),
             "its poses come from an instrument; see [instrument] in it",
         )
     else:
@@ -95,7 +95,7 @@ def _index(folder: Path) -> None:
 
 def _with_struts(arguments: Namespace, kind: str) -> tuple[str, str]:
     """(text of a rig.toml of struts, what is said of it)."""
-    from rig.planning.layout import hexapod_layout, two_strut_layout
+    from rig.planning.layout import hexapod_and_two_strut_layout
 
     question = (
         "How large? radius of the circle of base joints"
@@ -105,7 +105,11 @@ def _with_struts(arguments: Namespace, kind: str) -> tuple[str, str]:
     radius = _answer(arguments, "radius", f"{question}, with its unit, as 300mm", None, parse_length)
     cameras = _answer(arguments, "cameras", "How many cameras look at it?", CAMERAS, _count)
     width, height = _answer(arguments, "size", "How large are their images, px?", SIZE, _size)
-    make = hexapod_layout.hexapod_layout if kind == "hexapod" else two_strut_layout.two_strut_layout
+    make = (
+        hexapod_and_two_strut_layout.hexapod_layout_rig_toml
+        if kind == "hexapod"
+        else hexapod_and_two_strut_layout.two_strut_layout_rig_toml
+    )
     return make(radius, cameras, width, height), f"{cameras} cameras and cubes stand where they see each other well"
 
 

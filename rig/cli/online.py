@@ -109,10 +109,10 @@ def _of_calibrations(arguments: Namespace, recording: Recording, calibration: Ca
     """
     from calib.certify.calibration_evidence import calibration_evidence
     from calib.diagnose.calibration_left_out_physics import unexplained_and_refuted_calibrations
-    from rig.recording.data_provenance import content_marks
+    from rig.recording.frame_content_hashes import content_hashes
 
     beside = unexplained_and_refuted_calibrations(
-        content_marks(recording), calibration_and_effect_files.neighbouring_json_files(recording.folder), True
+        content_hashes(recording), calibration_and_effect_files.neighbouring_json_files(recording.folder), True
     )
     if calibration is None:
         return beside
@@ -155,10 +155,10 @@ def learn_recording(
     from calib.online.information_filter import Online
     from calib.report.online_and_limb_pages import online_verdict
     from calib.samples.confounded_conditions import confounds_of_recordings
-    from rig.model.mechanism_kinds import hexapod_of
-    from rig.recording.data_provenance import content_marks, marks_of_frames
+    from rig.model.mechanism_kinds import require_hexapod
+    from rig.recording.frame_content_hashes import content_hashes, hashes_of_frames
 
-    of, mechanism = content_marks(recording), hexapod_of(recording.design.mechanism)
+    of, mechanism = content_hashes(recording), require_hexapod(recording.design.mechanism)
     learnt = (
         known.data
         if known is not None
@@ -176,9 +176,9 @@ def learn_recording(
     learner = known or (
         Online(mechanism, shared)
         if calibration is None
-        else Online(hexapod_of(calibration.correction.fitted), shared, calibration.scatter, calibration.covariance)
+        else Online(require_hexapod(calibration.correction.fitted), shared, calibration.scatter, calibration.covariance)
     )
-    learner.data = learnt | set(marks_of_frames(of, fresh))
+    learner.data = learnt | set(hashes_of_frames(of, fresh))
     commands = samples.commanded - (0 if calibration is None else calibration.correction.rho(samples.commanded))
     updates = []
     for x, T, C, B in zip(commands, samples.T_base_platform, samples.covariance, samples.common):

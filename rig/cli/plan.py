@@ -19,7 +19,7 @@ from rig.cli.shared.command_options import (
 )
 from rig.cli.shared.experiment_planning import calibrated_geometry_and_avoidance, visited_configurations
 from rig.errors import RigError
-from rig.formats.number_parsing import parse_number, parse_whole_number
+from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 from rig.report.verdict import Evidence, Missing, judge_evidence
 
 if TYPE_CHECKING:
@@ -162,11 +162,11 @@ def run(arguments: Namespace) -> None:
 
 def _promise(arguments: Namespace) -> Made:
     """Write the fewest configurations that keep a promise; nothing where it is met without any."""
-    from rig.formats.number_rounding import quantity_text
+    from rig.formats.number_parsing_and_rounding import quantity_text
     from rig.formats.rig_toml import design_file
     from rig.recording import recording_tables
 
-    design = design_file.load(arguments.design)
+    design = design_file.load_design(arguments.design)
     mechanism = design.mechanism
     if mechanism.kind != "hexapod":
         raise RigError(f"plans for a promise are for hexapods, not for a mechanism of kind {mechanism.kind!r}")
@@ -215,7 +215,7 @@ def _parts(arguments: Namespace) -> Made:
     """Write the configurations of a plan's parts, in order, and say how far they go."""
     import numpy as np
 
-    from rig.driving.run_steps import steps_of_plan
+    from rig.driving.run_steps_and_progress import steps_of_plan
     from rig.formats.rig_toml import design_file
     from rig.model import mechanisms
     from rig.model.pose import pose_difference
@@ -224,7 +224,7 @@ def _parts(arguments: Namespace) -> Made:
 
     if arguments.calibration or arguments.given:
         raise RigError("--parts are visited as they are; --calibration and --given are for plans that are chosen")
-    design = design_file.load(arguments.design)
+    design = design_file.load_design(arguments.design)
     mechanism, goals = (
         design.mechanism,
         [step.goal for step in steps_of_plan(build_plan(design, arguments.parts, SEED)) for _ in range(step.frames)],
@@ -253,7 +253,7 @@ def _separate(arguments: Namespace) -> Made:
 
     import numpy as np
 
-    from rig.effects.texts.effect_text import parse_effect, require_place
+    from rig.effects.texts.effect_text import parse_effect, require_existing_place
     from rig.formats.rig_toml import design_file
     from rig.planning.plan import add_payload_channel, build_plan
     from rig.recording import recording_tables
@@ -263,8 +263,8 @@ def _separate(arguments: Namespace) -> Made:
         raise RigError(
             "--calibration is for plans of --for and --promise; effects are told apart by RIG.toml's own geometry"
         )
-    design = design_file.load(arguments.design)
-    effects = [require_place(parse_effect(text), design) for text in arguments.separate]
+    design = design_file.load_design(arguments.design)
+    effects = [require_existing_place(parse_effect(text), design) for text in arguments.separate]
     seen = [effect.name for effect in effects if effect.stage in ("targets", "view")]
     if seen:
         raise RigError(
@@ -323,7 +323,7 @@ def _parameters(arguments: Namespace) -> Made:
     from rig.model.design import Free, Hexapod
     from rig.recording import recording_tables
 
-    design = design_file.load(arguments.design)
+    design = design_file.load_design(arguments.design)
     mechanism = design.mechanism
     if isinstance(mechanism, Free):
         raise RigError(

@@ -17,7 +17,7 @@ from rig.cli.shared.command_options import (
     print_json,
 )
 from rig.errors import RigError
-from rig.formats.number_parsing import parse_number
+from rig.formats.number_parsing_and_rounding import parse_number
 from rig.formats.output_files import write_text
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from rig.model.design import Arm
     from rig.posture.exertable_wrench import Exertion
-    from rig.posture.force_transmission import Wish
+    from rig.posture.force_transmission import TransmissionObjective
     from rig.posture.null_space_search import Found
 
 STARTS = 24  # joint solutions of the pose from which self-motions are looked for
@@ -112,10 +112,10 @@ def run(arguments: Namespace) -> None:
 
     path, arm, wanted = _wanted(arguments)
     chosen = _directions(arguments)
-    wish: Wish | Exertion = (
+    wish: TransmissionObjective | Exertion = (
         wanted
         if wanted is not None and not chosen
-        else force_transmission.Wish(chosen, np.inf if arguments.norm == "inf" else 2, arguments.whole)
+        else force_transmission.TransmissionObjective(chosen, np.inf if arguments.norm == "inf" else 2, arguments.whole)
     )
     if arguments.above is not None and not arguments.above >= 0:
         raise RigError(f"--above must be at least 0, not {arguments.above:g}")
@@ -139,20 +139,20 @@ def run(arguments: Namespace) -> None:
 
 def _wanted(arguments: Namespace) -> tuple[Path, Arm, Exertion | None]:
     """(path, Arm, what it is to exert or None) of the arguments."""
-    from rig.formats.rig_toml import arm_dynamics
-    from rig.model.mechanism_kinds import arm_of
-    from rig.planning.layout import shipped_arms
+    from rig.formats.rig_toml import arm_dynamics_entries
+    from rig.model.mechanism_kinds import require_arm
+    from rig.planning.layout import shipped_arm_layout
 
-    path = shipped_arms.shipped_arm_path(arguments.arm)
-    design, dynamics = arm_dynamics.load(path)
-    arm = arm_of(design.mechanism)
+    path = shipped_arm_layout.shipped_arm_path(arguments.arm)
+    design, dynamics = arm_dynamics_entries.load_arm_dynamics(path)
+    arm = require_arm(design.mechanism)
     return path, arm, posture_force.requested_exertion(arguments, arm, dynamics, design.gravity, path)
 
 
-def _among(arguments: Namespace, arm: Arm, wish: Wish | Exertion, out: Path | None) -> dict:
+def _among(arguments: Namespace, arm: Arm, wish: TransmissionObjective | Exertion, out: Path | None) -> dict:
     """The best of the postures that were visited, as `_tree`; the way back to it is written."""
     from rig.model.pose import pose
-    from rig.posture import visited_postures
+    from rig.posture import posture_transition
     from rig.recording import recording_folder
 
     if arguments.start or arguments.above is not None or arguments.motion == "way":
@@ -161,8 +161,8 @@ def _among(arguments: Namespace, arm: Arm, wish: Wish | Exertion, out: Path | No
             "for searches"
         )
     numbered = parse_numbers(arguments.pose, 6, "--pose") if arguments.pose else None
-    found = visited_postures.best_visited_posture(
-        recording_folder.load(arguments.among),
+    found = posture_transition.best_visited_posture(
+        recording_folder.load_recording(arguments.among),
         arm,
         wish,
         arguments.hold,
@@ -182,7 +182,7 @@ def _among(arguments: Namespace, arm: Arm, wish: Wish | Exertion, out: Path | No
     }
 
 
-def _searched(arguments: Namespace, arm: Arm, wish: Wish | Exertion, out: Path | None) -> dict:
+def _searched(arguments: Namespace, arm: Arm, wish: TransmissionObjective | Exertion, out: Path | None) -> dict:
     """The best posture that the searches find, as `_tree`; the motion into it is written."""
     import numpy as np
 
@@ -229,7 +229,7 @@ def _searched(arguments: Namespace, arm: Arm, wish: Wish | Exertion, out: Path |
 
 
 def _best(
-    arguments: Namespace, arm: Arm, wish: Wish | Exertion, first: np.ndarray, starts: np.ndarray
+    arguments: Namespace, arm: Arm, wish: TransmissionObjective | Exertion, first: np.ndarray, starts: np.ndarray
 ) -> tuple[dict[str, Found], str, int]:
     """(what each search found, name of the best, index of its posture) from starts (k, n) rad. Raises RigError where
     nothing exceeds a limit
@@ -240,7 +240,7 @@ def _best(
     from rig.posture.exertable_wrench import Exertion
 
     if null_space_search.redundant_joint_count(arm, arguments.hold) < 1 and isinstance(wish, Exertion):
-        found = {"solutions": null_space_search.given_postures(starts, arm, wish)}
+        found = {"solutions": null_space_search.unsearched_postures(starts, arm, wish)}
         return found, "solutions", int(found["solutions"].value.argmax())
     found = {"gradient": null_space_search.gradient_search(starts, arm, wish, arguments.hold, arguments.above)}
     if arguments.above is not None:
@@ -287,7 +287,7 @@ def _starts(first: np.ndarray, wanted: RigidTransform, arm: Arm) -> np.ndarray:
 
     many = RigidTransform.from_matrix(np.tile(wanted.as_matrix(), (STARTS, 1, 1)))
     guess = np.random.default_rng(SEED).uniform(arm.limits[:, 0], arm.limits[:, 1], (STARTS, len(first)))
-    q, left = mechanism.solve(many, arm, guess)
+    q, left = mechanism.solve_inverse(many, arm, guess)
     inside = (left <= mechanism.GOOD) & (mechanism.limits(q, arm) == 0).all(axis=1)
     return np.vstack([first, q[inside]])
 
@@ -297,12 +297,14 @@ def _write(out: Path, arguments: Namespace, arm: Arm, rows: np.ndarray) -> None:
     from rig.posture import posture_transition
     from rig.recording import recording_tables
 
-    t = posture_transition.row_times(rows, arguments.speed)
+    t = posture_transition.posture_times(rows, arguments.speed)
     lines = [",".join([f"{moment:.6f}", *(f"{angle:.12f}" for angle in angles)]) for moment, angles in zip(t, rows)]
     recording_tables.write_table(out, ("t", *arm.axes), lines)
 
 
-def _tree(arm: Arm, wish: Wish | Exertion, q: np.ndarray, start: np.ndarray, values: tuple[float, float]) -> dict:
+def _tree(
+    arm: Arm, wish: TransmissionObjective | Exertion, q: np.ndarray, start: np.ndarray, values: tuple[float, float]
+) -> dict:
     """What is said of a posture q (n,) rad beside its search. values : the measure there and at the start"""
     import numpy as np
 
@@ -314,7 +316,7 @@ def _tree(arm: Arm, wish: Wish | Exertion, q: np.ndarray, start: np.ndarray, val
 
     low, high = arm.limits.T
     moved = pose_difference(mechanism.forward(start, arm), mechanism.forward(q, arm))
-    told = force_transmission.Wish() if isinstance(wish, Exertion) else wish
+    told = force_transmission.TransmissionObjective() if isinstance(wish, Exertion) else wish
     return {
         "schema": "posture/1",
         "unit": "rad, m",
@@ -334,7 +336,7 @@ def _tree(arm: Arm, wish: Wish | Exertion, q: np.ndarray, start: np.ndarray, val
         "columns": dict(
             zip(
                 told.directions or force_transmission.DIRECTIONS,
-                force_transmission.direction_norms(q, arm, told).tolist(),
+                force_transmission.torque_norms_by_direction(q, arm, told).tolist(),
             )
         ),
     }

@@ -43,7 +43,7 @@ def run(arguments: Namespace) -> None:
     from rig.formats.rig_toml import design_file
 
     require_matplotlib("sheets to print")
-    design = design_file.load(arguments.design)
+    design = design_file.load_design(arguments.design)
     out = arguments.outputs.file(arguments.out)
     folder = arguments.outputs.folder(arguments.stl) if arguments.stl else None
 
@@ -61,7 +61,7 @@ def run(arguments: Namespace) -> None:
 
 def _bodies(arguments: Namespace, design: "Design", folder: Path) -> None:
     from rig.formats.output_files import write_bytes
-    from synthetic.cube_stl import cube_stl_files
+    from synthetic.cube_nets_and_stl import cube_stl_files
 
     found = cube_stl_files(design, arguments.paper_thickness)
     for name, data in found.items():

@@ -14,7 +14,7 @@ from rig.cli.shared import poses_from_readings
 from rig.cli.shared.command_options import SEED, add_controller_arguments
 from rig.driving.operator_advice import TRUST
 from rig.errors import PositionLost, RigError
-from rig.formats.number_parsing import parse_number, parse_whole_number
+from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 from rig.formats.output_files import write_bytes
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rig.driving.cameras.settling_check import Settling
     from rig.driving.clock import Clock
     from rig.driving.run_journal import Began, Journal
-    from rig.driving.run_steps import Step
+    from rig.driving.run_steps_and_progress import Step
     from rig.model.design import Design
 
 KINDS = ("jump", "camera", "covered", "unseen", "drift", "limbs")
@@ -91,7 +91,7 @@ def run(arguments: Namespace) -> int:
     """Check, home, and visit every pose of the plan; or go on where another process ended."""
     from rig.cli.shared.controller_session import design_with_controller
     from rig.driving.cameras.settling_check import parse_settling
-    from rig.driving.run_steps import steps_of_plan
+    from rig.driving.run_steps_and_progress import steps_of_plan
     from rig.model.cube_remounting import quarter_turns, turning_instructions
     from rig.planning.plan import build_plan
 
@@ -143,11 +143,11 @@ def _dry_run(design: Design, planned: tuple[Step, ...]) -> None:
 
     from rig.cli.shared.controller_session import lengths_text
     from rig.driving.emulators.emulator_construction import home_lengths
-    from rig.driving.run_steps import check_steps, step_distances
-    from rig.model.mechanism_kinds import struts_of
+    from rig.driving.run_steps_and_progress import check_steps, step_distances
+    from rig.model.mechanism_kinds import require_struts
 
     c = design.driver()
-    start = c.home if c.home is not None else home_lengths(struts_of(design.mechanism))
+    start = c.home if c.home is not None else home_lengths(require_struts(design.mechanism))
     check_steps(planned, start, move_checker(design))
     way = step_distances(planned, start)
     for k, step in enumerate(planned):
@@ -167,13 +167,15 @@ def _dry_run(design: Design, planned: tuple[Step, ...]) -> None:
 
 def move_checker(design: Design) -> Callable[[np.ndarray, np.ndarray], None]:
     """Checker of moves: (start, goal (axes,) m) -> None, raises Unreachable where the driver would refuse the move."""
-    from rig.driving import path_check
-    from rig.model.mechanism_kinds import struts_of
+    from rig.driving import straight_moves
+    from rig.model.mechanism_kinds import require_struts
 
-    c, m = design.driver(), struts_of(design.mechanism)
+    c, m = design.driver(), require_struts(design.mechanism)
 
     def check(start: np.ndarray, goal: np.ndarray) -> None:
-        path_check.check_path(start, path_check.check_lengths(goal, m), m, c.margin, c.max_step)
+        straight_moves.require_safe_path(
+            start, straight_moves.require_lengths_in_range(goal, m), m, c.margin, c.max_step
+        )
 
     return check
 
@@ -209,7 +211,7 @@ def _run(arguments: Namespace, design: Design, planned: tuple[Step, ...], settle
     from rig.driving.clock import SystemClock
     from rig.driving.operator_loop import Operator
     from rig.driving.run_journal import Began, Journal
-    from rig.driving.run_steps import check_steps
+    from rig.driving.run_steps_and_progress import check_steps
 
     clock, (exposure, stop_on) = SystemClock(), options
     with ExitStack() as stack:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from rig.cli.shared import calibration_and_effect_files
 from rig.cli.shared.command_options import Progress, add_overwrite_option
 from rig.errors import RigError
-from rig.formats.number_parsing import parse_number, parse_whole_number
+from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
 if TYPE_CHECKING:
     from rig.model.design import Sensor
@@ -104,7 +104,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Simulate a recording and write it, and its truth apart."""
-    from rig.effects.texts.effect_text import parse_effect, require_place, require_size
+    from rig.effects.texts.effect_text import parse_effect, require_existing_place, require_nonzero_effect
     from rig.formats.rig_toml import design_file
 
     if arguments.source is not None:
@@ -112,10 +112,12 @@ def run(arguments: Namespace) -> None:
     if arguments.design is None:
         raise RigError("simulating takes a RIG.toml, or --from with the folder of a diagnosis")
     design, kinds = (
-        design_file.load(arguments.design),
+        design_file.load_design(arguments.design),
         calibration_and_effect_files.known_effects(calibration_and_effect_files.load_effect_files(arguments)),
     )
-    effects = tuple(require_size(require_place(parse_effect(text, kinds), design)) for text in arguments.effect)
+    effects = tuple(
+        require_nonzero_effect(require_existing_place(parse_effect(text, kinds), design)) for text in arguments.effect
+    )
     sensor = replace(
         design.sensor, **{name: getattr(arguments, name) for name in SENSOR if getattr(arguments, name) is not None}
     )
@@ -195,8 +197,8 @@ def _again(arguments: Namespace) -> None:
     import numpy as np
 
     from synthetic import recording_simulation
+    from synthetic.diagnosis_replay import replay_diagnosis
     from synthetic.image_simulation import Images
-    from synthetic.recording_with_findings import replay_diagnosis
 
     done = replay_diagnosis(
         arguments.source,

@@ -61,7 +61,7 @@ def run(arguments: Namespace) -> int:
     calibration = calibration_and_effect_files.load_calibration(
         arguments.calibration, calibration_and_effect_files.load_effect_files(arguments)
     )
-    wanted = recordings.load_poses(arguments.wanted, commanded=True) if arguments.wanted else None
+    wanted = recordings.load_poses(arguments.wanted, are_commands=True) if arguments.wanted else None
     recording = read_recording(arguments)
     calibration.refuse_kind(recording.design.mechanism.kind, str(arguments.recording))
     page = page_path(arguments)

@@ -14,7 +14,7 @@ from rig.cli.shared.command_options import (
     read_recording,
 )
 from rig.errors import RigError
-from rig.formats.number_parsing import parse_number, parse_whole_number
+from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -90,9 +90,12 @@ def _frame(arguments: Namespace) -> None:
 
 
 def _page(arguments: Namespace) -> None:
-    from rig.effects.texts.effect_text import parse_effect, require_size
+    from rig.effects.texts.effect_text import parse_effect, require_nonzero_effect
 
-    recording, effects = read_recording(arguments), [require_size(parse_effect(text)) for text in arguments.effect]
+    recording, effects = (
+        read_recording(arguments),
+        [require_nonzero_effect(parse_effect(text)) for text in arguments.effect],
+    )
     out = arguments.outputs.file(arguments.page)
 
     from calib.report.recording_and_plan_pages import write_recording_page
@@ -103,13 +106,13 @@ def _page(arguments: Namespace) -> None:
 
 def _rerun(arguments: Namespace) -> None:
     """Write the whole recording for Rerun. Raises MissingLibrary without it."""
-    from rig.formats.exporters import rerun_recording
+    from rig.formats.exporters import recording_as_rerun_tum_parquet
 
-    rr = rerun_recording.import_rerun()
+    rr = recording_as_rerun_tum_parquet.import_rerun()
     if arguments.out is not None:
         raise RigError("--out is of --frame; --rerun names its own file")
     recording = read_recording(arguments)
-    left_out = rerun_recording.write_rerun(recording, arguments.outputs.file(arguments.rerun), rr)
+    left_out = recording_as_rerun_tum_parquet.write_rerun_file(recording, arguments.outputs.file(arguments.rerun), rr)
     if left_out:
         print(f"{left_out} images are left out: Rerun shows PNG and JPEG")
     print(

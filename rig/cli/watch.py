@@ -19,7 +19,7 @@ from rig.cli.shared.command_options import (
     print_json,
 )
 from rig.errors import RigError
-from rig.formats.number_parsing import parse_whole_number
+from rig.formats.number_parsing_and_rounding import parse_whole_number
 from rig.report.verdict import State, exit_status
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ def _watch(arguments: Namespace) -> int:
     page = page_path(arguments)
     known = arguments.history is not None and arguments.history.exists()
     history = visit_history.read_history(arguments.history, own) if known else History(own)
-    loaded = [recordings.load(path, arguments.skip_unreadable) for path in arguments.visits]
+    loaded = [recordings.load_recording(path, arguments.skip_unreadable) for path in arguments.visits]
     told: list[dict] = []
     shown: list[str] = []
     seen: list[Visit] = []
@@ -205,7 +205,7 @@ def _plan(arguments: Namespace) -> None:
     from rig.recording import recording_tables
 
     calibration = calibration_file.load(arguments.calibration)
-    design = design_file.load(arguments.rig) if arguments.rig else None
+    design = design_file.load_design(arguments.rig) if arguments.rig else None
     out = arguments.outputs.file(arguments.out)
     progress = Progress()
     chosen = choose_visit_configurations(

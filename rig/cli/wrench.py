@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option, file_or_stdout
 from rig.errors import RigError
-from rig.formats.number_parsing import parse_number
+from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
     import numpy as np
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rig.model.design import Design
     from rig.model.mechanisms.arm_dynamics import Links
     from rig.posture.momentum_observer import Observed
-    from rig.posture.torque_table import TorqueRecord
+    from rig.posture.wrench_from_torques import TorqueRecord
 
 SETTLED = 0.1  # of a record, after which figures are told: a filter begins with knowing nothing
 
@@ -60,14 +60,14 @@ def run(arguments: Namespace) -> None:
 
     import numpy as np
 
-    from rig.formats.rig_toml import arm_dynamics
-    from rig.model.mechanism_kinds import arm_of
-    from rig.planning.layout import shipped_arms
-    from rig.posture import momentum_observer, torque_table
+    from rig.formats.rig_toml import arm_dynamics_entries
+    from rig.model.mechanism_kinds import require_arm
+    from rig.planning.layout import shipped_arm_layout
+    from rig.posture import momentum_observer, wrench_from_torques
 
-    path = shipped_arms.shipped_arm_path(arguments.arm)
-    design, dynamics = arm_dynamics.load(path)
-    arm = arm_of(design.mechanism)
+    path = shipped_arm_layout.shipped_arm_path(arguments.arm)
+    design, dynamics = arm_dynamics_entries.load_arm_dynamics(path)
+    arm = require_arm(design.mechanism)
     if arguments.sigma is not None:
         if min(arguments.sigma) <= 0:
             raise RigError(f"--sigma takes three positive numbers, not {' '.join(map(str, arguments.sigma))}")
@@ -81,10 +81,12 @@ def run(arguments: Namespace) -> None:
     sigma, angle = dynamics.need("torque_sigma", path), dynamics.need("angle_sigma", path)
     arguments.outputs.inputs.append(path)
     out = arguments.outputs.file(arguments.out) if arguments.out else None
-    record = torque_table.load_torque_table(arguments.torques, arm, dynamics, path)
+    record = wrench_from_torques.load_torque_table(arguments.torques, arm, dynamics, path)
     speed = dynamics.need("speed_sigma", path) if record.motion.measured else np.ones(len(arm.axes))
     model = momentum_observer.observer_model(record.motion, arm, links, design.gravity, (sigma, angle, speed))
-    rates = momentum_observer.most_likely_rates(model) if arguments.rate is None else np.repeat(arguments.rate, 3)
+    rates = (
+        momentum_observer.most_likely_wrench_rates(model) if arguments.rate is None else np.repeat(arguments.rate, 3)
+    )
     seen, plain = momentum_observer.observe_wrench(model, rates), _plain(record, design, sigma, links)
     if out:
         _write(out, record.motion.t, seen, plain)
@@ -115,21 +117,23 @@ def _plain(
     """
     import numpy as np
 
-    from rig.model.mechanism_kinds import arm_of
-    from rig.model.mechanisms import arm_momentum
-    from rig.posture import wrench_estimate
+    from rig.model.mechanism_kinds import require_arm
+    from rig.model.mechanisms import arm_dynamics
+    from rig.posture import wrench_from_torques
 
-    arm, m = arm_of(design.mechanism), record.motion
+    arm, m = require_arm(design.mechanism), record.motion
     q, torque = (
         m.q[0],
-        wrench_estimate.external(m.torque[0], m.q[0], m.speed[0], record.acceleration, arm, links, design.gravity),
+        wrench_from_torques.external_joint_torques(
+            m.torque[0], m.q[0], m.speed[0], record.acceleration, arm, links, design.gravity
+        ),
     )
-    mass = arm_momentum.mass_matrix(q, arm, links)
+    mass = arm_dynamics.mass_matrix(q, arm, links)
     own = (mass * record.acceleration_sigma**2) @ np.swapaxes(mass, 1, 2) + np.diag(np.square(sigma))
-    felt = wrench_estimate.is_wrench_observable(q, arm, own)
+    felt = wrench_from_torques.is_wrench_observable(q, arm, own)
     value, covariance, left = np.full((len(q), 6), np.nan), np.full((len(q), 6, 6), np.nan), np.full(len(q), np.nan)
     if felt.any():
-        found = wrench_estimate.estimate_wrench(torque[felt], q[felt], arm, own[felt])
+        found = wrench_from_torques.estimate_wrench(torque[felt], q[felt], arm, own[felt])
         value[felt], covariance[felt], left[felt] = found.value, found.covariance, found.left
     return value, covariance, left
 

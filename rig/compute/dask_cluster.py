@@ -1,6 +1,4 @@
-"""Calls done by the workers of a Dask cluster, which have this package and see the same folders; what one that is gone
-was at, others do again.
-"""
+"""Dask cluster: connection to its scheduler, function calls mapped over its workers, lost work repeated."""
 
 import hashlib
 import pickle
@@ -11,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from rig.compute.worker_processes import work_parts
+from rig.compute.worker_processes import split_for_workers
 from rig.errors import MissingLibrary, RigError
 from rig.formats import remote_folders
 
@@ -44,7 +42,7 @@ class Cluster:
             carried = self._client.submit(
                 bytes, data, pure=False
             )  # a call and no mere data: it is done again where who held it is gone
-            digest, shares = hashlib.sha256(data).hexdigest(), work_parts(things, max(self._workers(), 1))
+            digest, shares = hashlib.sha256(data).hexdigest(), split_for_workers(things, max(self._workers(), 1))
             futures = [self._client.submit(_done, carried, digest, share, pure=False) for share in shares]
         out: list = []
         try:
@@ -116,8 +114,7 @@ class Cluster:
 
 @contextmanager
 def use_cluster(address: str | None) -> Iterator[Cluster | None]:
-    """Within it `current_cluster` is the Cluster of the scheduler at an address, tcp://HOST:PORT; None leaves it at
-    what there is.
+    """Context manager: connect to the Dask cluster whose scheduler is at an address, tcp://HOST:PORT.
 
     Raises MissingLibrary without Dask, RigError where no scheduler answers or it has no worker
     """
@@ -148,17 +145,17 @@ def use_cluster(address: str | None) -> Iterator[Cluster | None]:
 
 
 def current_cluster() -> Cluster | None:
-    """The cluster that works for this process, None where it has none."""
+    """The Cluster current in this process, None where there is none."""
     return _at_work
 
 
-def shared_path(path: Path) -> Path:
-    """A path as workers that stand elsewhere find the same."""
+def path_on_workers(path: Path) -> Path:
+    """The path of a file as the cluster's workers find it."""
     return path if _at_work is None else remote_folders.absolute(path)
 
 
-def is_worker() -> bool:
-    """Whether this thread is at work for a cluster, and shares out nothing itself."""
+def is_cluster_worker() -> bool:
+    """Whether this thread runs a task of a Dask cluster worker."""
     return getattr(_here, "busy", False)
 
 

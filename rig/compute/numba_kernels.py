@@ -1,6 +1,10 @@
-"""Kernels that numba compiles when they are first called, so that a command which calls none does not open it."""
+"""Numba kernels: lazy compilation on the first call, and the private folder that caches compiled kernels."""
 
 import inspect
+import os
+import stat
+import sys
+import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -8,19 +12,85 @@ from functools import cache, cached_property, update_wrapper
 from pathlib import Path
 from typing import Any, cast
 
-from rig.compute.kernel_cache import trusted_folder
+HERE = Path(__file__).parents[1]
+
+
+def set_kernel_cache_folder() -> None:
+    """Set numba's cache folder for compiled kernels, before numba is imported, unless the user has set one."""
+    folder = kernel_cache_folder()
+    if folder is not None:
+        os.environ.setdefault("NUMBA_CACHE_DIR", str(folder))
+
+
+@cache
+def kernel_cache_folder() -> Path | None:
+    """The cache folder for compiled kernels, None where numba writes next to the sources."""
+    kept = HERE / "__pycache__"
+    return (
+        None
+        if os.access(kept if kept.is_dir() else HERE, os.W_OK)
+        else user_cache_folder(f"{HERE.parent} cannot be written")
+    )
+
+
+def private_or_user_folder(folder: Path) -> Path:
+    """The folder itself where it is private (writable by this user and root only), else the user's cache folder."""
+    return folder if is_private_folder(folder) else user_cache_folder(f"others can write to {folder}")
+
+
+@cache
+def is_private_folder(folder: Path) -> bool:
+    """Whether a folder is private: nobody but this user and root can write to it or replace it.
+    put another folder in its place.
+    """
+    found = Path(os.path.realpath(folder))
+    there = [place.stat() for place in (found, *found.parents) if place.exists()]
+    own = there[0].st_uid in (0, os.getuid()) and not there[0].st_mode & 0o022
+    return own and not any(above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX for above in there[1:])
+
+
+@cache
+def user_cache_folder(reason: str) -> Path:
+    """The user's private cache folder for compiled kernels: below the home, else a temporary one.
+    reason : why it is needed
+    """
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    why = "cannot be written"
+    try:
+        folder = Path(home) / "rig"
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, exist_ok=True)
+        if os.access(folder, os.W_OK):
+            if is_private_folder(folder):
+                return folder
+            why = "can be written to by others"
+    except OSError:
+        pass  # no home, or one that cannot be written: the next place is tried
+    folder = Path(tempfile.gettempdir()) / f"rig-kernels-{os.getuid()}"
+    try:
+        folder.mkdir(mode=0o700)
+        _print_note(f"what is compiled is kept in {folder}: {reason}, and {home} {why}")
+    except FileExistsError:
+        there = folder.lstat()
+        if not stat.S_ISDIR(there.st_mode) or there.st_uid != os.getuid() or there.st_mode & 0o077:
+            folder = Path(tempfile.mkdtemp(prefix="rig-kernels-"))
+            _print_note(f"what is compiled is kept in {folder}, for this run: NUMBA_CACHE_DIR names a place to keep it")
+    return folder
+
+
+def _print_note(text: str) -> None:
+    print(f"rig: {text}", file=sys.stderr)
+
 
 _FOLDERS = threading.RLock()  # held while numba's folder is another: it has one for all threads
 _say: Callable[[], None] | None = None  # to be called when something is compiled
 
 
 @contextmanager
-def announce_compilation(say: Callable[[], None]) -> Iterator[None]:
-    """Within it `say` is called before anything is compiled that no earlier run left to be loaded, once in a
-    process.
-    """
+def announce_compilation(callback: Callable[[], None]) -> Iterator[None]:
+    """Context manager: announce the first kernel compilation in this process by calling `callback`."""
     global _say
-    before, _say = _say, say
+    before, _say = _say, callback
     try:
         yield
     finally:
@@ -72,7 +142,7 @@ class Kernel:
             try:
                 beside = Path(inspect.getfile(self._function)).parent / "__pycache__"
                 wanted = Path(self._folder() if self._folder is not None else settings.CACHE_DIR or beside)
-                kept = trusted_folder(wanted)
+                kept = private_or_user_folder(wanted)
                 if kept != wanted and self._folder is not None:
                     kept = kept / wanted.name  # which tells one version of the sources from another
                 if kept != beside:
@@ -103,5 +173,5 @@ class Kernel:
 
 
 def njit(**options: Any) -> Callable[[Callable], Any]:
-    """Decorator that makes a Kernel of a function. options : of numba.njit"""
+    """Decorator like numba.njit that compiles on the first call. options : of numba.njit"""
     return lambda function: Kernel(function, options)

@@ -1,5 +1,5 @@
-"""One function of many things on all cores: in processes, which inherit what it reads by forking and send back what it
-found, in threads, or by the workers of a cluster.
+"""Parallel map of a function over items: by forked processes, threads, or the workers of a cluster.
+the workers of a cluster.
 
 Threads within the products of matrices as small as here cost more than they bring; who calls limits them to one.
 """
@@ -23,48 +23,47 @@ _inherited: tuple[Callable, Sequence] | None = None  # what the processes forked
 
 def parallel_map(
     function: Callable[[Any], Any],
-    things: Sequence,
+    items: Sequence,
     progress: Progress | None = None,
-    few: int = FEW,
-    far: bool = False,
+    items_per_process: int = FEW,
+    on_cluster: bool = False,
 ) -> list:
-    """[function(thing)] in the things' order; what it changes elsewhere is lost, what it raises is raised here.
+    """Results of a function mapped over items in parallel, in the items' order; exceptions are raised here.
 
     It takes one process where the system cannot fork or OMP_NUM_THREADS, which limits the processes as it does threads,
     is 1, and within a process that another call of it forked. A process that is ended from outside costs what it was
     at, which another does again.
-    progress : called with (done, of), or None; few : things for each process, below which it is not worth starting any
-    far : whether a thing takes so long that it is worth sending it to a cluster, where one is at work
+    progress : called with (done, of), or None; items_per_process : things for each process, below which it is not worth
+        starting any
+    on_cluster : whether a thing takes so long that it is worth sending it to a cluster, where one is at work
     """
     global _inherited
-    nested = _inherited is not None or dask_cluster.is_worker()
-    there = dask_cluster.current_cluster() if far and not nested and len(things) >= few else None
+    nested = _inherited is not None or dask_cluster.is_cluster_worker()
+    there = dask_cluster.current_cluster() if on_cluster and not nested and len(items) >= items_per_process else None
     if there is not None:
-        return there.map(function, things, progress)
-    count = min(worker_count(), len(things) // few)
+        return there.map(function, items, progress)
+    count = min(worker_count(), len(items) // items_per_process)
     if count < 2 or nested or "fork" not in multiprocessing.get_all_start_methods():
         out = []
-        for thing in things:
+        for thing in items:
             out.append(function(thing))
             if progress:
-                progress(len(out), len(things))
+                progress(len(out), len(items))
         return out
-    _inherited = function, things
+    _inherited = function, items
     try:
-        return process_map(count, "fork", _call, range(len(things)), progress)
+        return process_map(count, "fork", _call, range(len(items)), progress)
     finally:
         _inherited = None
 
 
-def thread_map(function: Callable[[T], R], things: Sequence[T]) -> list[R]:
-    """[function(thing)] in the things' order, side by side in threads: for a few large things whose work lets go of the
-    interpreter's lock.
-    """
-    count = min(worker_count(), len(things))
-    if count < 2 or _inherited is not None or dask_cluster.is_worker():
-        return [function(thing) for thing in things]
+def thread_map(function: Callable[[T], R], items: Sequence[T]) -> list[R]:
+    """Results of a function mapped over items in threads, in the items' order."""
+    count = min(worker_count(), len(items))
+    if count < 2 or _inherited is not None or dask_cluster.is_cluster_worker():
+        return [function(thing) for thing in items]
     with ThreadPoolExecutor(count) as pool:
-        return list(pool.map(function, things))
+        return list(pool.map(function, items))
 
 
 def _call(i: int) -> Any:

@@ -1,4 +1,4 @@
-"""Many things done at the same time, by processes that end with the one that began them, however it ends."""
+"""Worker processes: pools, their number, mapping over them; they end when their parent process ends."""
 
 import ctypes
 import gc
@@ -34,7 +34,7 @@ class WorkerEnded(RigError):
 
 @contextmanager
 def limit_workers(count: int | None) -> Iterator[None]:
-    """Within it so many processes work at a time, whatever the machine has; None leaves it at that."""
+    """Context manager: limit the number of worker processes to `count`; None sets no limit."""
     global _asked
     before, _asked = _asked, _asked if count is None else count
     try:
@@ -44,9 +44,7 @@ def limit_workers(count: int | None) -> Iterator[None]:
 
 
 def worker_count() -> int:
-    """How many processes may work at a time: as many as `limit_workers` says, else the cores that this process may use,
-    OMP_NUM_THREADS at most.
-    """
+    """Number of worker processes: the limit set by `limit_workers`, else the CPU cores, OMP_NUM_THREADS at most."""
     if _asked is not None:
         return _asked
     limit = os.environ.get("OMP_NUM_THREADS", "")
@@ -55,14 +53,13 @@ def worker_count() -> int:
 
 
 def executor_map(
-    pool: Executor,
+    executor: Executor,
     function: Callable,
-    things: Iterable,
+    items: Iterable,
     progress: Callable | None = None,
     futures: list[Future] | None = None,
 ) -> list:
-    """[function(thing)] by an executor, in the things' order; of what they raise the first in that order is raised, and
-    the rest is not begun.
+    """Results of a function mapped over items by an executor, in the items' order; the first exception is raised.
 
     progress : called with (done, of), or None; futures : gets the things' Futures, or None
     """
@@ -70,8 +67,8 @@ def executor_map(
     with (
         _interrupts_wait()
     ):  # what is started here is deaf to Ctrl-C, which reaches all of a terminal's processes: this one ends the others
-        for thing in things:
-            futures.append(pool.submit(function, thing))
+        for thing in items:
+            futures.append(executor.submit(function, thing))
     try:
         for future in futures:
             out.append(future.result())
@@ -83,39 +80,36 @@ def executor_map(
     return out
 
 
-def work_parts(things: Sequence, count: int) -> list[Sequence]:
-    """The things in their order, in parts that `count` workers take in turn: large ones at first, as each costs a
-    message to and fro, and single ones at the end, where workers would wait for each other (factoring, Hummel,
-    Schonberg and Flynn 1992)."""
+def split_for_workers(items: Sequence, workers: int) -> list[Sequence]:
+    """The items split into parts for the workers: large parts first, single items last."""
     out, at = [], 0
-    while at < len(things):
-        size = min(MOST, -(-(len(things) - at) // (SHARES * count)))
-        out.append(things[at : at + size])
+    while at < len(items):
+        size = min(MOST, -(-(len(items) - at) // (SHARES * workers)))
+        out.append(items[at : at + size])
         at += size
     return out
 
 
 def process_map(
     count: int,
-    method: str,
+    start_method: str,
     function: Callable,
-    things: Iterable,
+    items: Iterable,
     progress: Callable | None = None,
-    start: Callable | None = None,
-    given: tuple = (),
+    initializer: Callable | None = None,
+    initializer_arguments: tuple = (),
 ) -> list:
-    """`executor_map` by a pool as `process_pool` makes it; what a process was at when it was ended from outside,
-    another does once more.
+    """Results of a function mapped over items by a process pool; items of killed processes are repeated.
 
     Raises WorkerEnded where ENDED pools in turn came to an end with nothing done
     """
-    left = list(enumerate(things))
+    left = list(enumerate(items))
     total, futile = len(left), 0
     out: dict[int, Any] = {}
 
     while left:
         futures: list[Future] = []
-        shares = work_parts(left, count)
+        shares = split_for_workers(left, count)
         ends = list(accumulate(map(len, shares), initial=len(out)))
 
         def told(done: int, _: int, ends: list[int] = ends) -> None:
@@ -123,7 +117,7 @@ def process_map(
                 progress(ends[done], total)
 
         try:
-            with process_pool(count, method, start, given) as pool:
+            with process_pool(count, start_method, initializer, initializer_arguments) as pool:
                 executor_map(
                     pool, partial(_each, function), [[thing for _, thing in share] for share in shares], told, futures
                 )
@@ -149,16 +143,20 @@ def process_map(
 
 @contextmanager
 def process_pool(
-    count: int, method: str, start: Callable | None = None, given: tuple = ()
+    count: int, start_method: str, initializer: Callable | None = None, initializer_arguments: tuple = ()
 ) -> Iterator[ProcessPoolExecutor]:
-    """A pool of processes that ends at once where this process is interrupted, and with it where it is killed.
+    """A process pool that ends at once when this process is interrupted or killed.
 
-    method : "fork" or "spawn"; start : called with `given` in each process at its beginning, or None
+    start_method : "fork" or "spawn"; initializer : called with `initializer_arguments` in each process at its
+        beginning, or None
     Raises WorkerEnded where a process of it is ended from outside, which a system short of memory does
     """
     before = multiprocessing.active_children()
     pool = ProcessPoolExecutor(
-        count, multiprocessing.get_context(method), _begin, (os.getpid(), pickle.dumps((start, given)))
+        count,
+        multiprocessing.get_context(start_method),
+        _begin,
+        (os.getpid(), pickle.dumps((initializer, initializer_arguments))),
     )
     try:
         yield pool
@@ -177,10 +175,9 @@ def process_pool(
 
 
 def run_child_process(command: list, env: dict[str, str]) -> subprocess.CompletedProcess:
-    """A child process, once it has ended: what it printed as text. `end_child_processes` ends those that threads are
-    waiting for here.
+    """Run a child process until it ends; returns what it printed as text.
 
-    The child itself is to call `end_with_parent` with this process's id, so that it does not outlive it
+    The child itself is to call `end_when_parent_ends` with this process's id, so that it does not outlive it
     """
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env) as child:
         _waited_for.add(child)
@@ -194,20 +191,20 @@ def run_child_process(command: list, env: dict[str, str]) -> subprocess.Complete
     return subprocess.CompletedProcess(command, child.returncode, out, error)
 
 
-def end_child_processes() -> None:
-    """End the children that other threads of this process wait for."""
+def terminate_child_processes() -> None:
+    """Terminate the child processes for which other threads of this process wait."""
     for child in tuple(_waited_for):
         child.kill()
 
 
-def end_with_parent(parent: int) -> None:
-    """Have this process end when its parent, of this id, does, be that killed; Linux sees to it. Raises OSError where
-    it will not.
+def end_when_parent_ends(parent_pid: int) -> None:
+    """Make this process end when its parent process (parent_pid) ends; Linux.
+    Raises OSError where it will not.
     """
     if sys.platform == "linux" and ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0):
         number = ctypes.get_errno()
         raise OSError(number, os.strerror(number))
-    if os.getppid() != parent:  # it was gone before that
+    if os.getppid() != parent_pid:  # it was gone before that
         os._exit(1)
 
 
@@ -222,7 +219,7 @@ def _begin(parent: int, rest: bytes) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who interrupts the run ends its processes as well
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
-    end_with_parent(parent)
+    end_when_parent_ends(parent)
     gc.freeze()  # what was inherited is not gone through again, which would copy it
     start, given = pickle.loads(rest)
     if start is not None:

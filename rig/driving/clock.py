@@ -1,4 +1,4 @@
-"""Time: one clock for commands, exposures and what is written of them; and one for tests, which advances at once."""
+"""Clock for commands and exposures (now, sleep): the system clock, and a simulated clock for tests."""
 
 import time
 from typing import Protocol

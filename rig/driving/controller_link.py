@@ -1,6 +1,4 @@
-"""One line to a controller: a request at a time, each bounded in time, every byte traced where asked; and connecting
-anew.
-"""
+"""Link to a controller: one request and answer at a time, with timeout, trace and reconnection."""
 
 import threading
 from collections import deque

@@ -1,5 +1,4 @@
-"""One process drives a controller: a lock that all users of this computer share and that ends with the process, and by
-which it can be stopped.
+"""Controller lock: one process drives a controller; who holds the lock, and how that process is stopped.
 
 The lock is a listening socket in Linux's abstract namespace, named by the device: it is no file, so that no folder,
 environment or umask decides who sees it and nothing can be planted in its place, and the kernel says which process
@@ -99,40 +98,38 @@ class Occupied:
                         os.kill(os.getpid(), signal.SIGTERM)
 
 
-def stop_lock_holder(port: str, clock: Clock, patience: float, usb: str = "") -> int | None:
-    """Have the process that drives the controller at a port stop the struts and end, and wait until it has let go.
+def stop_lock_holder(port: str, clock: Clock, timeout: float, usb_id: str = "") -> int | None:
+    """Stop the process that holds a controller's lock: it halts the struts and ends, or is killed after `timeout`.
 
-    patience : s after which one that has not is killed. It is asked by SIGTERM, as a shell's background job ignores
+    timeout : s after which one that has not is killed. It is asked by SIGTERM, as a shell's background job ignores
     SIGINT; one of another user over its lock
     Returns its number, or None where nobody drives. Raises RigError where it does not let go
     """
-    names = lock_names(port, usb)
-    holder = next((found for name in names if (found := lock_holder(name))), None)
+    names = lock_names(port, usb_id)
+    holder = next((found for name in names if (found := _lock_holder(name))), None)
     if holder is None:
         return None
-    for number, wait in ((signal.SIGTERM, patience), (signal.SIGKILL, KILLED)):
-        _ask(holder, number, port or usb)
+    for number, wait in ((signal.SIGTERM, timeout), (signal.SIGKILL, KILLED)):
+        _ask(holder, number, port or usb_id)
         end = clock.now() + wait
         while clock.now() <= end:
-            if lock_holder(holder.name) != holder:
+            if _lock_holder(holder.name) != holder:
                 return holder.pid
             clock.sleep(LOOK)
     raise RigError(
-        f"{holder} was killed and still holds the controller at {port or usb}: use the rig's own emergency stop"
+        f"{holder} was killed and still holds the controller at {port or usb_id}: use the rig's own emergency stop"
     )
 
 
-def lock_names(port: str, usb: str = "") -> list[bytes]:
-    """Names of all locks of the controller at a port, in one order for all processes: by its device, its path, its
-    addresses, its USB number.
-    """
+def lock_names(port: str, usb_id: str = "") -> list[bytes]:
+    """Names of all locks of the controller at a port: by device, path, network address and USB number."""
     words = set()
-    if usb:
-        from rig.driving.serial_port import find_port
+    if usb_id:
+        from rig.driving.serial_port import find_usb_port
 
-        words.add(f"usb {usb.lower()}")
+        words.add(f"usb {usb_id.lower()}")
         try:
-            port = find_port(port, usb)
+            port = find_usb_port(port, usb_id)
         except LinkLost:  # not plugged in now; who drives it holds the name by its number
             port = ""
     if "://" in port:
@@ -142,7 +139,7 @@ def lock_names(port: str, usb: str = "") -> list[bytes]:
     return sorted(b"\0rig-driver-" + hashlib.sha256(os.fsencode(word)).hexdigest()[:32].encode() for word in words)
 
 
-def lock_holder(name: bytes) -> Holder | None:
+def _lock_holder(name: bytes) -> Holder | None:
     """The process that holds a lock, or None. Raises RigError where it does not say which it is."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as caller:
         caller.setblocking(False)
@@ -168,7 +165,7 @@ def _bound(name: bytes, port: str) -> socket.socket:
             held.bind(name)
             break
         except OSError:
-            if (holder := lock_holder(name)) is not None:
+            if (holder := _lock_holder(name)) is not None:
                 held.close()
                 raise RigError(f"{holder} is driving the controller at {port}; `rig stop` ends what it does") from None
         time.sleep(LOOK)  # another is beginning or ending just now

@@ -1,6 +1,4 @@
-"""The one way by which struts move: checked before a byte leaves, watched until the read-back says done, stopped by
-whatever fails.
-"""
+"""Driver that moves the struts: checks each move, sends it, monitors the read-back, stops on failure."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -9,18 +7,18 @@ from typing import Any, TextIO, TypeVar
 
 import numpy as np
 
-from rig.driving import path_check, protocols
+from rig.driving import protocols, straight_moves
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_link import Link, Port
 from rig.driving.driver_reports import Arrival, Status
-from rig.driving.operator_advice import ANEW, CANNOT_HOME, OUT_OF_RANGE, TRUST, advice
+from rig.driving.operator_advice import ANEW, CANNOT_HOME, OUT_OF_RANGE, TRUST, operator_advice
 from rig.driving.protocols.protocol_interface import Dialogue, Segment, State, Verdict
-from rig.driving.serial_port import SerialPort, find_port
-from rig.driving.straight_move import straight_move
+from rig.driving.serial_port import SerialPort, find_usb_port
+from rig.driving.straight_moves import straight_move_segment
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Unreachable
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_kinds import struts_of
+from rig.model.mechanism_kinds import require_struts
 
 T = TypeVar("T")
 PATIENCE, SHORT_PATIENCE = 30.0, 3.0  # s of trying to connect anew; in order to stop
@@ -50,12 +48,12 @@ class Driver:
         c = design.driver()
         if opener is None and not (c.port or c.usb):
             raise RigError("[controller] names no port")
-        self.design, self.controller, self.mechanism = design, c, struts_of(design.mechanism)
+        self.design, self.controller, self.mechanism = design, c, require_struts(design.mechanism)
         self.clock = clock or SystemClock()
-        self._protocol = protocols.of(c, len(design.mechanism.axes))
+        self._protocol = protocols.protocol_of_controller(c, len(design.mechanism.axes))
         self.link = Link(
             self._protocol,
-            opener or (lambda: SerialPort(find_port(c.port, c.usb), c.baudrate, self.clock)),
+            opener or (lambda: SerialPort(find_usb_port(c.port, c.usb), c.baudrate, self.clock)),
             self.clock,
             c.timeout,
             trace,
@@ -107,7 +105,7 @@ class Driver:
         """
         self._asked(self._protocol.hello)
         try:
-            self._left = path_check.check_lengths(self.lengths(), self.mechanism)
+            self._left = straight_moves.require_lengths_in_range(self.lengths(), self.mechanism)
         except Unreachable as error:
             raise Unreachable(
                 "what the controller reads cannot be believed", error.index, [str(error), OUT_OF_RANGE]
@@ -146,8 +144,10 @@ class Driver:
         """Lengths (n,) m that may be gone to from start (n,) m: ranges, step, workspace, singularities. Raises
         Unreachable.
         """
-        lengths = path_check.check_lengths(lengths, self.mechanism)
-        path_check.check_path(start, lengths, self.mechanism, self.controller.margin, self.controller.max_step)
+        lengths = straight_moves.require_lengths_in_range(lengths, self.mechanism)
+        straight_moves.require_safe_path(
+            start, lengths, self.mechanism, self.controller.margin, self.controller.max_step
+        )
         return lengths
 
     def move(self, lengths: np.ndarray, share: float = 1.0) -> Arrival:
@@ -159,13 +159,15 @@ class Driver:
         """
         if not 0 < share <= 1:
             raise ValueError(f"share must be above 0 and at most 1, got {share}")
-        target = path_check.check_lengths(lengths, self.mechanism)
+        target = straight_moves.require_lengths_in_range(lengths, self.mechanism)
         with self._busy:
             start = self._ready()
             self.check(target, start)
             begun = self.clock.now()
             with self._guarded():
-                note = self._go(straight_move(start, target, share, self.controller, self.mechanism), start, target)
+                note = self._go(
+                    straight_move_segment(start, target, share, self.controller, self.mechanism), start, target
+                )
                 self._left = arrived = self.lengths()
             return Arrival(arrived, begun, self.clock.now(), note)
 
@@ -315,7 +317,9 @@ class Driver:
         return Status(state.activity, self._lengths(state), self._known, state.fault, state.said)
 
     def _trouble(self, state: State) -> str:
-        return f"{state.fault or state.activity} ({state.said}){advice(state.activity, self.controller.homing)}"
+        return (
+            f"{state.fault or state.activity} ({state.said}){operator_advice(state.activity, self.controller.homing)}"
+        )
 
     def _lately(self, since: float) -> str:
         return "".join(f"; {text}" for t, text in self.link.events if t >= since)

@@ -17,10 +17,11 @@ _BY_ACTIVITY = {
 }
 
 
-def advice(activity: str, homing: bool) -> str:
-    """Text "; " and what to do in one of rig.driving.protocols.protocol_interface.ACTIVITIES, or "" where it is ready.
-    homing : whether the controller can home."""
-    if activity in ("alarm", "off") and not homing:
+def operator_advice(activity: str, can_home: bool) -> str:
+    """Advice to the operator for the controller's activity, as text after "; "; "" where it is ready.
+    can_home : whether the controller can home.
+    """
+    if activity in ("alarm", "off") and not can_home:
         return (
             "; see what is wrong at the machine, then rig jog --unlock, with --trust where the position it reads "
             "is true"

@@ -1,6 +1,4 @@
-"""The operator's loop: move, settle, grab, journal; every row is on disk before the next move, and no move is sent
-twice unread.
-"""
+"""Operator loop of a run: move, settle, grab, journal; each journal row is on disk before the next move."""
 
 import threading
 from collections.abc import Callable
@@ -11,11 +9,11 @@ from typing import Protocol
 
 import numpy as np
 
-from rig.driving.cameras.camera_interface import Frame
-from rig.driving.cameras.camera_synchronisation import Shutter
+from rig.driving.cameras.camera_interface_and_clock import Frame
 from rig.driving.cameras.settling_check import Settling
+from rig.driving.cameras.synchronised_grab_and_exposure import Shutter
 from rig.driving.clock import Clock
-from rig.driving.live_recording import Growing
+from rig.driving.recording_from_journal import Growing
 from rig.driving.run_journal import (
     Arrival,
     Departure,
@@ -26,11 +24,10 @@ from rig.driving.run_journal import (
     Remark,
     Resumed,
     Row,
-    sync_folder,
+    sync_folder_to_disk,
 )
-from rig.driving.run_progress import Progress, move_verdict, run_progress
-from rig.driving.run_steps import Step
-from rig.driving.trapezoidal_profile import Way
+from rig.driving.run_steps_and_progress import Progress, Step, interrupted_move_result, progress_from_journal
+from rig.driving.straight_moves import Way
 from rig.errors import RigError, Stopped
 
 
@@ -114,12 +111,12 @@ class Operator:
         and raised.
         """
         try:
-            state = run_progress(self._journal.rows, self.planned)
+            state = progress_from_journal(self._journal.rows, self.planned)
             for index in range(state.step, len(self.planned)):
                 if index != state.step:
                     state = self._next(index)
                 self._do(state)
-                state = run_progress(self._journal.rows, self.planned)
+                state = progress_from_journal(self._journal.rows, self.planned)
             self.write(Ended(self.now(), ""))
         except BaseException as error:
             self._end(error)
@@ -131,12 +128,12 @@ class Operator:
 
         homed : whether the struts were homed before, so that their position says nothing of it
         """
-        state = run_progress(self._journal.rows, self.planned)
+        state = progress_from_journal(self._journal.rows, self.planned)
         position = self._read()
         if homed:
             found, there = f"the struts had to be homed; step {state.step + 1} is gone to from there", False
         else:
-            found, there = move_verdict(state, self.planned, np.array(position), self.bench.tolerance)
+            found, there = interrupted_move_result(state, self.planned, np.array(position), self.bench.tolerance)
         goal = tuple(self.planned[state.step].goal.tolist())
         self.write(Resumed(self.now(), goal if there else position, found))
         if state.pending is not None:
@@ -159,7 +156,7 @@ class Operator:
 
     def _next(self, index: int) -> Progress:
         """Progress at the start of a step."""
-        now = run_progress(self._journal.rows, self.planned)
+        now = progress_from_journal(self._journal.rows, self.planned)
         return Progress(index, 0, now.number, now.position, None, False, now.t, None)
 
     def _do(self, state: Progress) -> None:
@@ -213,7 +210,7 @@ class Operator:
         for folder in {
             place for name in names.values() for place in (self._folder / name).parents if self._folder in place.parents
         }:
-            sync_folder(folder)
+            sync_folder_to_disk(folder)
         t = float(np.mean([frame.t for frame in frames.values()])) - self._origin if frames else self.now()
         self.write(
             Exposed(
@@ -228,7 +225,7 @@ class Operator:
         reason = str(error) or type(error).__name__
         try:
             self.bench.machine.stop()
-            pending = run_progress(self._journal.rows, self.planned).pending
+            pending = progress_from_journal(self._journal.rows, self.planned).pending
             if pending is not None:
                 position = self._read()
                 near = bool(np.abs(np.array(position) - np.array(pending.goal)).max() <= self.bench.tolerance)

@@ -1,5 +1,4 @@
-"""What a run did, row by row: an append-only file that is on disk before the next thing moves, and what a torn end
-means.
+"""Journal of a run: an append-only file of numbered, checksummed rows; detection of a torn last row.
 
 One JSON object a line, numbered, with a check sum of its own. A last line that is cut off or whose sum is wrong was
 being written when the machine went down: it was never reported, and is taken away before the file goes on. Any other
@@ -140,7 +139,7 @@ class Journal:
                 os.ftruncate(self._file, whole)
             if new or self.torn:
                 os.fsync(self._file)
-                sync_folder(self.path.parent)
+                sync_folder_to_disk(self.path.parent)
         except BaseException:
             os.close(self._file)
             raise
@@ -168,14 +167,14 @@ class Journal:
 
 
 def journal_line(number: int, row: Row) -> bytes:
-    """A row as it stands in the file. number : of the row, from 0"""
+    """Line of the journal for a row. number : of the row, from 0"""
     body = json.dumps({"row": number, "kind": row.kind, **asdict(row)})
     return f'{body[:-1]}, "crc": "{zlib.crc32(body.encode()):08x}"}}\n'.encode()
 
 
 def read_journal(path: Path) -> tuple[list[Row], int]:
-    """(rows, bytes that they take) of a journal; what follows those bytes is a torn last line. Raises FileError for
-    damage, with the line.
+    """Rows read from a journal and their length in bytes; a torn last line follows those bytes.
+    Raises FileError for damage, with the line.
     """
     try:
         data = Path(path).read_bytes()
@@ -214,8 +213,8 @@ def _tuples(value: object) -> object:
     return tuple(_tuples(part) for part in value) if isinstance(value, list) else value
 
 
-def sync_folder(folder: Path) -> None:
-    """Have the names of a folder's files on disk."""
+def sync_folder_to_disk(folder: Path) -> None:
+    """Sync a folder's entries to disk (fsync)."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)

@@ -1,4 +1,4 @@
-"""Sensors beside the struts (thermometers, measuring limbs): a line of numbers for each look, from a port."""
+"""Sensors read from a serial port (thermometers, measuring limbs): a line of numbers per reading."""
 
 from collections.abc import Callable
 
@@ -8,7 +8,7 @@ from rig.driving.clock import Clock
 from rig.driving.controller_link import Port
 from rig.driving.serial_port import SerialPort
 from rig.errors import NoAnswer
-from rig.formats.number_parsing import parse_numbers
+from rig.formats.number_parsing_and_rounding import parse_numbers
 from rig.model.design import SensorPort
 
 WAIT = 2.0  # s for a line

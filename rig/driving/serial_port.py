@@ -1,6 +1,4 @@
-"""A port as pyserial's serial_for_url opens it (device, socket://, rfc2217://, loop://), found again after
-replugging.
-"""
+"""Serial port opened by pyserial URL (device, socket://, loop://), reopened after the device is replugged."""
 
 import fcntl
 import io
@@ -101,15 +99,20 @@ def _ends_with_us(handle: int) -> bool:
     return os.major(os.fstat(handle).st_rdev) not in PSEUDO_TERMINALS
 
 
-def find_port(url: str, usb: str) -> str:
-    """The port under which a USB device is plugged in now. url : its port when nothing else is known; usb : its serial
-    number or a part of its hardware id, "" where none is stated. Raises LinkLost where it is not plugged in, or several
-    answer to it."""
-    if not usb:
+def find_usb_port(url: str, usb_id: str) -> str:
+    """Find the port of a USB device by its id; `url` where no id is stated.
+    url : its port when nothing else is known; usb_id : its serial number or a part of its hardware id, "" where none
+    is stated. Raises LinkLost where it is not plugged in, or several answer to it. of its hardware id, "" where
+    none is stated. Raises LinkLost where it is not plugged in, or several
+    answer to it.
+    """
+    if not usb_id:
         return url
     ports = [
-        port for port in list_ports.comports() if port.serial_number == usb or usb.lower() in (port.hwid or "").lower()
+        port
+        for port in list_ports.comports()
+        if port.serial_number == usb_id or usb_id.lower() in (port.hwid or "").lower()
     ]
     if len(ports) != 1:
-        raise LinkLost(f"{len(ports)} ports answer to usb = {usb!r}" + "".join(f"; {port.device}" for port in ports))
+        raise LinkLost(f"{len(ports)} ports answer to usb = {usb_id!r}" + "".join(f"; {port.device}" for port in ports))
     return ports[0].device

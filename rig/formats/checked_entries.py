@@ -1,6 +1,4 @@
-"""A table of outside data, from TOML or JSON, that checks what it hands out, and complains with file, line, column and
-key.
-"""
+"""Entries of a TOML or JSON table, read with checks; errors name file, line, column and key."""
 
 from __future__ import annotations
 
@@ -16,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.errors import FileError
-from rig.formats.input_files import value_text
+from rig.formats.input_files import short_repr
 from rig.formats.schema_version import require_schema
 from rig.model.pose import pose
 
@@ -33,9 +31,9 @@ Key = str | int  # of a table, or an index of a list
 Shape = tuple[int | None, ...]  # of nested lists; None: any length
 
 
-def slip(word: str, known: Iterable, cutoff: float = 0.7) -> str | None:
-    """The one of some known words that a word is likely a slip of, or None. cutoff : of difflib's ratio, least of what
-    counts as near
+def nearest_known_word(word: str, known: Iterable, cutoff: float = 0.7) -> str | None:
+    """The nearest known word, of which a word is likely a misspelling, or None. cutoff : of difflib's ratio
+    cutoff : of difflib's ratio, least of what counts as near
     """
     near = difflib.get_close_matches(
         word[:64], [k for k in list(known)[:SLIPS] if isinstance(k, str) and len(k) <= 64], n=1, cutoff=cutoff
@@ -44,13 +42,11 @@ def slip(word: str, known: Iterable, cutoff: float = 0.7) -> str | None:
 
 
 def name_problem(name: str) -> str | None:
-    """What is wrong with the name of a camera, target or channel, in words, or None: it stands in paths, CSV cells,
-    places and figures.
-    """
+    """Problem of a name of a camera, target or channel, as text, or None."""
     if NAME.fullmatch(name):
         return None
     better = re.sub(r"[^A-Za-z0-9_.-]+", "_", name).strip("._-")[:64]
-    return f"{value_text(name)} cannot be a name: names have {NAMES}" + (f"; {better!r} would do" if better else "")
+    return f"{short_repr(name)} cannot be a name: names have {NAMES}" + (f"; {better!r} would do" if better else "")
 
 
 @dataclass
@@ -81,7 +77,7 @@ class Entries:
         if key in self.tree:
             return self.tree[key]
         if default is REQUIRED:
-            near = slip(key, self.tree) if isinstance(key, str) else None
+            near = nearest_known_word(key, self.tree) if isinstance(key, str) else None
             self.fail(
                 f"{self.name(key)} is missing" + (f"; is {near!r} meant?" if near else ""), *([near] if near else [])
             )
@@ -91,7 +87,7 @@ class Entries:
         """A table within this one."""
         value = self.get(key, {} if optional else REQUIRED)
         if not isinstance(value, dict):
-            self.fail(f"{self.name(key)} must be a table, not {value_text(value)}", key, value=value)
+            self.fail(f"{self.name(key)} must be a table, not {short_repr(value)}", key, value=value)
         return Entries(value, self.path + (key,), self.file, self.places)
 
     def tables(self, key: Key) -> list[Entries]:
@@ -114,7 +110,7 @@ class Entries:
         """Whole numbers of at least `least`, as a tuple."""
         value = self.get(key)
         if not isinstance(value, list):
-            self.fail(f"{self.name(key)} must be a list of whole numbers, not {value_text(value)}", key)
+            self.fail(f"{self.name(key)} must be a list of whole numbers, not {short_repr(value)}", key)
         inner = Entries(dict(enumerate(value)), (*self.path, key), self.file, self.places)
         return tuple(inner.whole(i, least) for i in range(len(value)))
 
@@ -127,14 +123,14 @@ class Entries:
         """Texts, as a tuple."""
         value = self.get(key)
         if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-            self.fail(f"{self.name(key)} must be a list of texts, not {value_text(value)}", key)
+            self.fail(f"{self.name(key)} must be a list of texts, not {short_repr(value)}", key)
         return tuple(value)
 
     def flag(self, key: Key, default: Any = REQUIRED) -> bool:
         """True or false."""
         value = self.get(key, default)
         if not isinstance(value, bool):
-            self.fail(f"{self.name(key)} must be true or false, not {value_text(value)}", key, value=value)
+            self.fail(f"{self.name(key)} must be true or false, not {short_repr(value)}", key, value=value)
         return value
 
     def identifier(self, key: Key) -> str:
@@ -150,10 +146,10 @@ class Entries:
         if value is default and default is not REQUIRED:
             return default
         if not isinstance(value, str) or (not choices and not value):
-            self.fail(f"{self.name(key)} must be text, not {value_text(value)}", key, value=value)
+            self.fail(f"{self.name(key)} must be text, not {short_repr(value)}", key, value=value)
         if choices and value not in choices:
             self.fail(
-                f"{self.name(key)} must be one of {', '.join(map(repr, choices))}, not {value_text(value)}",
+                f"{self.name(key)} must be one of {', '.join(map(repr, choices))}, not {short_repr(value)}",
                 key,
                 value=value,
             )
@@ -164,7 +160,7 @@ class Entries:
         value = self.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
             limits = f"at least {least}" + (f" and at most {most}" if isinstance(value, int) and value > most else "")
-            self.fail(f"{self.name(key)} must be a whole number of {limits}, not {value_text(value)}", key, value=value)
+            self.fail(f"{self.name(key)} must be a whole number of {limits}, not {short_repr(value)}", key, value=value)
         return value
 
     def number(
@@ -220,7 +216,7 @@ class Entries:
             ]
             label = self._label(keys[0], keys[1:])
             self.fail(
-                f"{label} must be {' and '.join(filter(None, limits))} {unit}".rstrip() + f", not {value_text(value)}",
+                f"{label} must be {' and '.join(filter(None, limits))} {unit}".rstrip() + f", not {short_repr(value)}",
                 *keys,
                 value=value,
             )
@@ -251,7 +247,7 @@ class Entries:
         """
         if shape:
             if not isinstance(value, list) or (shape[0] is not None and len(value) != shape[0]):
-                got = f"{len(value)} entries" if isinstance(value, list) else value_text(value)
+                got = f"{len(value)} entries" if isinstance(value, list) else short_repr(value)
                 self.fail(
                     f"{self._label(key, index)} must have "
                     f"{'x'.join('n' if n is None else str(n) for n in shape)} numbers, got {got}",
@@ -264,7 +260,7 @@ class Entries:
         elif isinstance(value, bool) or not isinstance(value, int | float):
             if not (nulls and value is None):
                 self.fail(
-                    f"{self._label(key, index)} must be a number, not {value_text(value)}", key, *index, value=value
+                    f"{self._label(key, index)} must be a number, not {short_repr(value)}", key, *index, value=value
                 )
         elif nulls and value != value:
             return
@@ -272,14 +268,14 @@ class Entries:
             finite = isinstance(value, int) or math.isfinite(value)
             self.fail(
                 f"{self._label(key, index)} is {'too large to compute with' if finite else 'not finite'}: "
-                f"{value_text(value)}",
+                f"{short_repr(value)}",
                 key,
                 *index,
                 value=value,
             )
         elif length_limit is not None and abs(value) > length_limit:
             self.fail(
-                f"{self._label(key, index)} = {value_text(value)} m is implausible (more than "
+                f"{self._label(key, index)} = {short_repr(value)} m is implausible (more than "
                 f"{length_limit:g} m): lengths are in metres; "
                 f"is this in millimetres ({value / 1000:g} m)?",
                 key,
@@ -315,8 +311,8 @@ class Entries:
         """
         for key in self.tree:
             if key not in known:
-                near = slip(str(key), known, NEAREST)
+                near = nearest_known_word(str(key), known, NEAREST)
                 hint = (
                     f"is {near!r} meant?" if near else f"there {'are' if len(known) > 1 else 'is'} {', '.join(known)}"
                 )
-                self.fail(f"unknown key {value_text(self.name(key))}; {hint}", key, value=key)
+                self.fail(f"unknown key {short_repr(self.name(key))}; {hint}", key, value=key)

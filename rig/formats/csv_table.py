@@ -1,4 +1,4 @@
-"""A CSV file of outside data -> checked columns; every complaint names file, line and column."""
+"""CSV table with checked columns; errors name file, line and column."""
 
 import csv
 import difflib
@@ -12,8 +12,8 @@ import numpy as np
 
 from rig.errors import FileError
 from rig.formats.checked_entries import LARGEST_NUMBER, LARGEST_WHOLE
-from rig.formats.input_files import read_text, value_text
-from rig.formats.number_parsing import LONGEST_NUMBER, NotFinite, parse_number, parse_numbers
+from rig.formats.input_files import read_text, short_repr
+from rig.formats.number_parsing_and_rounding import LONGEST_NUMBER, NotFinite, parse_number, parse_numbers
 from rig.recording.time_origin import LATEST, Origin, likely_time_unit
 
 FOREIGN = {"semicolon": ";", "tab": "\t"}  # separators of other people's tables
@@ -54,7 +54,7 @@ class Table:
         for i, cell in enumerate(cells):
             problem = _number_problem(cell)
             if problem:
-                self.fail(f"column {value_text(column)} {problem}: {value_text(cell)}", i, column, cell)
+                self.fail(f"column {short_repr(column)} {problem}: {short_repr(cell)}", i, column, cell)
         raise AssertionError("unreachable: a bad column without a bad cell")
 
     def times(self, column: str, origin: Origin) -> np.ndarray:
@@ -81,7 +81,7 @@ class Table:
         if len(bad):
             limits = "of at least 0" + (f" and at most {LARGEST_WHOLE}" if values[bad[0]] > LARGEST_WHOLE else "")
             self.fail(
-                f"column {column!r} must be a whole number {limits}, not {value_text(self.text(column)[bad[0]])}",
+                f"column {column!r} must be a whole number {limits}, not {short_repr(self.text(column)[bad[0]])}",
                 bad[0],
                 column,
             )
@@ -105,10 +105,11 @@ def _number_problem(cell: str) -> str | None:
     return "is too large to compute with" if abs(value) > LARGEST_NUMBER else None
 
 
-def read(path: str | Path, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> Table:
-    """Table of a CSV file with a header line.
+def read(path: str | Path, required_columns: tuple[str, ...], optional_columns: tuple[str, ...] = ()) -> Table:
+    """Read the Table of a CSV file with required and optional columns in its header.
 
-    required : column names that must be there; optional : names that may be. Further columns are kept, unless one looks
+    required_columns : column names that must be there; optional_columns : names that may be. Further columns are kept,
+        unless one looks
     like a slip of a known name.
     Raises FileError: no file, no header, a column missing, twice given or misspelt, a row of another length, no rows.
     """
@@ -116,7 +117,7 @@ def read(path: str | Path, required: tuple[str, ...], optional: tuple[str, ...] 
     text = read_text(path)
     reader = csv.reader(StringIO(text, newline=""))
     try:
-        header = _header(path, next(reader, ()), required, optional)
+        header = _header(path, next(reader, ()), required_columns, optional_columns)
         rows, lines = [], []
         for row in reader:
             if not (row and row[0].strip()) and not any(cell.strip() for cell in row):
@@ -150,7 +151,7 @@ def _header(path: Path, cells: Iterable[str], required: tuple[str, ...], optiona
     first: dict[str, int] = {}
     for place, name in enumerate(header, 1):
         if first.setdefault(name, place) != place:
-            raise FileError(path, f"column {value_text(name)} is given twice", 1, place, name)
+            raise FileError(path, f"column {short_repr(name)} is given twice", 1, place, name)
     missing = [name for name in required if name not in first]
     if missing:
         other = next((name for name, sign in FOREIGN.items() if len(header) == 1 and sign in header[0]), None)
@@ -160,7 +161,7 @@ def _header(path: Path, cells: Iterable[str], required: tuple[str, ...], optiona
             else f"; it is separated by {other}s, and tables here are by commas with decimal points (docs/tables.md)"
         )
         raise FileError(
-            path, f"column {missing[0]!r} is missing; the header is {value_text(','.join(header))}{hint}", 1
+            path, f"column {missing[0]!r} is missing; the header is {short_repr(','.join(header))}{hint}", 1
         )
     absent = [name for name in optional if name not in first and len(name) > 2]
     for place, name in enumerate(header, 1):
@@ -168,5 +169,5 @@ def _header(path: Path, cells: Iterable[str], required: tuple[str, ...], optiona
             difflib.get_close_matches(name[:64], absent, n=1, cutoff=0.8) if name not in (*required, *optional) else ()
         )
         if near:
-            raise FileError(path, f"unknown column {value_text(name)}; is {near[0]!r} meant?", 1, place, name)
+            raise FileError(path, f"unknown column {short_repr(name)}; is {near[0]!r} meant?", 1, place, name)
     return header

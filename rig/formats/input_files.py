@@ -1,4 +1,4 @@
-"""Bytes and text of outside files: regular files alone, of a size that can be meant; every failure is a FileError."""
+"""Input files read as bytes or text: regular files of limited size; every failure is a FileError."""
 
 import os
 import stat
@@ -19,15 +19,16 @@ KINDS = (
 )
 
 
-def open_file(path: Path, missing: str = "no such file") -> BinaryIO:
-    """A regular file, opened to be read; anything else is never waited for. missing : what to say where there is none.
+def open_regular_file(path: Path, missing_message: str = "no such file") -> BinaryIO:
+    """Open a regular file for reading; never waits for a pipe or device.
+    missing_message : what to say where there is none.
 
     Raises FileError where it is missing, no regular file or cannot be opened
     """
     try:
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except FileNotFoundError:
-        raise FileError(path, missing) from None
+        raise FileError(path, missing_message) from None
     except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
         raise FileError(path, f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
     mode = os.fstat(handle).st_mode
@@ -37,17 +38,20 @@ def open_file(path: Path, missing: str = "no such file") -> BinaryIO:
     return os.fdopen(handle, "rb")
 
 
-def read_bytes(path: Path, most: int = LARGEST, missing: str = "no such file") -> bytes:
-    """All of a file, here or behind a URL. most : bytes. Raises FileError as `open_file` does, for a file larger than
-    `most` and for one that cannot be read."""
+def read_bytes(path: Path, max_bytes: int = LARGEST, missing_message: str = "no such file") -> bytes:
+    """Read all bytes of a file, local or behind a URL, `max_bytes` at most.
+    max_bytes : bytes. Raises FileError as `open_regular_file` does, for a file larger than `max_bytes` and for one that
+        cannot be
+    read. be read.
+    """
     if remote_folders.is_remote(path):
-        return _fetched(path, most, missing)
-    with open_file(path, missing) as file:
+        return _fetched(path, max_bytes, missing_message)
+    with open_regular_file(path, missing_message) as file:
         size = os.fstat(file.fileno()).st_size
-        if size > most:
-            raise FileError(path, f"has {size} bytes, more than the {most} that such a file may have")
+        if size > max_bytes:
+            raise FileError(path, f"has {size} bytes, more than the {max_bytes} that such a file may have")
         try:
-            return file.read(most)
+            return file.read(max_bytes)
         except OSError as error:
             raise FileError(path, f"cannot be read: {error.strerror}") from None
 
@@ -63,11 +67,11 @@ def _fetched(path: Path, most: int, missing: str) -> bytes:
     return data
 
 
-def read_text(path: Path, most: int = LARGEST, missing: str = "no such file") -> str:
-    """The text of a UTF-8 file, a byte order mark left out. Raises FileError as `read_bytes` does, and for what is no
-    text.
+def read_text(path: Path, max_bytes: int = LARGEST, missing_message: str = "no such file") -> str:
+    """Read the text of a UTF-8 file, without its byte order mark.
+    Raises FileError as `read_bytes` does, and for what is no text.
     """
-    data = read_bytes(path, most, missing)
+    data = read_bytes(path, max_bytes, missing_message)
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -78,8 +82,8 @@ def read_text(path: Path, most: int = LARGEST, missing: str = "no such file") ->
     return text
 
 
-def value_text(value: Any) -> str:
-    """A value as a message repeats it: like repr, but never long."""
+def short_repr(value: Any) -> str:
+    """Short repr of a value for a message, truncated where long."""
     try:
         text = repr(value if not isinstance(value, str) else value[: 2 * SHOWN])
     except (ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""A machine as it was drawn or found, in a JSON file: its geometry, its cameras and the effects at work."""
+"""Machine as a JSON file: its true or identified geometry, cameras and effects."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -9,7 +9,7 @@ import numpy as np
 
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_text import Kinds, effect_from_dict, effect_to_dict, require_place
+from rig.effects.texts.effect_text import Kinds, effect_from_dict, effect_to_dict, require_existing_place
 from rig.errors import FileError, RigError
 from rig.formats import json_file
 from rig.formats.checked_entries import LARGEST_RIG, Entries
@@ -28,7 +28,7 @@ LIMBS = ("base_joints", "platform_joints", "zeros")
 
 
 def machine_dict(design: Design, effects: Iterable[Effect]) -> dict:
-    """{"effects", geometry by name, "cameras", "insitu" where there are measuring limbs} of a design as it is."""
+    """Dict of a machine for JSON: effects, geometry by name, cameras, measuring limbs."""
     m = design.mechanism
     out = {"effects": [effect_to_dict(effect) for effect in effects], **_geometry(m)}
     out["cameras"] = [
@@ -57,26 +57,31 @@ def _geometry(m: Mechanism) -> dict[str, Any]:
     )
 
 
-def load_machine(path: Path, stated: Design, kinds: Kinds = BY_NAME) -> tuple[Design, tuple[Effect, ...]]:
-    """(the design as it is, effects at work) of such a file, the rest as stated. kinds : effects that there are
+def load_machine(
+    path: Path, nominal_design: Design, effect_kinds: Kinds = BY_NAME
+) -> tuple[Design, tuple[Effect, ...]]:
+    """Load a machine: (its Design, its effects); what the file lacks is nominal.
+    effect_kinds : effects that there are
 
     Raises FileError for a file that is none of this rig
     """
-    found, limbs = json_file.load(path, "truth of this rig"), stated.insitu
+    found, limbs = json_file.load(path, "truth of this rig"), nominal_design.insitu
     if "effects" not in found.tree:
         found.fail("is no truth of this rig: effects are missing", "effects")
-    mechanism = _mechanism(stated.mechanism, found)
+    mechanism = _mechanism(nominal_design.mechanism, found)
     known = {entry.text("name"): entry for entry in found.tables("cameras")}
-    missing = [c.name for c in stated.cameras if c.name not in known]
+    missing = [c.name for c in nominal_design.cameras if c.name not in known]
     if missing:
         found.fail(f"is no truth of this rig: cameras lacks {missing[0]!r}", "cameras")
-    cameras = tuple(_camera(c, known[c.name]) for c in stated.cameras)
+    cameras = tuple(_camera(c, known[c.name]) for c in nominal_design.cameras)
     if limbs is not None and "insitu" in found.tree:
         table = found.table("insitu")
         limbs = replace(
             limbs, **{name: table.array(name, getattr(limbs, name).shape, length_limit=LARGEST_RIG) for name in LIMBS}
         )
-    return replace(stated, mechanism=mechanism, cameras=cameras, insitu=limbs), _effects(found, stated, kinds)
+    return replace(nominal_design, mechanism=mechanism, cameras=cameras, insitu=limbs), _effects(
+        found, nominal_design, effect_kinds
+    )
 
 
 def _mechanism(stated: Mechanism, table: Entries) -> Mechanism:
@@ -115,7 +120,7 @@ def _effects(table: Entries, design: Design, kinds: Kinds) -> tuple[Effect, ...]
     found = []
     for number, entry in enumerate(table.tables("effects"), 1):
         try:
-            found.append(require_place(effect_from_dict(entry.tree, kinds), design))
+            found.append(require_existing_place(effect_from_dict(entry.tree, kinds), design))
         except FileError:
             raise
         except RigError as error:

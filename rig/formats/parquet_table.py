@@ -1,30 +1,28 @@
-"""Parquet tables, by pyarrow: read as text cells, as a CSV of the same would have them, and written with typed
-columns.
-"""
+"""Parquet tables (pyarrow): read as text cells like a CSV, written with typed columns."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from rig.errors import FileError, MissingLibrary
-from rig.formats.input_files import open_file
+from rig.formats.input_files import open_regular_file
 
 MOST = 10_000_000  # rows
 
 
 def is_parquet(path: Path) -> bool:
-    """Whether a file is called one."""
+    """Whether a file is a Parquet file by its name."""
     return path.suffix.lower() in (".parquet", ".pq")
 
 
-def read_cells(path: Path) -> tuple[tuple[str, ...], list[list[str]]]:
-    """(header, rows of texts) of a Parquet file; timestamps become nanoseconds since 1970.
+def read_parquet_cells(path: Path) -> tuple[tuple[str, ...], list[list[str]]]:
+    """Read a Parquet file as text cells: (header, rows); timestamps as nanoseconds since 1970.
 
     Raises MissingLibrary without pyarrow, FileError for what is no such file, for other types and for cells that are
         empty
     """
     pa, parquet = _library()
-    with open_file(path) as file:
+    with open_regular_file(path) as file:
         try:
             table = parquet.read_table(file)
         except (pa.ArrowException, OSError, ValueError) as error:
@@ -48,7 +46,7 @@ def read_cells(path: Path) -> tuple[tuple[str, ...], list[list[str]]]:
 
 
 def parquet_bytes(columns: Mapping[str, Sequence[int] | Sequence[float] | Sequence[str]]) -> bytes:
-    """The bytes of a Parquet file of {name: values}. Raises MissingLibrary without pyarrow."""
+    """Bytes of a Parquet file with columns {name: values}. Raises MissingLibrary without pyarrow."""
     pa, parquet = _library()
     buffer = pa.BufferOutputStream()
     parquet.write_table(pa.table(dict(columns)), buffer)

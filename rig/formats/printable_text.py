@@ -1,4 +1,4 @@
-"""Text on which a terminal does nothing but show it."""
+"""Printable text: control characters escaped, so that a terminal only displays it."""
 
 import re
 
@@ -8,8 +8,7 @@ UNSEEN = re.compile(
 
 
 def escape_unprintable(text: str) -> str:
-    """A text on which a terminal does nothing but show it: control characters, what turns the direction of writing, and
-    bytes of a name that is no UTF-8 are escaped; line ends and tabs stay."""
+    """Text with unprintable characters escaped: control and direction characters, invalid UTF-8."""
     return UNSEEN.sub(_escape, text)
 
 

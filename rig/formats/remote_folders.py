@@ -1,5 +1,4 @@
-"""Folders behind a URL that fsspec knows (s3://, gs://, memory://, https://): a path whose first part is the scheme, as
-pathlib folds it.
+"""Remote folders behind an fsspec URL (s3://, gs://, https://): tests, listing and reading by path.
 
 `Path("s3://bucket/rec") / "frames.csv"` stands for s3://bucket/rec/frames.csv wherever outside data are read. Files
 come one by one as they are read and are kept nowhere; `filecache::s3://bucket/rec` is fsspec's word for keeping them.
@@ -18,14 +17,12 @@ LISTED = 64  # folders whose entries are remembered
 
 
 def is_remote(path: Path) -> bool:
-    """Whether a path stands for a URL: a scheme is among its parts, from which on alone it counts, and no folder here
-    has that name.
-    """
+    """Whether a path stands for a remote URL."""
     return _scheme(path) is not None
 
 
 def url(path: Path) -> str:
-    """The URL that a path stands for. Raises ValueError where it stands for none."""
+    """URL of a remote path. Raises ValueError where it stands for none."""
     at = _scheme(path)
     if at is None:
         raise ValueError(f"{path} stands for no URL")
@@ -40,50 +37,54 @@ def _scheme(path: Path) -> int | None:
 
 
 def absolute(path: Path) -> Path:
-    """The same place as it is called from anywhere, links followed."""
+    """Absolute path of a local or remote path, links followed."""
     return path if is_remote(path) else path.resolve()
 
 
 def exists(path: Path) -> bool:
-    """Whether a file is there, or a folder with anything in it. Raises FileError where that cannot be asked."""
+    """Whether a file or a non-empty folder exists at a path. Raises FileError where that is unknown.
+    Raises FileError where that cannot be asked.
+    """
     return (
         path.exists() if not is_remote(path) else path.name in _entries(url(path.parent)) or bool(_entries(url(path)))
     )
 
 
 def is_folder(path: Path) -> bool:
-    """Whether a folder is there. Raises FileError where that cannot be asked."""
+    """Whether a path is a folder. Raises FileError where that is unknown.
+    Raises FileError where that cannot be asked.
+    """
     return path.is_dir() if not is_remote(path) else bool(_entries(url(path)))
 
 
 def is_empty(folder: Path) -> bool:
-    """Whether nothing is in a folder."""
+    """Whether a folder is empty."""
     return not list_folder(folder)
 
 
 def list_folder(folder: Path) -> list[str]:
-    """What is in a folder, sorted."""
+    """List of a folder's entries, sorted."""
     return sorted(_entries(url(folder)) if is_remote(folder) else os.listdir(folder))
 
 
 def file_size(path: Path) -> int | None:
-    """Bytes of a file as its folder's listing says, None where there is no such file. Raises FileError where that
-    cannot be asked.
+    """File size in bytes from its folder's listing, None where there is no such file.
+    Raises FileError where that cannot be asked.
     """
     if is_remote(path):
         return _entries(url(path.parent)).get(path.name)
     return path.stat().st_size if path.is_file() else None
 
 
-def read(path: Path, most: int | None = None) -> bytes:
-    """A file behind a URL, or so many of its first bytes.
+def read(path: Path, max_bytes: int | None = None) -> bytes:
+    """Read the bytes of a remote file, the first `max_bytes` at most.
 
     Raises FileNotFoundError where it is missing, MissingLibrary without what opens it, FileError for what else goes
         wrong
     """
     system, place = _system(url(path))
     try:
-        return system.cat_file(place, end=most)
+        return system.cat_file(place, end=max_bytes)
     except (FileNotFoundError, IsADirectoryError):
         raise FileNotFoundError(url(path)) from None
     except Exception as error:  # every kind of place has kinds of its own
@@ -91,7 +92,7 @@ def read(path: Path, most: int | None = None) -> bytes:
 
 
 def clear_listing_cache() -> None:
-    """Forget what folders listed: another recording is read, or the same one again."""
+    """Clear the cache of folder listings."""
     _entries.cache_clear()
 
 

@@ -1,4 +1,4 @@
-"""Where each value of a TOML text stands, so that an error can name line and column (tomllib does not say)."""
+"""Positions (line and column) of the values in a TOML text, for error messages."""
 
 import re
 import tomllib
@@ -12,7 +12,7 @@ _SCALAR = re.compile(r"[^,\]}\s#]+(?: [0-9:.]+)?")
 
 
 def value_positions(text: str) -> dict[tuple, tuple[int, int]]:
-    """{path: (line, column)} of every table, array element and value of a TOML text that tomllib has accepted.
+    """Positions of all values in a TOML text: {path: (line, column)}.
 
     A path is a tuple of keys and indices, as in ("camera", 0, "matrix", 2, 1); lines and columns count from 1.
     The path () stands for the start of the file.

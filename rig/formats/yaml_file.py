@@ -1,4 +1,4 @@
-"""A YAML file of others -> Entries that check what they hand out; every complaint names file, line and column."""
+"""YAML file of other programs read into Entries; errors name file, line and column."""
 
 import re
 from pathlib import Path
@@ -28,8 +28,8 @@ WORDS = {
 
 
 def load(path: Path) -> Entries:
-    """The table that a YAML file holds. Raises FileError for a file that is missing, cut off, no YAML, no table or
-    larger than such files are.
+    """Load the Entries of a YAML file. Raises FileError.
+    Raises FileError for a file that is missing, cut off, no YAML, no table or larger than such files are.
     """
     text = DIRECTIVE.sub("", read_text(path, LARGEST))
     try:

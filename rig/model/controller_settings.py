@@ -1,4 +1,4 @@
-"""What drives the axes of a rig, as its owner states it: the [controller] of a rig.toml, in metres and seconds."""
+"""Settings of the controller that drives a rig's axes: the [controller] of a rig.toml, in metres and seconds."""
 
 from dataclasses import dataclass
 
@@ -14,9 +14,7 @@ SCHEMES = (
 
 
 def port_problem(port: str) -> str | None:
-    """What is wrong with a port's name, in words, or None: it is a device (/dev/ttyUSB0, COM3) or a URL with one of
-    SCHEMES.
-    """
+    """Problem with the name of a port, in words; None for a device (/dev/ttyUSB0, COM3) or an accepted URL."""
     scheme, stroke, _ = port.partition("://")
     if not port.isprintable():
         return f"{port[:SHOWN]!r} is no port: it holds characters that cannot be printed"

@@ -1,4 +1,4 @@
-"""Cubes that are taken off and put back turned: which there are, what a plan asks for, how a rig.toml says it."""
+"""Remounting of cubes, turned by quarter turns: permissions, instructions, the design and rig.toml after it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -11,10 +11,8 @@ COLUMN = "turned_"  # before a cube's name: column of a plan in time
 WORDS = ("as it was", "turned by a quarter turn", "turned by a half turn", "turned by three quarter turns")
 
 
-def cube_named(text: str, targets: Sequence[Target]) -> tuple[str, str | None]:
-    """(name, None) of the cube that a text names, by its name or, where no target bears that, its number (from 1) among
-    the targets; or ("", what is wrong, in words): no such target, one that is no cube, the only one of its body,
-    without which nothing holds the body's frame."""
+def find_cube(text: str, targets: Sequence[Target]) -> tuple[str, str | None]:
+    """(name, None) of the cube that a text names or numbers among targets, or ("", problem in words)."""
     names = [target.name for target in targets]
     numbered = text.isascii() and text.isdigit() and text not in names and 0 < int(text[:6]) <= len(targets)
     if text not in names and not numbered:
@@ -35,34 +33,30 @@ def cube_named(text: str, targets: Sequence[Target]) -> tuple[str, str | None]:
     return found.name, None
 
 
-def parse_permission(word: str, targets: Sequence[Target]) -> tuple[str, str | None]:
-    """(what an owner allows experiments, a cube that may be turned by its name, None), or ("", what is wrong with that
-    cube, in words).
-    """
+def parse_cube_turn_permission(word: str, targets: Sequence[Target]) -> tuple[str, str | None]:
+    """(permission with the cube's name, None) of a word of [experiment] may, or ("", problem in words)."""
     if not word.startswith(TURN):
         return word, None
-    name, problem = cube_named(word.removeprefix(TURN), targets)
+    name, problem = find_cube(word.removeprefix(TURN), targets)
     return TURN + name if problem is None else "", problem
 
 
 def quarter_turns(design: Design) -> dict[str, int]:
-    """{cube: quarter turns} of the cubes of a design that were taken off and put back; of several recordings together,
-    as they stood last.
-    """
+    """{cube: quarter turns} of a design's remounted cubes; of several recordings, the last."""
     return {target.name.partition("@")[0]: target.turned for target in design.targets if target.turned is not None}
 
 
 def design_with_turned_cubes(design: Design, quarters: Mapping[str, int]) -> Design:
-    """The Design with cubes put back turned. Raises RigError for a cube that there is not."""
+    """The Design with cubes turned by quarters {cube: quarter turns}. Raises RigError for an unknown cube."""
     for name in quarters:
-        _, problem = cube_named(name, design.targets)
+        _, problem = find_cube(name, design.targets)
         if problem:
             raise RigError(problem)
     return replace(design, targets=tuple(replace(t, turned=quarters.get(t.name, t.turned)) for t in design.targets))
 
 
 def rig_toml_with_turns(text: str, quarters: Mapping[str, int]) -> str:
-    """The rig.toml text saying how cubes stand; all else, comments too, as it was."""
+    """The rig.toml text with the cubes' turns (quarters) stated; all else, comments too, unchanged."""
     import tomlkit
 
     if not quarters:
@@ -75,11 +69,11 @@ def rig_toml_with_turns(text: str, quarters: Mapping[str, int]) -> str:
     return tomlkit.dumps(document)
 
 
-def turning_instructions(quarters: Mapping[str, int], before: Mapping[str, int]) -> list[str]:
-    """What an operator is asked to do so that cubes stand as they are to, in words. before : how they stand now"""
+def turning_instructions(quarters: Mapping[str, int], present_quarters: Mapping[str, int]) -> list[str]:
+    """Instructions to the operator for turning cubes to these quarters from the present ones, in words."""
     out = []
     for name, quarter in quarters.items():
-        if before.get(name) != quarter:
+        if present_quarters.get(name) != quarter:
             out.append(
                 f"take cube {name} off its socket and put it back {WORDS[quarter]}"
                 + (", counter-clockwise about its own z, from where rig.toml states it" if quarter else "")

@@ -1,4 +1,4 @@
-"""What a rig is, as its owner states it: frozen dataclasses in metres, radians and pixels."""
+"""Design of a rig as its owner states it: mechanism, cameras, targets and platform as frozen dataclasses."""
 
 from __future__ import annotations
 

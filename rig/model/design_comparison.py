@@ -1,4 +1,4 @@
-"""Two rig.toml of one rig held against each other: what one states otherwise than the other, by name and size."""
+"""Comparison of two designs of one rig: contradictions between them, and whether lenses are the same."""
 
 import re
 from collections.abc import Iterator
@@ -25,9 +25,7 @@ PAYLOAD = "a payload is no part of the platform: log it as payload_mass_kg in se
 
 
 def design_contradictions(a: Design, b: Design) -> list[str]:
-    """What two Designs state of the machine itself that cannot both be true, in words; cameras may be moved, and are
-    not asked for.
-    """
+    """Contradictions of two Designs about the machine itself, in words; camera poses may differ."""
     found = [
         text
         for name in STATED
@@ -38,7 +36,7 @@ def design_contradictions(a: Design, b: Design) -> list[str]:
 
 
 def same_lens(a: Camera, b: Camera) -> bool:
-    """Whether two Cameras are stated with the same sensor, lens, shutter and mount, wherever they stand."""
+    """Whether two Cameras have the same lens, sensor, shutter and mount, wherever they stand."""
     return not any(where not in ("pose", "source") for where, _ in _differences(a, b, ""))
 
 

@@ -1,5 +1,4 @@
-"""What printers, glue, the corner finder and thermometers may do on their own: the one place where it is stated, each
-with its reason.
+"""Tolerances of manufacturing: printed markers, corner finder, thermometers, cube seats, each with its reason.
 
 What lies within these limits may be there beyond chance and still is nobody's fault: a diagnosis mentions it as a
 remark, with its size.

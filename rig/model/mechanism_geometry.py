@@ -1,4 +1,4 @@
-"""The geometry of machines, as their owner states it: frozen dataclasses in metres and radians."""
+"""Geometry of mechanisms (hexapod, planar, arm, chain, free) as frozen dataclasses in metres and radians."""
 
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
@@ -17,11 +17,9 @@ def _array(value: Any, shape: tuple[int | None, ...], what: str) -> np.ndarray:
     return array
 
 
-def freeze_array(self: Any, name: str, shape: tuple[int | None, ...]) -> None:
-    """Make a frozen dataclass' field an unwritable float array of a shape. Raises ValueError for another shape or what
-    is not finite.
-    """
-    object.__setattr__(self, name, _array(getattr(self, name), shape, name))
+def freeze_array(instance: Any, name: str, shape: tuple[int | None, ...]) -> None:
+    """Freeze an array field of a dataclass instance: read-only floats of a shape. Raises ValueError otherwise."""
+    object.__setattr__(instance, name, _array(getattr(instance, name), shape, name))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,6 +1,4 @@
-"""Commands through time, with effects -> poses: the one forward model of motion, for the simulator and the diagnosis
-alike.
-"""
+"""Simulation of motion: poses of the machine from commands through time, with effects."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +11,7 @@ from rig.effects.framework.machine_motion import Motion, Path
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.design import Chain, Design, Hexapod, Planar2
-from rig.model.mechanism_kinds import axes_of
+from rig.model.mechanism_kinds import require_axes
 from rig.model.mechanisms import chain, hexapod, two_strut_plane
 from rig.model.pose import exp, pose_difference
 from rig.recording.recording_folder import Commands, Sensors
@@ -43,7 +41,7 @@ class Run:
 def motion_of_commands(
     design: Design, commands: Commands, t: np.ndarray, effects: Iterable[Effect] = (), sensors: Sensors | None = None
 ) -> Motion:
-    """Motion of a design (as it really is) at exposures logged at t (n,) s: clock and path as the effects make them.
+    """Motion of a design's commands at exposures logged at t (n,) s: clock and path under effects.
 
     commands : Commands; effects : Effects; sensors : Sensors or None
     """
@@ -61,7 +59,7 @@ def motion_of_commands(
         path = effect.follow(path, mechanisms.axis_places(design.mechanism))
     home = mechanisms.kinematics_of(design.mechanism).home(design.mechanism)
     return Motion(
-        axes_of(design.mechanism), design.platform, design.actuator, design.gravity, t, path, sensors, home, None
+        require_axes(design.mechanism), design.platform, design.actuator, design.gravity, t, path, sensors, home, None
     )
 
 
@@ -73,7 +71,7 @@ def run_machine(
     sensors: Sensors | None = None,
     rates: bool = False,
 ) -> Run:
-    """Run of a machine under commands, with effects.
+    """Run of the machine of a design under commands, with effects: its poses and, if requested, rates.
 
     design : Design as it really is; commands : Commands; t : (n,) s, exposures as logged; effects : Effects, acting
         together
@@ -122,14 +120,13 @@ def effective_commands(
     effects: Sequence[Effect] = (),
     sensors: Sensors | None = None,
 ) -> np.ndarray:
-    """(n, axes) m that commands become under effects at exposures logged at t (n,) s; what depends on the pose is taken
-    at T (n,).
+    """Effective commands (n, axes) under effects, at exposures logged at t (n,) s and poses T (n,).
 
     Sway counts as struts' length. The machine stands at T where this is the inverse kinematics of T. Raises as
     `motion_of_commands`
     """
     out, sway = effective_commands_and_sway(design, commands, t, T, effects, sensors)
-    return out + apparent_strut_lengths(design, T, sway) if sway.any() else out
+    return out + apparent_strut_elongations(design, T, sway) if sway.any() else out
 
 
 def effective_commands_and_sway(
@@ -140,8 +137,7 @@ def effective_commands_and_sway(
     effects: Sequence[Effect] = (),
     sensors: Sensors | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """((n, axes) m or rad that commands become, (n, 6) sway of the platform beyond that) under effects, taken at T (n,)
-    as in `effective_commands`.
+    """Effective commands (n, axes) under effects and the platform's sway (n, 6), taken at poses T (n,).
 
     What joints hold is displaced along with them in ways that no joint may make up for. Raises as `motion_of_commands`
     """
@@ -150,10 +146,8 @@ def effective_commands_and_sway(
     return out, sum((e.sway(state) for e in effects), np.zeros((len(state.t), 6)))
 
 
-def apparent_strut_lengths(design: Design, T: RigidTransform, sway: np.ndarray) -> np.ndarray:
-    """(n, axes) m by which struts seem longer where the platform at T (n,) is displaced by tangents (n, 6). Raises
-    RigError without struts.
-    """
+def apparent_strut_elongations(design: Design, T: RigidTransform, sway: np.ndarray) -> np.ndarray:
+    """(n, axes) m apparent elongation of struts where the platform at T (n,) is displaced by sway (n, 6)."""
     m = design.mechanism
     if isinstance(m, Hexapod):
         return np.einsum("nij,nj->ni", hexapod.jacobian(T, m), sway)
@@ -163,9 +157,7 @@ def apparent_strut_lengths(design: Design, T: RigidTransform, sway: np.ndarray) 
 
 
 def has_rolling_shutter(design: Design, effects: Iterable[Effect]) -> bool:
-    """Whether the rows of some camera's images are exposed one after the other, so that velocities matter to what is
-    seen.
-    """
+    """Whether a camera of the design has a rolling shutter, stated or by an effect, so that velocities matter."""
     return any(camera.shutter == "rolling" for camera in design.cameras) or any(effect.rolls for effect in effects)
 
 
@@ -185,8 +177,6 @@ def _with_rates(
 
 
 def pose_rates(T: RigidTransform, before: RigidTransform, after: RigidTransform) -> tuple[np.ndarray, np.ndarray]:
-    """(rate (n, 6) tangent per s, curvature (n, 6) per s^2) of poses (n,), and where they were ABOUT s before and
-    after.
-    """
+    """Rates (n, 6) per s of poses T (n,), and curvatures (n, 6), from poses shortly before and after."""
     minus, plus = pose_difference(T, before), pose_difference(T, after)
     return (plus - minus) / (2 * ABOUT), (plus + minus) / ABOUT**2

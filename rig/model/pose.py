@@ -1,11 +1,7 @@
-"""The few things SciPy's RigidTransform lacks: a tangent with translation first, covariances on the right, and the way
-to another process unrounded.
-
-Frames: T_a_b maps b's coordinates to a. Tangent xi = (x, y, z, rx, ry, rz) in m and rad stands on the right:
-T = T_mean * exp(xi), so it lives in b's frame.
-"""
+"""Poses (SciPy's RigidTransform) with tangents, translation first, covariances, and conversions to vectors."""
 
 import copyreg
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,31 +29,30 @@ def pose(position: ArrayLike, rotvec: ArrayLike) -> RigidTransform:
 
 
 def pose_to_vector(T: RigidTransform) -> np.ndarray:
-    """(..., 6) position (m) and rotation vector (rad) of a RigidTransform (...), as files write it."""
+    """Pose as a vector (..., 6): position (m) and rotation vector (rad), as files have it."""
     return np.concatenate([T.translation, T.rotation.as_rotvec()], axis=-1)
 
 
 def exp(xi: ArrayLike) -> RigidTransform:
-    """RigidTransform (...) of the tangent (..., 6), translation first (m, rad)."""
+    """Exponential of a tangent (..., 6), translation first (m, rad): RigidTransform (...)."""
     xi = np.asarray(xi, float)
     return RigidTransform.from_exp_coords(np.concatenate([xi[..., 3:], xi[..., :3]], axis=-1))
 
 
 def log(T: RigidTransform) -> np.ndarray:
-    """Tangent (..., 6) of a RigidTransform (...), translation first (m, rad)."""
+    """Logarithm of a RigidTransform (...): its tangent (..., 6), translation first (m, rad)."""
     coords = T.as_exp_coords()
     return np.concatenate([coords[..., 3:], coords[..., :3]], axis=-1)
 
 
-def pose_entry_text(T: RigidTransform) -> dict[str, list[float]]:
-    """A pose as files hold it: position (m) and rotation vector (rad)."""
+def pose_to_entry(T: RigidTransform) -> dict[str, list[float]]:
+    """Pose as an entry of a file, {position, rotvec}: m and rad."""
     position, rotvec = np.split(pose_to_vector(T), 2)
     return {"position": position.tolist(), "rotvec": rotvec.tolist()}
 
 
 def pose_difference(T_from: RigidTransform, T_to: RigidTransform) -> np.ndarray:
-    """(..., 6) position (m) and rotation vector (rad) of T_from^-1 T_to: how far apart two poses are, seen in the
-    first.
+    """Pose difference (..., 6): position (m) and rotation vector (rad) of T_from^-1 T_to.
 
     The parts are taken separately (no coupling of rotation into position), the definition used for every pose error.
     """
@@ -65,7 +60,7 @@ def pose_difference(T_from: RigidTransform, T_to: RigidTransform) -> np.ndarray:
 
 
 def adjoint(T: RigidTransform) -> np.ndarray:
-    """(..., 6, 6) matrix by which a tangent is seen through T: T exp(xi) T^-1 = exp(adjoint(T) xi).
+    """Adjoint (..., 6, 6) of poses: T exp(xi) T^-1 = exp(adjoint(T) xi).
 
     T : RigidTransform (...,)
     Source: Barfoot, State Estimation for Robotics, 1st ed., eq. 7.37 (there translation first as well)
@@ -77,8 +72,7 @@ def adjoint(T: RigidTransform) -> np.ndarray:
 
 
 def roll_pitch_yaw(T: RigidTransform) -> np.ndarray:
-    """(..., 3) rad of a RigidTransform (...): turned by roll about x, then pitch about y, then yaw about z, the axes of
-    the static frame.
+    """Roll, pitch and yaw (..., 3) rad of a RigidTransform (...), about fixed x, y and z in this order.
 
     R = Rz(yaw) Ry(pitch) Rx(roll). At a pitch of a quarter turn roll and yaw turn alike: all of it is told as roll, yaw
     is 0
@@ -91,8 +85,7 @@ def roll_pitch_yaw(T: RigidTransform) -> np.ndarray:
 
 
 def angle_sigmas(T: RigidTransform, covariance: np.ndarray) -> np.ndarray:
-    """(..., 3) rad, standard deviations of roll, pitch and yaw of poses (...) with covariance (..., 6, 6), tangent on
-    the right; infinite where roll and yaw cannot be told apart."""
+    """Standard deviations (sigmas) (..., 3) rad of roll, pitch and yaw angles of poses with a covariance."""
     roll, pitch, _ = np.moveaxis(roll_pitch_yaw(T), -1, 0)
     sr, cr, sp, cp = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
     cp = np.where(np.abs(cp) < LOCKED, np.nan, cp)
@@ -110,13 +103,13 @@ def angle_sigmas(T: RigidTransform, covariance: np.ndarray) -> np.ndarray:
 
 
 def transform_points(T: RigidTransform, points: np.ndarray) -> np.ndarray:
-    """Points (..., n, 3) of frame b, in frame a, for T_a_b : RigidTransform (...). Same unit as given."""
+    """Points (..., n, 3) transformed from frame b to frame a by T_a_b : RigidTransform (...)."""
     matrix = T.as_matrix()
     return points @ np.swapaxes(matrix[..., :3, :3], -1, -2) + matrix[..., None, :3, 3]
 
 
 def skew(vectors: ArrayLike) -> np.ndarray:
-    """(..., 3, 3) cross-product matrices of vectors (..., 3)."""
+    """Skew-symmetric cross-product matrices (..., 3, 3) of vectors (..., 3)."""
     v = np.asarray(vectors, float)
     out = np.zeros((*v.shape, 3))
     out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
@@ -125,9 +118,21 @@ def skew(vectors: ArrayLike) -> np.ndarray:
 
 
 def covariance_from_triangle(triangle: ArrayLike) -> np.ndarray:
-    """(..., 6, 6) symmetric from the 21 upper-triangle entries c00 c01 .. c55 (..., 21)."""
+    """Covariance (..., 6, 6) from its upper triangle c00 c01 .. c55 (..., 21)."""
     triangle = np.asarray(triangle, float)
     out = np.zeros((*triangle.shape[:-1], 6, 6))
     out[..., TRIANGLE[0], TRIANGLE[1]] = triangle
     out[..., TRIANGLE[1], TRIANGLE[0]] = triangle
     return out
+
+
+def displace_selected_poses(
+    poses: RigidTransform, selected: np.ndarray, motion: Callable[[RigidTransform], RigidTransform]
+) -> RigidTransform:
+    """Poses (m,) with motion(T) in place of the selected ones, selected (m,) bool."""
+    if not selected.any():
+        return poses
+    matrices = poses.as_matrix().copy()
+    at = np.flatnonzero(selected)
+    matrices[at] = motion(poses[at]).as_matrix()
+    return RigidTransform.from_matrix(matrices)

@@ -1,4 +1,4 @@
-"""A rotation turned a little further, compiled: what Newton's steps on poses do to them."""
+"""Rotation increment, compiled: a rotation matrix multiplied in place by that of a small rotation vector."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from rig.compute.numba_kernels import njit
 
 @njit(cache=True, nogil=True)
 def rotate_increment(R: np.ndarray, w: np.ndarray) -> None:
-    """R (3, 3) becomes R exp(w) for a rotation vector w (3,)."""
+    """Rotate R (3, 3) in place by the increment w (3,), a rotation vector: R becomes R exp(w)."""
     x, y, z = w[0], w[1], w[2]
     angle = np.sqrt(x * x + y * y + z * z)
     if angle < 1e-4:

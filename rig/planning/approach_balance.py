@@ -1,5 +1,4 @@
-"""The order of a plan's configurations, and the side from which each is approached, so that neither time nor direction
-is a function of place.
+"""Balance of visiting order and approach side, so that neither time nor direction correlates with position.
 
 A correction fitted to place absorbs whatever goes with place. A Sobol sequence in its own order comes to the upper half
 of a stroke from below and to the lower half from above, so that play looks like a map; a grid in serpentine order goes
@@ -23,20 +22,19 @@ RIDGE = 0.05  # variance added to each, so that few configurations are balanced 
 SMALL = 1e-9  # of a sum of squared correlations, below which an exchange gains nothing
 
 
-def balanced_order(values: np.ndarray, rng: np.random.Generator, start: np.ndarray | None = None) -> np.ndarray:
-    """(n,) indices of configurations values (n, axes), m or rad, shuffled, then exchanged two by two until time goes
-    with place the least.
+def balanced_order(configurations: np.ndarray, rng: np.random.Generator, start: np.ndarray | None = None) -> np.ndarray:
+    """Order (n,) of configurations in which time is balanced against position: shuffled, then exchanged in pairs.
 
     start : (axes,) from which the first is reached, where the axes go straight from one to the next: then direction of
-    approach goes with place the least as well; None where sides are chosen apart (see `balanced_approaches`). The
+    approach goes with place the least as well; None where sides are chosen apart (see `balanced_approach_lengths`). The
     least: the sum of squared correlations over all axes
     """
-    n = len(values)
+    n = len(configurations)
     order = rng.permutation(n)
     if n < 4:
         return order
-    place, own = _place(values)
-    smooth = _apart(place[:, : 2 * values.shape[1]])  # a drift goes with time, and is no matter of halves
+    place, own = _place(configurations)
+    smooth = _apart(place[:, : 2 * configurations.shape[1]])  # a drift goes with time, and is no matter of halves
     time = _standard(np.column_stack([np.linspace(-1, 1, n), np.linspace(-1, 1, n) ** 2]))
     for _ in range(ROUNDS):
         a, b = rng.integers(n, size=(2, TRIED))
@@ -49,7 +47,7 @@ def balanced_order(values: np.ndarray, rng: np.random.Generator, start: np.ndarr
         costs = (sums**2).sum(axis=(1, 2))
         base = float(((time.T @ now) ** 2).sum())
         if start is not None:
-            along, change = _directions(values[order], place[order], start, a, b)
+            along, change = _directions(configurations[order], place[order], start, a, b)
             costs = costs + _worst_first((((along + change) ** 2) * own).sum(axis=2))
             base += float(_worst_first((along**2 * own).sum(axis=1)))
         best = int(np.argmin(costs))
@@ -58,25 +56,28 @@ def balanced_order(values: np.ndarray, rng: np.random.Generator, start: np.ndarr
     return order
 
 
-def balanced_approaches(
-    values: np.ndarray, rng: np.random.Generator, strokes: np.ndarray, others: Sequence[np.ndarray] = ()
+def balanced_approach_lengths(
+    configurations: np.ndarray,
+    rng: np.random.Generator,
+    strokes: np.ndarray,
+    other_variables: Sequence[np.ndarray] = (),
 ) -> np.ndarray:
-    """(n, axes) m or rad by which each axis moves last before configurations values (n, axes), in their order: from
-    below where positive.
+    """Approach lengths (n, axes) m or rad to configurations, sides balanced; positive from below.
 
-    Sides are those of `balanced_sides`; lengths are drawn from REACHES of the strokes (axes, 2), evenly on a
+    Sides are those of `_balanced_sides`; lengths are drawn from REACHES of the strokes (axes, 2), evenly on a
     logarithmic scale, so that what follows the size of a move differs from what follows its direction, and end before
-    the stroke does. others : as there
+    the stroke does. other_variables : as there
     """
     extent = np.ptp(strokes, axis=1)
-    sides = balanced_sides(values, rng, REACHES[0] * extent, strokes, others)
-    drawn = extent * REACHES[0] * (REACHES[1] / REACHES[0]) ** rng.random(values.shape)
+    sides = _balanced_sides(configurations, rng, REACHES[0] * extent, strokes, other_variables)
+    drawn = extent * REACHES[0] * (REACHES[1] / REACHES[0]) ** rng.random(configurations.shape)
     return np.asarray(
-        sides * np.minimum(drawn, ROOM * np.where(sides > 0, values - strokes[:, 0], strokes[:, 1] - values))
+        sides
+        * np.minimum(drawn, ROOM * np.where(sides > 0, configurations - strokes[:, 0], strokes[:, 1] - configurations))
     )
 
 
-def balanced_sides(
+def _balanced_sides(
     values: np.ndarray,
     rng: np.random.Generator,
     reach: np.ndarray,

@@ -1,6 +1,4 @@
-"""Which configurations to visit: evenly over a configuration space, on its grids and simplices, along and about the
-axes of space.
-"""
+"""Sets of configurations to visit: Sobol points, grids, simplices, moves along axes, ISO 9283 poses."""
 
 from collections.abc import Sequence
 from itertools import product
@@ -11,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.errors import FileError, RigError
 from rig.formats import csv_table
-from rig.formats.input_files import value_text
+from rig.formats.input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design, Hexapod
 from rig.model.pose import pose
@@ -22,16 +20,13 @@ FARTHEST = 1.0  # m or rad from home, or times a way
 DIAGONAL = 0.8  # of half the cube's diagonal, at which ISO 9283 places its poses: a tenth of the whole from each end
 
 
-def low_discrepancy(strokes: np.ndarray, count: int, fill: float = FILL, seed: int = 0) -> np.ndarray:
-    """(count, axes) configurations that cover the middle `fill` of the strokes (axes, 2) evenly (scrambled Sobol
-    points).
-    """
+def sobol_configurations(strokes: np.ndarray, count: int, fill: float = FILL, seed: int = 0) -> np.ndarray:
+    """Sobol configurations (count, axes) that cover the middle `fill` of the strokes (axes, 2) evenly."""
     return scale_to_strokes(strokes, 2 * sobol_points.sobol_points(len(strokes), count, seed) - 1, fill)
 
 
-def grid(strokes: np.ndarray, per_axis: int, fill: float = FILL) -> np.ndarray:
-    """(per_axis ** axes, axes) vertices of an even cube grid in configuration space (patent [0031], [0032]),
-    serpentine.
+def grid_configurations(strokes: np.ndarray, per_axis: int, fill: float = FILL) -> np.ndarray:
+    """Grid configurations (per_axis ** axes, axes), even over the strokes, in serpentine order.
 
     Raises RigError for less than two points an axis.
     """
@@ -53,10 +48,11 @@ def _vertices(levels: Sequence[np.ndarray]) -> list[tuple]:
     return [(level, *rest) for k, level in enumerate(levels[0]) for rest in (inner if k % 2 == 0 else inner[::-1])]
 
 
-def grid_division(strokes: np.ndarray, text: str) -> np.ndarray:
-    """(vertices, axes) of the grid that divides every actuator's interval into Q parts, a sample set PM, serpentine.
+def divided_grid_configurations(strokes: np.ndarray, division: str) -> np.ndarray:
+    """Grid configurations (vertices, axes) of a division of each axis ("3", "3x3x2x3x3x2"), serpentine.
 
-    strokes : (axes, 2); text : "3", parts of every axis, or "3x3x2x3x3x2", of each, evenly over the middle FILL of the
+    strokes : (axes, 2); division : "3", parts of every axis, or "3x3x2x3x3x2", of each, evenly over the middle FILL of
+        the
     strokes, or over another share of them, "3@0.5"; or the name of a table axis,level with the levels of each axis,
     evenly or not, m or rad
     Raises RigError for a text that is no division, FileError for a table with levels twice, beyond the strokes, or
@@ -64,12 +60,18 @@ def grid_division(strokes: np.ndarray, text: str) -> np.ndarray:
     Source: configuration-space patent, [0028], [0031], [0032], [0126], [0127], [0145]
     """
     return np.array(
-        _vertices(_levels_of_file(strokes, Path(text)) if text.endswith(".csv") else _levels_of_text(strokes, text))
+        _vertices(
+            _levels_of_file(strokes, Path(division))
+            if division.endswith(".csv")
+            else _levels_of_text(strokes, division)
+        )
     )
 
 
-def parse_division(axes: int, text: str) -> tuple[list[int], float]:
-    """(Q of each axis, share of the strokes) of a division's text. Raises RigError where it is none."""
+def parse_grid_division(axes: int, text: str) -> tuple[list[int], float]:
+    """Grid division parsed: (parts of each axis, share of the strokes). Raises RigError.
+    Raises RigError where it is none.
+    """
     numbers, _, share = text.partition("@")
     found = numbers.split("x")
     whole = all(one.isascii() and one.isdigit() and 1 <= len(one) <= 4 and int(one) for one in found)
@@ -81,13 +83,13 @@ def parse_division(axes: int, text: str) -> tuple[list[int], float]:
         raise RigError(
             f"a division is the parts of every axis (3), of each of the {axes} (3x2x..), with a share of the "
             "strokes (3@0.5) up to 1 or "
-            f"not, or a table axis,level (FILE.csv), not {value_text(text)}"
+            f"not, or a table axis,level (FILE.csv), not {short_repr(text)}"
         )
     return [int(one) for one in (found * axes if len(found) == 1 else found)], fill
 
 
 def _levels_of_text(strokes: np.ndarray, text: str) -> list[np.ndarray]:
-    counts, fill = parse_division(len(strokes), text)
+    counts, fill = parse_grid_division(len(strokes), text)
     middle, half = strokes.mean(axis=1), fill * np.ptp(strokes, axis=1) / 2
     return [middle[i] + half[i] * np.linspace(-1, 1, count + 1) for i, count in enumerate(counts)]
 
@@ -113,10 +115,12 @@ def _levels_of_file(strokes: np.ndarray, path: Path) -> list[np.ndarray]:
     return out
 
 
-def simplices(strokes: np.ndarray, shells: int = 2, fill: float = FILL) -> np.ndarray:
-    """(n, axes) vertices of simplices that fill the configuration space (patent [0033], [0034]): the centre and, on
-    each shell, the axes' ends and the corners of a half fraction of the cube, which together split it into simplices.
-    strokes : (axes, 2) m or rad"""
+def simplex_configurations(strokes: np.ndarray, shells: int = 2, fill: float = FILL) -> np.ndarray:
+    """Simplex configurations (n, axes) that fill the configuration space: centre, axis ends, corners.
+    strokes : (axes, 2) m or rad axes' ends and the corners of a half fraction of the cube, which together split it
+    into simplices.
+    strokes : (axes, 2) m or rad
+    """
     axes = len(strokes)
     ends = np.concatenate([np.eye(axes), -np.eye(axes)])
     corners = np.array([signs for signs in product((-1, 1), repeat=axes) if np.prod(signs) > 0])
@@ -126,17 +130,17 @@ def simplices(strokes: np.ndarray, shells: int = 2, fill: float = FILL) -> np.nd
     )
 
 
-def axis_moves(design: Design, per_axis: int = 9) -> np.ndarray:
-    """(6 per_axis, 6) commands of the translations along and rotations about X, Y and Z through home, as far as the
-    struts reach (on-line learning patent, [0011]-[0015]). Raises RigError for a mechanism that is no hexapod."""
+def single_axis_pose_moves(design: Design, per_axis: int = 9) -> np.ndarray:
+    """Commands (6 per_axis, 6) of pose moves along and about single axes X, Y, Z through home.
+    Raises RigError for a mechanism that is no hexapod. (on-line learning patent, [0011]-[0015]). Raises RigError
+    for a mechanism that is no hexapod.
+    """
     mechanism = _hexapod(design, "axes plans are for hexapods")
     return _through_home(mechanism, np.eye(6), per_axis)
 
 
-def combined_moves(design: Design, per_pair: int = 6) -> np.ndarray:
-    """(18 per_pair, 6) commands through home that turn about X, Y or Z while they move along X, Y or Z, both ways: each
-    pair on two diagonals, as far as the struts reach; a turn of a radian goes with as many m as each reaches alone
-    (on-line learning patent, [0015]).
+def translation_rotation_moves(design: Design, per_pair: int = 6) -> np.ndarray:
+    """Commands (18 per_pair, 6) of moves that combine a translation and a rotation through home.
 
     Raises RigError for a mechanism that is no hexapod
     """
@@ -180,10 +184,12 @@ def _reach(mechanism: Hexapod, ways: np.ndarray) -> np.ndarray:
     return low
 
 
-def iso9283_test_poses(design: Design) -> np.ndarray:
-    """(5, 6) commands of ISO 9283's test poses: P1 in the middle of the largest cube of positions that the struts reach
-    about home, P2 to P5 on the diagonals of a plane through four of its corners, a tenth of the diagonal from each.
-    Raises RigError for a mechanism that is no hexapod."""
+def iso9283_test_commands(design: Design) -> np.ndarray:
+    """Commands (5, 6) of the test poses P1 to P5 of ISO 9283. Raises RigError.
+    Raises RigError for a mechanism that is no hexapod. diagonals of a plane through four of its corners, a tenth of
+    the diagonal from each.
+    Raises RigError for a mechanism that is no hexapod.
+    """
     mechanism = _hexapod(design, "ISO 9283's poses are planned for hexapods")
     corners = np.pad(list(product((-1.0, 1.0), repeat=3)), ((0, 0), (0, 3)))
     half = _reach(mechanism, corners).min()
@@ -202,8 +208,6 @@ def _shifted(mechanism: Hexapod, offset: np.ndarray) -> RigidTransform:
     )
 
 
-def scale_to_strokes(strokes: np.ndarray, unit: np.ndarray, fill: float) -> np.ndarray:
-    """(count, axes) configurations (m or rad) of numbers -1..1 (count, axes), which span the middle `fill` of the
-    strokes (axes, 2).
-    """
-    return strokes.mean(axis=1) + fill * np.ptp(strokes, axis=1) / 2 * unit
+def scale_to_strokes(strokes: np.ndarray, unit_points: np.ndarray, fill: float) -> np.ndarray:
+    """Unit points (-1..1) scaled to the middle `fill` of the strokes: configurations (count, axes), m or rad."""
+    return strokes.mean(axis=1) + fill * np.ptp(strokes, axis=1) / 2 * unit_points

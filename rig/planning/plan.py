@@ -1,4 +1,4 @@
-"""Which configurations to visit, in which order and how long: plans of commands, exposures and payload through time.
+"""Plan of a recording: which configurations to visit, in which order, for how long, with what payload.
 
 A plan is written as parts joined by commas, each NAME or NAME:COUNT: sobol:100,ladder,moving:60 visits a hundred
 low-discrepancy configurations, then a ladder of reversals, then exposes sixty times while moving.
@@ -12,24 +12,31 @@ import numpy as np
 
 from rig.errors import FileError, RigError
 from rig.formats import csv_table
-from rig.formats.input_files import value_text
+from rig.formats.input_files import short_repr
 from rig.model import mechanisms
-from rig.model.cube_remounting import cube_named
+from rig.model.cube_remounting import find_cube
 from rig.model.design import Design
 from rig.planning.configuration_sets import (
     FILL,
-    axis_moves,
-    combined_moves,
-    grid,
-    grid_division,
-    iso9283_test_poses,
-    low_discrepancy,
-    parse_division,
+    divided_grid_configurations,
+    grid_configurations,
+    iso9283_test_commands,
+    parse_grid_division,
     scale_to_strokes,
-    simplices,
+    simplex_configurations,
+    single_axis_pose_moves,
+    sobol_configurations,
+    translation_rotation_moves,
 )
-from rig.planning.plan_construction import STEP, Approach, Plan, Writer
-from rig.planning.plan_table import MOST, commands_within_range, plan_of_time_table
+from rig.planning.plan_construction_and_table import (
+    MOST,
+    STEP,
+    Approach,
+    Plan,
+    Writer,
+    plan_of_time_table,
+    require_commands_in_range,
+)
 from rig.recording.recording_folder import PAYLOAD, Sensors
 
 SPEED = 0.5  # of the actuator's top speed
@@ -42,8 +49,8 @@ BELOW = 0.05  # of the stroke, from which a one-sided plan comes up to every con
 STANDARD = "moving:30,sobol:120,ladder,zigzag:30,payload:20,sobol:100,moving:30"
 
 
-def settled_plan(configurations: np.ndarray, start: np.ndarray, speed: float | np.ndarray) -> Plan:
-    """Plan that goes to each configuration (n, axes) in turn from start (axes,), dwells, and exposes once settled.
+def plan_of_configurations(configurations: np.ndarray, start: np.ndarray, speed: float | np.ndarray) -> Plan:
+    """Plan that visits configurations (n, axes) from start (axes,), dwells and exposes once settled.
 
     speed : of the axes, one or (axes,) m/s or rad/s
     """
@@ -54,18 +61,21 @@ def settled_plan(configurations: np.ndarray, start: np.ndarray, speed: float | n
 
 
 def build_plan(
-    design: Design, text: str, seed: int = 0, one_sided: bool = False, own: Mapping[str, np.ndarray] | None = None
+    design: Design, text: str, seed: int = 0, one_sided: bool = False, own_parts: Mapping[str, np.ndarray] | None = None
 ) -> Plan:
-    """Plan of a design from its text, for example "sobol:100,moving:60"; "standard" stands for STANDARD.
-    one_sided : whether every configuration at which the struts settle is reached from shorter struts; own : {part:
+    """Build the Plan of a design from its text, for example "sobol:100,moving:60"; "standard" stands for STANDARD.
+    one_sided : whether every configuration at which the struts settle is reached from shorter struts; own_parts :
+        {part:
+    configurations (n, axes) that it visits in that order}, besides these configuration at which the struts settle
+    is reached from shorter struts; own_parts : {part:
         configurations
     (n, axes) that it visits in that order}, besides these
 
     Scattered configurations (sobol, division, grid, simplices, axes, combined, payload, warmup, repeat) are shuffled
     and approached from sides so that neither time nor direction is a function of place (see
     rig.planning.approach_balance). A ladder, iso9283 and commands keep their order and go straight.
-    Parts: sobol:N, division:Q (see rig.planning.configuration_sets.grid_division), grid:PER_AXIS, simplices:SHELLS,
-    axes:PER_AXIS, combined:PER_PAIR, ladder:STEPS,
+    Parts: sobol:N, division:Q (see rig.planning.configuration_sets.divided_grid_configurations), grid:PER_AXIS,
+    simplices:SHELLS, axes:PER_AXIS, combined:PER_PAIR, ladder:STEPS,
     payload:N, moving:N, zigzag:N, warmup:N, repeat:N, dwell:N, wait:MINUTES, iso9283:CYCLES, turn:CUBE (before all
     others: the cube is taken off and put back turned by a quarter turn from where its pose is stated)
     and commands:FILE (a table frame,l1..l6 as `rig correct` writes it; one with a column t is a plan by itself, in its
@@ -85,26 +95,26 @@ def build_plan(
     approach = Approach(
         strokes, below, np.random.default_rng((seed, 1))
     )  # apart from rng: which configurations a part visits stays the same
-    writer = Writer(strokes.mean(axis=1), plan_speed(design), approach)
+    writer = Writer(strokes.mean(axis=1), planned_axis_speeds(design), approach)
     rng = np.random.default_rng(seed)
     for part in (STANDARD if text == "standard" else text).split(","):
         name, _, count = part.strip().partition(":")
-        if own and part.strip() in own:
-            writer.follow(np.asarray(own[part.strip()]))
+        if own_parts and part.strip() in own_parts:
+            writer.follow(np.asarray(own_parts[part.strip()]))
             continue
         if name not in PARTS:
             raise RigError(
-                f"plan {value_text(text)}: there is no part {value_text(name)}; there are {', '.join(PARTS)}"
+                f"plan {short_repr(text)}: there is no part {short_repr(name)}; there are {', '.join(PARTS)}"
             )
         if name not in TEXTS and count and not (count.isascii() and count.isdigit() and count.strip("0")):
             raise RigError(
-                f"plan {value_text(text)}: {name} takes a whole number of at least 1, not {value_text(count)}"
+                f"plan {short_repr(text)}: {name} takes a whole number of at least 1, not {short_repr(count)}"
             )
         if name not in TEXTS:
             _refuse_endless(name, int(count.lstrip("0")[:12] or 0), len(strokes), len(writer.exposures), text)
         PARTS[name](writer, design, count if name in TEXTS else int(count or 0), rng)
     if not writer.exposures:
-        raise RigError(f"plan {value_text(text)} exposes nothing")
+        raise RigError(f"plan {short_repr(text)} exposes nothing")
     return writer.plan()
 
 
@@ -125,7 +135,7 @@ def _refuse_endless(name: str, count: int, axes: int, before: int, text: str) ->
 def _refuse_beyond(name: str, count: str, each: float, before: int, text: str) -> None:
     if before + each > MOST:
         raise RigError(
-            f"plan {value_text(text)}: with {name}:{count} it exposes {before + each:.3g} times; a plan may "
+            f"plan {short_repr(text)}: with {name}:{count} it exposes {before + each:.3g} times; a plan may "
             f"{MOST} times"
         )
 
@@ -154,7 +164,7 @@ def _ladder(writer: Writer, design: Design, steps: int, rng: np.random.Generator
 
 def _payload(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
     """The same configurations without and with a load of 0.6 of the platform's mass, from other sides."""
-    goals = writer.shuffled(low_discrepancy(axis_strokes(design), count or 12, seed=int(rng.integers(1 << 30))))
+    goals = writer.shuffled(sobol_configurations(axis_strokes(design), count or 12, seed=int(rng.integers(1 << 30))))
     masses = (0.0, 0.6 * (design.platform.mass or 1.0), 0.0)
     moves = writer.approaches(np.tile(goals, (3, 1)), [np.repeat(masses, len(goals))]).reshape(3, *goals.shape)
     for mass, lasts in zip(masses, moves):
@@ -202,7 +212,7 @@ def _zigzag(writer: Writer, design: Design, count: int, rng: np.random.Generator
 
 def _warmup(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
     """One configuration in twelve comes back all along, minutes apart: four hours in all."""
-    goals = low_discrepancy(axis_strokes(design), 11, seed=int(rng.integers(1 << 30)))
+    goals = sobol_configurations(axis_strokes(design), 11, seed=int(rng.integers(1 << 30)))
     route = np.array(
         [axis_strokes(design).mean(axis=1) if k % 2 else goals[k // 2 % len(goals)] for k in range(count or 48)]
     )
@@ -236,7 +246,7 @@ def _repeat(writer: Writer, design: Design, count: int, rng: np.random.Generator
     what repeatability is.
     """
     strokes = axis_strokes(design)
-    goals = low_discrepancy(strokes, 3, seed=1)
+    goals = sobol_configurations(strokes, 3, seed=1)
     route = goals[np.arange(count or 30) % 3]
     for goal, last in zip(route, writer.approaches(route)):
         writer.go(scale_to_strokes(strokes, rng.uniform(-1, 1, len(strokes)), FILL))
@@ -247,7 +257,7 @@ def _turn(writer: Writer, design: Design, cube: str, rng: np.random.Generator) -
     """A cube put back turned by a quarter turn before the plan begins. Raises RigError for a cube that there is not, or
     a plan that has begun.
     """
-    name, problem = cube_named(cube, design.targets)
+    name, problem = find_cube(cube, design.targets)
     if problem:
         raise RigError(f"a plan cannot turn it: {problem}")
     if writer.exposures:
@@ -257,7 +267,7 @@ def _turn(writer: Writer, design: Design, cube: str, rng: np.random.Generator) -
 
 def _iso9283(writer: Writer, design: Design, cycles: int, rng: np.random.Generator) -> None:
     """ISO 9283's five poses, one after the other and that thirty times: accuracy and repeatability of poses."""
-    poses = iso9283_test_poses(design)
+    poses = iso9283_test_commands(design)
     for _ in range(cycles or 30):
         for goal in poses[::-1]:
             writer.settle(goal)
@@ -267,26 +277,28 @@ def _commands(writer: Writer, design: Design, file: str, rng: np.random.Generato
     rows = csv_table.read(Path(file), ("frame", *design.mechanism.axes))
     if "t" in rows.columns:
         raise FileError(file, "is in time (it has a column t), so it is a plan by itself and no part of one")
-    for goal in commands_within_range(rows, design):
+    for goal in require_commands_in_range(rows, design):
         writer.settle(goal)
 
 
 def _division(writer: Writer, design: Design, text: str, rng: np.random.Generator) -> None:
     strokes = axis_strokes(design)
     if not text.endswith(".csv"):
-        each = float(np.prod([count + 1.0 for count in parse_division(len(strokes), text or "2")[0]]))
+        each = float(np.prod([count + 1.0 for count in parse_grid_division(len(strokes), text or "2")[0]]))
         _refuse_beyond("division", text, each, len(writer.exposures), f"division:{text}")
-    writer.visit(grid_division(strokes, text or "2"))
+    writer.visit(divided_grid_configurations(strokes, text or "2"))
 
 
 PARTS: dict[str, Callable[..., None]] = {
     "sobol": _visit(
-        lambda design, count, rng: low_discrepancy(axis_strokes(design), count or 100, seed=int(rng.integers(1 << 30)))
+        lambda design, count, rng: sobol_configurations(
+            axis_strokes(design), count or 100, seed=int(rng.integers(1 << 30))
+        )
     ),
-    "grid": _visit(lambda design, count, rng: grid(axis_strokes(design), count or 2)),
-    "simplices": _visit(lambda design, count, rng: simplices(axis_strokes(design), count or 2)),
-    "axes": _visit(lambda design, count, rng: axis_moves(design, count or 9)),
-    "combined": _visit(lambda design, count, rng: combined_moves(design, count or 6)),
+    "grid": _visit(lambda design, count, rng: grid_configurations(axis_strokes(design), count or 2)),
+    "simplices": _visit(lambda design, count, rng: simplex_configurations(axis_strokes(design), count or 2)),
+    "axes": _visit(lambda design, count, rng: single_axis_pose_moves(design, count or 9)),
+    "combined": _visit(lambda design, count, rng: translation_rotation_moves(design, count or 6)),
     "ladder": _ladder,
     "payload": _payload,
     "moving": _moving,
@@ -304,13 +316,13 @@ TEXTS = ("commands", "division", "turn")  # parts that take more than a number
 
 
 def axis_strokes(design: Design) -> np.ndarray:
-    """(axes, 2) m or rad between which the axes of a design may be commanded."""
+    """Strokes (axes, 2) m or rad of the axes: the lowest and highest command of each."""
     return mechanisms.kinematics_of(design.mechanism).travel(design.mechanism)
 
 
-def plan_speed(design: Design) -> np.ndarray:
-    """(axes,) m/s or rad/s at which a plan moves the axes of a design. The top speed that a rig.toml states is that of
-    struts and slides.
+def planned_axis_speeds(design: Design) -> np.ndarray:
+    """Speed (axes,) m/s or rad/s at which a plan moves each axis.
+    The top speed that a rig.toml states is that of struts and slides.
     """
     top = design.actuator.max_speed
     return np.array(
@@ -322,7 +334,7 @@ def plan_speed(design: Design) -> np.ndarray:
 
 
 def add_payload_channel(plan: Plan, sensors: Sensors) -> Sensors:
-    """Sensors with the plan's payload as a channel, a row at each step so that it stays one."""
+    """Sensors with the plan's payload added as a channel."""
     if not (plan.payload[:, 1] > 0).any():
         return replace(sensors, channels={**sensors.channels, PAYLOAD: np.zeros(len(sensors.t))})
     steps = plan.payload[1:, 0]

@@ -1,5 +1,4 @@
-"""Sobol points, scrambled: what SciPy's own engine draws, to the last bit, without its statistics, which take a third
-of a second to load.
+"""Sobol points, scrambled, identical to SciPy's, without its import time.
 
 Direction numbers of Joe and Kuo for the first dimensions, scrambled by random lower triangular matrices and a shift.
 Source: Joe and Kuo, Constructing Sobol sequences with better two-dimensional projections, SIAM J. Sci. Comput. 30,
@@ -27,7 +26,7 @@ KNOWN = (
 
 
 def sobol_points(axes: int, count: int, seed: int) -> np.ndarray:
-    """(count, axes) points of the unit cube, 0 to 1, evenly spread."""
+    """Scrambled Sobol points (count, axes) of the unit cube, 0 to 1."""
     whole = int(np.ceil(np.log2(max(count, 2))))
     if axes > len(KNOWN) + 1:
         return np.asarray(scipy.stats.qmc.Sobol(axes, rng=np.random.default_rng(seed)).random_base2(whole)[:count])

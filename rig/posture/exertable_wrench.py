@@ -1,5 +1,4 @@
-"""What a posture can exert: torques for a wanted wrench, what they leave of the joints' limits, and the greatest force
-before a joint gives out.
+"""Wrench that a posture can exert within joint torque limits: margins, force polytope, weakest direction.
 
 Torques within their limits, less what the arm's own weight takes, are a box; forces that map into it by J^T are a
 polytope, so that the greatest force along a direction is where the ray leaves it, the least greatest force the radius
@@ -70,7 +69,7 @@ class Exertion:
         low, high = self.strength.box(q, arm)
         return np.where(
             (low <= 0).all(axis=-1) & (high >= 0).all(axis=-1),
-            greatest_load_multiple(joint_loads(q, arm, self.wrench), low, high),
+            greatest_load_multiple(joint_torques_for_wrench(q, arm, self.wrench), low, high),
             (np.minimum(high, -low) / self.strength.limits).min(axis=-1),
         )
 
@@ -83,17 +82,13 @@ class Exertion:
         return (ahead - behind) / (2 * DIFFERENCE)
 
 
-def joint_loads(q: np.ndarray, arm: Arm, wrench: np.ndarray) -> np.ndarray:
-    """(..., n) N m with which the joints exert a wrench (6,) N, Nm on the surroundings, weight aside, at joint values q
-    (..., n) rad.
-    """
+def joint_torques_for_wrench(q: np.ndarray, arm: Arm, wrench: np.ndarray) -> np.ndarray:
+    """Joint torques (..., n) N m that exert a wrench (6,) N, N m on the surroundings, weight excluded."""
     return np.swapaxes(mechanism.jacobian(q, arm, "base"), -1, -2) @ wrench
 
 
 def greatest_load_multiple(load: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """(...,) greatest multiple of loads (..., n) within boxes low, high (..., n) N m about nothing; infinite where no
-    joint is loaded.
-    """
+    """Greatest multiple (...,) of a load (..., n) within torque limits low, high (..., n) N m."""
     size = np.abs(load)
     loaded = size > FELT * size.max(axis=-1, keepdims=True)
     room = np.where(load > 0, high, -low)
@@ -101,7 +96,7 @@ def greatest_load_multiple(load: np.ndarray, low: np.ndarray, high: np.ndarray) 
 
 
 def force_polytope_corners(A: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """(k, 3) N: the corners of the forces f with low <= A f <= high, A (n, 3) m, low and high (n,) N m.
+    """Corners (k, 3) N of the force polytope low <= A f <= high, A (n, 3) m, low and high (n,) N m.
 
     Raises RigError where some force loads no joint, so that the posture bears any amount of it
     """
@@ -126,9 +121,7 @@ def force_polytope_corners(A: np.ndarray, low: np.ndarray, high: np.ndarray) -> 
 
 
 def weakest_force_direction(A: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[float, np.ndarray]:
-    """(N that can be exerted in every direction, (3,) the direction in which no more can). A (n, 3) m; low, high (n,) N
-    m
-    """
+    """Weakest force direction: (force N exertable in every direction, (3,) direction of no more)."""
     size = np.linalg.norm(A, axis=1)
     bearing = np.where(size > FELT * size.max(), np.minimum(high, -low) / np.maximum(size, 1e-300), np.inf)
     i = int(bearing.argmin())

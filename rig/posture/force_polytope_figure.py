@@ -1,6 +1,4 @@
-"""What a posture can exert, drawn: its force polytope and ellipsoid in the three planes of the axes of poses, with the
-wanted force.
-"""
+"""Figure of a posture's force polytope and ellipsoid in three planes, with the wanted force."""
 
 from io import BytesIO
 
@@ -15,9 +13,9 @@ ROUND = 181  # points of an ellipse
 
 
 def force_polytope_svg(A: np.ndarray, limits: np.ndarray, corners: np.ndarray, wanted: np.ndarray) -> str:
-    """SVG of forces alone, no moment. A : (n, 3) m, torques per force; limits : (n,) N m; corners : (k, 3) N of the
-    polytope, weight borne
-    wanted : (3,) N"""
+    """SVG of the force polytope, corners (k, 3) N, and ellipsoid of A (n, 3) m with torque limits (n,) N m.
+    wanted : (3,) N
+    """
     figure = Figure(figsize=(11, 3.9), layout="constrained")
     shape = np.linalg.inv((A / limits[:, None]).T @ (A / limits[:, None]))  # |torques over their limits| = 1
     for axes, plane in zip(figure.subplots(1, 3), PLANES):

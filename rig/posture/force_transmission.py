@@ -1,5 +1,4 @@
-"""How well a posture maps forces and moments at the hand to joint torques: norms of columns of the Jacobian's
-transpose.
+"""Force transmission of a posture: how hand forces and moments load the joints, by norms of J^T's columns.
 
 tau = J^T f, so a direction whose column of J^T is small is hardly felt and hardly pushed in. Directions are those of
 the frame of poses. Source: patent on force measurement with redundant manipulators, [0011]-[0020], [0037]-[0041].
@@ -17,7 +16,7 @@ DIRECTIONS = ("fx", "fy", "fz", "mx", "my", "mz")
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class TransmissionObjective:
     """What a posture is chosen for.
 
     directions : of force and moment ("fx" .. "mz"), none for all of them together
@@ -51,42 +50,40 @@ class Wish:
         return [DIRECTIONS.index(name) for name in self.directions]
 
 
-def scaled_jacobian(q: np.ndarray, arm: Arm, wish: Wish) -> np.ndarray:
+def _scaled_jacobian(q: np.ndarray, arm: Arm, wish: TransmissionObjective) -> np.ndarray:
     """(..., 6, n) Jacobian in the axes of poses, m/rad, moments' rows weighed by the wish's length."""
     return mechanism.jacobian(q, arm, "base") * np.repeat([1.0, wish.length], 3)[:, None]
 
 
-def transmission_measure(q: np.ndarray, arm: Arm, wish: Wish | Exertion) -> np.ndarray:
-    """(...,) the measure at joint angles q (..., n) rad."""
-    if isinstance(wish, Exertion):
-        return wish.value(q, arm)
-    return _value(scaled_jacobian(q, arm, wish), wish)
+def transmission_measure(q: np.ndarray, arm: Arm, objective: TransmissionObjective | Exertion) -> np.ndarray:
+    """Measure (...,) of the force transmission at joint angles q (..., n) rad for an objective."""
+    if isinstance(objective, Exertion):
+        return objective.value(q, arm)
+    return _value(_scaled_jacobian(q, arm, objective), objective)
 
 
-def direction_norms(q: np.ndarray, arm: Arm, wish: Wish) -> np.ndarray:
-    """(..., k) norm of each chosen direction's column of J^T (all six where none is chosen), m."""
-    J = scaled_jacobian(q, arm, wish)
-    return np.linalg.norm(J[..., wish.rows or list(range(6)), :], ord=wish.norm, axis=-1)
+def torque_norms_by_direction(q: np.ndarray, arm: Arm, objective: TransmissionObjective) -> np.ndarray:
+    """Norms (..., k) m of joint torques per unit force in each direction: columns of J^T."""
+    J = _scaled_jacobian(q, arm, objective)
+    return np.linalg.norm(J[..., objective.rows or list(range(6)), :], ord=objective.norm, axis=-1)
 
 
-def transmission_gradient(q: np.ndarray, arm: Arm, wish: Wish | Exertion) -> np.ndarray:
-    """(..., n) derivative of the measure with the joint angles, analytic (of the smallest column, where several are
-    chosen).
-    """
-    if isinstance(wish, Exertion):
-        return wish.slope(q, arm)
-    J = scaled_jacobian(q, arm, wish)
-    H = _jacobian_derivative(q, arm) * np.repeat([1.0, wish.length], 3)[:, None, None]
-    if wish.directions:
-        norms = np.linalg.norm(J[..., wish.rows, :], ord=wish.norm, axis=-1)
-        least = np.array(wish.rows)[np.argmin(norms, axis=-1)]
+def transmission_gradient(q: np.ndarray, arm: Arm, objective: TransmissionObjective | Exertion) -> np.ndarray:
+    """Gradient (..., n) of the transmission measure with the joint angles, analytic."""
+    if isinstance(objective, Exertion):
+        return objective.slope(q, arm)
+    J = _scaled_jacobian(q, arm, objective)
+    H = _jacobian_derivative(q, arm) * np.repeat([1.0, objective.length], 3)[:, None, None]
+    if objective.directions:
+        norms = np.linalg.norm(J[..., objective.rows, :], ord=objective.norm, axis=-1)
+        least = np.array(objective.rows)[np.argmin(norms, axis=-1)]
         row = np.take_along_axis(J, least[..., None, None], axis=-2)[..., 0, :]
         slope = np.take_along_axis(H, least[..., None, None, None], axis=-3)[..., 0, :, :]
-        return np.einsum("...i,...ik->...k", _norm_slope(row, wish.norm), slope)
-    if wish.whole == "det":
+        return np.einsum("...i,...ik->...k", _norm_slope(row, objective.norm), slope)
+    if objective.whole == "det":
         JJt = J @ np.swapaxes(J, -1, -2)
         return 2 * np.einsum("...ai,...aik->...k", _adjugate(JJt) @ J, H)
-    if wish.norm == 2:
+    if objective.norm == 2:
         U, _, V = np.linalg.svd(J, full_matrices=False)
         return np.einsum("...a,...i,...aik->...k", U[..., :, 0], V[..., 0, :], H)
     joint = np.abs(J).sum(axis=-2).argmax(axis=-1)[..., None, None]
@@ -94,7 +91,7 @@ def transmission_gradient(q: np.ndarray, arm: Arm, wish: Wish | Exertion) -> np.
     return np.einsum("...a,...ak->...k", sign[..., 0], np.take_along_axis(H, joint[..., None], axis=-2)[..., 0, :])
 
 
-def _value(J: np.ndarray, wish: Wish) -> np.ndarray:
+def _value(J: np.ndarray, wish: TransmissionObjective) -> np.ndarray:
     if wish.directions:
         return np.linalg.norm(J[..., wish.rows, :], ord=wish.norm, axis=-1).min(axis=-1)
     if wish.whole == "det":

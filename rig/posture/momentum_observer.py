@@ -1,5 +1,4 @@
-"""The wrench on a moving arm's hand from its momentum: no acceleration, and a covariance that says how far it is to be
-trusted.
+"""Momentum observer: wrench on a moving arm's hand and its covariance, by a Kalman filter, no acceleration.
 
 A Kalman filter whose state is (joint values, momentum, error of the last torques, wrench): a torque's error acts before
 and after its reading.
@@ -17,7 +16,7 @@ import scipy
 
 from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
-from rig.model.mechanisms import arm_momentum
+from rig.model.mechanisms import arm_dynamics
 from rig.model.mechanisms.arm_dynamics import Links
 
 LARGEST = np.repeat([1e3, 1e2], 3)  # N, N m; standard deviation of a wrench of which nothing is known
@@ -73,37 +72,33 @@ class Observed:
 def observer_model(
     motion: Motion, arm: Arm, links: Links, gravity: np.ndarray, sigmas: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> Model:
-    """Model of a Motion. gravity : (3,) m/s^2 in the axes of poses; sigmas : (n,) each of torque (N m), angle (rad) and
-    speed (rad/s) readings
-    """
-    inverse = np.linalg.inv(arm_momentum.mass_matrix(motion.q, arm, links))
-    push = motion.torque + arm_momentum.momentum_drift(motion.q, motion.speed, arm, links, gravity)
+    """Model of the momentum observer for a Motion of an arm, computed once; sigmas : (n,) of torque, angle, speed."""
+    inverse = np.linalg.inv(arm_dynamics.mass_matrix(motion.q, arm, links))
+    push = motion.torque + arm_dynamics.torque_free_momentum_rate(motion.q, motion.speed, arm, links, gravity)
     torque, angle, speed = (np.square(sigma) for sigma in sigmas)
     return Model(motion, inverse, push, mechanism.jacobian(motion.q, arm, "base"), torque, angle, speed)
 
 
-def observe_wrench(m: Model, rates: np.ndarray) -> Observed:
-    """Observed of a Model. rates : (6,) N/sqrt(s), Nm/sqrt(s), by which the wrench wanders: its spread after a
-    second
-    """
-    records, count, n = m.motion.q.shape
+def observe_wrench(model: Model, rates: np.ndarray) -> Observed:
+    """Observed wrench of a Model. rates : (6,) N/sqrt(s), Nm/sqrt(s), of the wrench's random walk."""
+    records, count, n = model.motion.q.shape
     size = 3 * n + 6
     state = np.zeros((records, size))
-    state[:, :n] = m.motion.q[:, 0]
+    state[:, :n] = model.motion.q[:, 0]
     P = np.zeros((records, size, size))
-    mass = np.linalg.inv(m.inverse[:, 0])
-    P[:, :n, :n] = np.diag(m.angle) * 1e6
+    mass = np.linalg.inv(model.inverse[:, 0])
+    P[:, :n, :n] = np.diag(model.angle) * 1e6
     P[:, n : 2 * n, n : 2 * n] = FASTEST**2 * mass @ np.swapaxes(mass, 1, 2)
-    P[:, 2 * n : 3 * n, 2 * n : 3 * n], P[:, 3 * n :, 3 * n :] = np.diag(m.torque), np.diag(LARGEST**2)
+    P[:, 2 * n : 3 * n, 2 * n : 3 * n], P[:, 3 * n :, 3 * n :] = np.diag(model.torque), np.diag(LARGEST**2)
     value, covariance = np.empty((records, count, 6)), np.empty((records, count, 6, 6))
     likelihood = squares = 0.0
     for k in range(count):
         if k:
-            state, P = _moved(m, k, state, P, np.square(rates))
-        state, P, (told, square) = _corrected(m, k, state, P)
+            state, P = _moved(model, k, state, P, np.square(rates))
+        state, P, (told, square) = _corrected(model, k, state, P)
         likelihood, squares = likelihood + told * (k > 0), squares + square
         value[:, k], covariance[:, k] = state[:, 3 * n :], P[:, 3 * n :, 3 * n :]
-    readings = records * count * (2 * n if m.motion.measured else n)
+    readings = records * count * (2 * n if model.motion.measured else n)
     return Observed(value, covariance, likelihood, float(np.sqrt(squares / readings)))
 
 
@@ -153,20 +148,18 @@ def _corrected(
     return state, P, (told, squares)
 
 
-def most_likely_rates(m: Model) -> np.ndarray:
-    """(6,) N/sqrt(s), Nm/sqrt(s): the rates, moments' over forces' being LENGTH, under which a Model's readings are
-    likeliest.
-    """
-    motion = m.motion
+def most_likely_wrench_rates(model: Model) -> np.ndarray:
+    """Most likely rates (6,) N/sqrt(s), Nm/sqrt(s) of the wrench's random walk for a Model's readings."""
+    motion = model.motion
     part = slice(0, PART)
     short = Model(
         Motion(motion.t[part], motion.q[:, part], motion.speed[:, part], motion.measured, motion.torque[:, part]),
-        m.inverse[:, part],
-        m.push[:, part],
-        m.jacobian[:, part],
-        m.torque,
-        m.angle,
-        m.speed,
+        model.inverse[:, part],
+        model.push[:, part],
+        model.jacobian[:, part],
+        model.torque,
+        model.angle,
+        model.speed,
     )
     found = scipy.optimize.minimize_scalar(
         lambda decades: -observe_wrench(short, _rates(decades)).likelihood,

@@ -1,4 +1,4 @@
-"""Searches in the null space: the hand stays where it is, joint limits are kept, the measure grows.
+"""Search in the null space for a better posture: by gradient, samples or the whole self-motion, hand still.
 
 Three ways: along the gradient, projected on the null space; over postures sampled at random; and over the whole
 self-motion, traced densely from end to end, which says how good the others' answer is.
@@ -17,7 +17,7 @@ from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
 from rig.posture import force_transmission
 from rig.posture.exertable_wrench import Exertion
-from rig.posture.force_transmission import Wish
+from rig.posture.force_transmission import TransmissionObjective
 
 HELD = {
     "pose": slice(0, 6),
@@ -49,35 +49,36 @@ class Found:
     steps: int
 
 
-def given_postures(q: np.ndarray, arm: Arm, wish: Wish | Exertion) -> Found:
-    """Found : postures q (m, n) rad as they are, where there is nothing to search about them. Raises RigError outside
-    the joint limits
-    """
+def unsearched_postures(q: np.ndarray, arm: Arm, objective: TransmissionObjective | Exertion) -> Found:
+    """Found of postures q (m, n) rad as they are, without a search. Raises RigError outside the joint limits."""
     q = np.array(q, float, ndmin=2)
-    value = force_transmission.transmission_measure(q, arm, wish)
+    value = force_transmission.transmission_measure(q, arm, objective)
     return _found(q, value, value, q, arm, 0)
 
 
 def gradient_search(
-    q: np.ndarray, arm: Arm, wish: Wish | Exertion, held: str = "pose", above: float | None = None
+    q: np.ndarray,
+    arm: Arm,
+    objective: TransmissionObjective | Exertion,
+    held: str = "pose",
+    sufficient_value: float | None = None,
 ) -> Found:
-    """Found : steepest ascent from postures q (m, n) rad, projected on the null space, the hand brought back after each
-    step.
+    """Found by gradient search (steepest ascent) from postures q (m, n) rad in the null space.
 
-    held : "pose", "position" where the hand may turn, "orientation" where it may move; above : a limit at which it
-        suffices to stop
+    held : "pose", "position" where the hand may turn, "orientation" where it may move; sufficient_value : a limit at
+        which it suffices to stop
     Raises RigError where a start lies outside the joint limits, or where the arm has no freedom to spare
     """
     q = _starts(q, arm, held)
-    target, start = mechanism.frames(q, arm)[:, -1], force_transmission.transmission_measure(q, arm, wish)
+    target, start = mechanism.frames(q, arm)[:, -1], force_transmission.transmission_measure(q, arm, objective)
     first, now, step = q.copy(), start.copy(), np.full(len(q), 0.05)
     low, high = arm.limits.T
-    done = np.zeros(len(q), bool) if above is None else now > above
+    done = np.zeros(len(q), bool) if sufficient_value is None else now > sufficient_value
     steps = 0
     while steps < ITERATIONS and not done.all():
         steps += 1
         todo = np.flatnonzero(~done)
-        way = _uphill(q[todo], arm, wish, held)
+        way = _uphill(q[todo], arm, objective, held)
         size = np.linalg.norm(way, axis=1)
         trial = q[todo] + way / np.maximum(size, 1e-300)[:, None] * step[todo, None]
         trial = return_hand_to_target(np.clip(trial, low, high), target[todo], arm, held)
@@ -85,33 +86,33 @@ def gradient_search(
         ok &= np.linalg.norm(trial - q[todo], axis=1) < 2 * step[todo] + SHORTEST  # no jump to another branch
         reached = np.full(len(todo), -np.inf)
         if ok.any():
-            reached[ok] = force_transmission.transmission_measure(trial[ok], arm, wish)
+            reached[ok] = force_transmission.transmission_measure(trial[ok], arm, objective)
         better = reached > now[todo]
         q[todo[better]], now[todo[better]] = trial[better], reached[better]
         step[todo] = np.where(better, np.minimum(1.6 * step[todo], LONGEST), 0.4 * step[todo])
         done[todo] = (step[todo] < SHORTEST) | (size < 1e-12)
-        if above is not None:
-            done |= now > above
+        if sufficient_value is not None:
+            done |= now > sufficient_value
     return _found(q, now, start, first, arm, steps)
 
 
 def sampled_search(
     q: np.ndarray,
     arm: Arm,
-    wish: Wish | Exertion,
+    objective: TransmissionObjective | Exertion,
     rng: np.random.Generator,
     held: str = "pose",
     count: int = 200,
     spread: float = 0.6,
 ) -> Found:
-    """Found : the best of `count` postures simulated about each start (m, n) rad by random steps in the null space,
-    kept where
-    joint limits and hand are. spread : rad, of one step; rng : numpy Generator"""
+    """Found by sampled search: the best of `count` random postures about each start (m, n) rad in the null space.
+    joint limits and hand are. spread : rad, of one step; rng : numpy Generator
+    """
     q = _starts(q, arm, held)
-    target, start = mechanism.frames(q, arm)[:, -1], force_transmission.transmission_measure(q, arm, wish)
+    target, start = mechanism.frames(q, arm)[:, -1], force_transmission.transmission_measure(q, arm, objective)
     first, walker, best, now = q.copy(), q.copy(), q.copy(), start.copy()
     for _ in range(count):
-        N = null_space(walker, arm, held)
+        N = null_space_projectors(walker, arm, held)
         way = np.einsum("mij,mj->mi", N, rng.normal(size=q.shape))
         trial = walker + spread * rng.uniform(size=(len(q), 1)) * way / np.maximum(
             np.linalg.norm(way, axis=1, keepdims=True), 1e-300
@@ -119,15 +120,14 @@ def sampled_search(
         trial = return_hand_to_target(trial, target, arm, held)
         ok = (mechanism.limits(trial, arm) == 0).all(axis=1) & (hand_deviation(trial, target, arm, held) < STILL)
         walker[ok] = trial[ok]
-        reached = force_transmission.transmission_measure(walker, arm, wish)
+        reached = force_transmission.transmission_measure(walker, arm, objective)
         better = reached > now
         best[better], now[better] = walker[better], reached[better]
     return _found(best, now, start, first, arm, count)
 
 
-def global_search(q: np.ndarray, arm: Arm, wish: Wish | Exertion, held: str = "pose") -> Found:
-    """Found : the best posture of the whole self-motion through each start (m, n) rad, traced between the joint limits
-    or round.
+def global_search(q: np.ndarray, arm: Arm, objective: TransmissionObjective | Exertion, held: str = "pose") -> Found:
+    """Found by global search: the best posture of the whole self-motion through each start (m, n) rad.
 
     Steps of TRACE rad; the best one is polished by the gradient. Raises RigError where the null space is not
     one-dimensional
@@ -138,19 +138,19 @@ def global_search(q: np.ndarray, arm: Arm, wish: Wish | Exertion, held: str = "p
             f"the self-motion has {redundant_joint_count(arm, held)} dimensions; it is traced where it has "
             "one; take the sampled search"
         )
-    start = force_transmission.transmission_measure(q, arm, wish)
+    start = force_transmission.transmission_measure(q, arm, objective)
     best, now, steps = q.copy(), start.copy(), 0
     for side in (1.0, -1.0):
         for index, walker in _walk(q, arm, held, side):
-            reached = force_transmission.transmission_measure(walker, arm, wish)
+            reached = force_transmission.transmission_measure(walker, arm, objective)
             better = reached > now[index]
             best[index[better]], now[index[better]], steps = walker[better], reached[better], steps + 1
-    polished = gradient_search(best, arm, wish, held)
+    polished = gradient_search(best, arm, objective, held)
     return _found(polished.q, polished.value, start, q, arm, steps + polished.steps)
 
 
 def trace_self_motion(q: np.ndarray, arm: Arm, held: str = "pose") -> np.ndarray:
-    """(k, n) rad, the self-motion through one posture q (n,) from end to end (or once round), every TRACE rad."""
+    """Self-motion (k, n) rad traced through a posture q (n,) from end to end, or once round."""
     q = _starts(np.atleast_2d(q), arm, held)
     ahead, behind = [[walker[0] for _, walker in _walk(q, arm, held, side)] for side in (1.0, -1.0)]
     return np.array([*behind[::-1], q[0], *ahead])
@@ -206,9 +206,7 @@ def _starts(q: np.ndarray, arm: Arm, held: str) -> np.ndarray:
 
 
 def redundant_joint_count(arm: Arm, held: str) -> int:
-    """How many joints an arm has beyond those that hold what of the hand is held; 0 or less where no other posture is
-    nearby.
-    """
+    """Count of an arm's redundant joints beyond those that hold the hand; 0 or less for none."""
     return len(arm.axes) - (HELD[held].stop - HELD[held].start)
 
 
@@ -216,8 +214,8 @@ def _rows(q: np.ndarray, arm: Arm, held: str) -> np.ndarray:
     return mechanism.jacobian(q, arm, "base")[..., HELD[held], :]
 
 
-def null_space(q: np.ndarray, arm: Arm, held: str, fixed: np.ndarray | None = None) -> np.ndarray:
-    """(m, n, n) projectors on the null space at postures q (m, n) rad; joints in fixed (m, n) do not move."""
+def null_space_projectors(q: np.ndarray, arm: Arm, held: str, fixed: np.ndarray | None = None) -> np.ndarray:
+    """Projectors (m, n, n) on the null space at postures q (m, n) rad; joints in fixed (m, n) do not move."""
     J = _rows(q, arm, held)
     if fixed is not None:
         J = np.concatenate([J, np.eye(q.shape[1]) * fixed[:, :, None]], axis=1)
@@ -229,13 +227,13 @@ def _tangent(q: np.ndarray, arm: Arm, held: str) -> np.ndarray:
     return np.linalg.svd(_rows(q, arm, held))[2][:, -1].copy()
 
 
-def _uphill(q: np.ndarray, arm: Arm, wish: Wish | Exertion, held: str) -> np.ndarray:
+def _uphill(q: np.ndarray, arm: Arm, wish: TransmissionObjective | Exertion, held: str) -> np.ndarray:
     """(m, n) projected gradient; joints at a limit that it would leave are held, and the projection is made anew."""
     slope = force_transmission.transmission_gradient(q, arm, wish)
     low, high = arm.limits.T
     fixed = np.zeros(q.shape, bool)
     for _ in range(q.shape[1]):
-        way = np.einsum("mij,mj->mi", null_space(q, arm, held, fixed), slope)
+        way = np.einsum("mij,mj->mi", null_space_projectors(q, arm, held, fixed), slope)
         beyond = ((q >= high - 1e-9) & (way > 0)) | ((q <= low + 1e-9) & (way < 0))
         beyond &= np.abs(way) > 1e-9 * np.abs(way).max(axis=1, keepdims=True)
         if not (beyond & ~fixed).any():
@@ -245,7 +243,7 @@ def _uphill(q: np.ndarray, arm: Arm, wish: Wish | Exertion, held: str) -> np.nda
 
 
 def return_hand_to_target(q: np.ndarray, target: np.ndarray, arm: Arm, held: str) -> np.ndarray:
-    """Joint angles near q (m, n) at which the hand is at its target (m, 4, 4) again: Newton with the pseudo-inverse."""
+    """Joint angles near q (m, n) that return the hand to its target (m, 4, 4), by Newton's method."""
     for _ in range(6):
         chain = mechanism.frames(q, arm)
         e = _error(chain[:, -1], target, held)
@@ -265,7 +263,7 @@ def _error(now: np.ndarray, target: np.ndarray, held: str) -> np.ndarray:
 
 
 def hand_deviation(q: np.ndarray, target: np.ndarray, arm: Arm, held: str) -> np.ndarray:
-    """(m,) what the hand at postures q (m, n) misses of its targets (m, 4, 4), m or rad."""
+    """Deviation (m,) m or rad of the hand at postures q (m, n) from its targets (m, 4, 4)."""
     return np.abs(_error(mechanism.frames(q, arm)[:, -1], target, held)).max(axis=1)
 
 

@@ -1,7 +1,6 @@
-"""Getting into a posture: with the hand already there and standing still, or on the way there.
+"""Transition of an arm into another posture: hand still, hand straight, or to the best posture visited."""
 
-Source: patent on force measurement with redundant manipulators, [0021], [0022].
-"""
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Slerp
@@ -10,16 +9,19 @@ from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
-from rig.posture import null_space_search
+from rig.model.pose import pose_difference
+from rig.posture import force_transmission, null_space_search
+from rig.posture.exertable_wrench import Exertion
+from rig.posture.force_transmission import TransmissionObjective
+from rig.posture.null_space_search import HELD
+from rig.recording.recording_folder import Recording
 
 STEPS = 200  # of a motion on the way
 THERE = 1e-9  # rad; end of a motion
 
 
 def motion_with_hand_still(q: np.ndarray, goal: np.ndarray, arm: Arm, held: str = "pose") -> np.ndarray:
-    """(k, n) rad: the motion from q (n,) to goal (n,), what is held of the hand still. Raises RigError where none
-    within the limits leads there.
-    """
+    """Motion (k, n) rad from posture q (n,) to goal (n,) with the hand still. Raises RigError where none exists."""
     if np.abs(goal - q).max() < THERE:
         return np.array([q])
     if null_space_search.redundant_joint_count(arm, held) != 1:
@@ -45,7 +47,7 @@ def _within(q: np.ndarray, goal: np.ndarray, arm: Arm, held: str) -> np.ndarray:
     target, rows = mechanism.frames(q[None], arm)[:, -1], [np.array(q, float)]
     for k in range(STEPS):
         now = rows[-1][None]
-        pull = (null_space_search.null_space(now, arm, held)[0] @ (goal - now[0])) / (STEPS - k)
+        pull = (null_space_search.null_space_projectors(now, arm, held)[0] @ (goal - now[0])) / (STEPS - k)
         new = null_space_search.return_hand_to_target(now + pull, target, arm, held)
         beyond = np.abs(mechanism.limits(new[0], arm))
         if (
@@ -79,8 +81,7 @@ def _told(apart: np.ndarray, arm: Arm) -> str:
 
 
 def motion_with_straight_hand(q: np.ndarray, goal: np.ndarray, arm: Arm, steps: int = STEPS) -> np.ndarray:
-    """(k, n) rad from q (n,) to goal (n,): the hand goes straight and turns evenly, the elbow turns towards the goal
-    meanwhile.
+    """Motion (k, n) rad from posture q (n,) to goal (n,) with the hand on a straight line, turning evenly.
 
     What the elbow has not done when the hand arrives, it does at the end. Raises RigError where the way leaves the
     joint limits or passes too near a singularity to be followed
@@ -94,7 +95,7 @@ def motion_with_straight_hand(q: np.ndarray, goal: np.ndarray, arm: Arm, steps: 
     rows = [np.array(q, float)]
     for k in range(1, steps + 1):
         now = rows[-1][None]
-        pull = (null_space_search.null_space(now, arm, "pose")[0] @ (goal - now[0])) / (steps - k + 1)
+        pull = (null_space_search.null_space_projectors(now, arm, "pose")[0] @ (goal - now[0])) / (steps - k + 1)
         new = null_space_search.return_hand_to_target(now + pull, hands[k : k + 1], arm, "pose")
         beyond = mechanism.limits(new[0], arm)
         if (
@@ -113,6 +114,64 @@ def motion_with_straight_hand(q: np.ndarray, goal: np.ndarray, arm: Arm, steps: 
     return np.vstack([rows, motion_with_hand_still(rows[-1], goal, arm)[1:]])
 
 
-def row_times(rows: np.ndarray, speed: float) -> np.ndarray:
-    """(k,) s at which rows (k, n) rad are reached when the fastest joint turns at speed (rad/s)."""
-    return np.concatenate([[0.0], np.cumsum(np.maximum(np.abs(np.diff(rows, axis=0)).max(axis=1) / speed, 1e-6))])
+def posture_times(postures: np.ndarray, speed: float) -> np.ndarray:
+    """Times (k,) s of successive postures (k, n) rad when the fastest joint turns at speed (rad/s)."""
+    return np.concatenate([[0.0], np.cumsum(np.maximum(np.abs(np.diff(postures, axis=0)).max(axis=1) / speed, 1e-6))])
+
+
+SAME = np.repeat([1e-3, 2e-3], 3)  # m, rad; a hand that is off by less, as controllers hold it, has stayed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Visited:
+    """k postures taken with the hand where it is wanted. frame, t : (k,) number and s; q : (k, n) rad; value : (k,) the
+    measure; best : index
+    elsewhere : how many more the recording has, with the hand elsewhere; back : (j, n) rad, the way from where the
+        recording ends to the best"""
+
+    frame: np.ndarray
+    t: np.ndarray
+    q: np.ndarray
+    value: np.ndarray
+    best: int
+    elsewhere: int
+    back: np.ndarray
+
+
+def best_visited_posture(
+    recording: Recording,
+    arm: Arm,
+    objective: TransmissionObjective | Exertion,
+    held: str,
+    wanted: RigidTransform | None = None,
+) -> Visited:
+    """Best posture visited in a recording with the hand where it is wanted, and the motion back to it.
+    wanted : T_base_platform of the hand, by default that of the first exposure
+
+    Raises RigError for an arm of other joints, without commands, and where no posture, or one alone, has the hand there
+    """
+    frames, t, q = recording.commanded()
+    if q.shape[1] != len(arm.axes):
+        raise RigError(f"{recording.folder} commands {q.shape[1]} axes; the arm has {len(arm.axes)} joints")
+    T = mechanism.forward(q, arm)
+    apart = np.abs(pose_difference(T[0] if wanted is None else wanted, T))
+    there = (apart <= SAME)[:, HELD[held]].all(axis=1)
+    if there.sum() < 2:
+        raise RigError(
+            f"{recording.folder}: {there.sum()} of {len(q)} postures have the hand's {held} where it is "
+            "wanted; comparing takes two"
+        )
+    value = force_transmission.transmission_measure(q[there], arm, objective)
+    best = int(value.argmax())
+    return Visited(
+        frames[there], t[there], q[there], value, best, int((~there).sum()), _back(recording, float(t[there][best]))
+    )
+
+
+def _back(recording: Recording, t: float) -> np.ndarray:
+    """(j, n) rad from the last exposure back to a time (s), as commanded between them, turned round."""
+    assert recording.commands is not None  # or `commanded` had said so
+    last, c = float(recording.exposures.times()[1].max()), recording.commands
+    inside = c.t[(c.t > t) & (c.t < last)]
+    rows = c.at(np.concatenate([[t], inside, [last]]))[::-1]
+    return rows[np.r_[True, np.abs(np.diff(rows, axis=0)).max(axis=1) > 0]]

@@ -1,5 +1,4 @@
-"""Several recordings of one rig -> one Recording: one machine, one timeline, cameras that moved and cubes put back as
-ones of their own.
+"""Combined recordings of one rig: one timeline, moved cameras and remounted cubes as separate ones.
 
 What the machine is stays shared. Each recording keeps its own poses, its log and its own beginning: effects that
 remember (a play's side, a lag, how long it has been warm, how far a clock has run) know nothing of the recording
@@ -17,7 +16,7 @@ from rig.formats import remote_folders
 from rig.model.design import Camera, Design, Target
 from rig.model.design_comparison import design_contradictions, same_lens
 from rig.recording.corner_and_pose_tables import Corners, Poses
-from rig.recording.exposures import Exposures
+from rig.recording.exposures_and_images import Exposures
 from rig.recording.recording_folder import PAYLOAD, Commands, Part, Recording, Sensors
 
 GAP = 60.0  # s on the common timeline between the end of a recording and the next one's beginning
@@ -28,9 +27,7 @@ Owners = tuple[
 
 
 def require_one_rig(recordings: Sequence[Recording]) -> None:
-    """Raise RigError for recordings that are not of one rig, each of whose contradictions is named, or not of one kind
-    of data.
-    """
+    """Raise RigError unless all recordings are of one rig and of one kind of data."""
     first = recordings[0]
     seen: set[str] = set()
     for recording in recordings:
@@ -57,10 +54,8 @@ def require_one_rig(recordings: Sequence[Recording]) -> None:
             )
 
 
-def stated_camera_owners(recordings: Sequence[Recording]) -> Owners:
-    """Owners by what is stated alone: a camera of another lens, sensor or mount than the recordings before it is a
-    camera of its own.
-    """
+def camera_owners_by_design(recordings: Sequence[Recording]) -> Owners:
+    """Owners of cameras by the designs: {camera: recording that introduced it}, new where lens or mount differs."""
     out: list[dict[str, int]] = []
     for k, recording in enumerate(recordings):
         out.append(
@@ -78,7 +73,7 @@ def _is(recording: Recording, camera: Camera, owners: dict[str, int], number: in
 
 
 def join_recordings(recordings: Sequence[Recording], owners: Owners) -> Recording:
-    """One Recording of several, whose `parts` they are.
+    """Join recordings into one Recording, whose `parts` they are.
 
     Frames of the k-th (from 0) count on from k times a power of ten, its cameras and cubes with a place of their own
     are called "NAME@k+1"
@@ -94,9 +89,9 @@ def join_recordings(recordings: Sequence[Recording], owners: Owners) -> Recordin
     cameras: dict[str, Camera] = {}
     for recording, own in zip(recordings, owners):
         for camera in recording.design.cameras:
-            name = camera_name(camera.name, own)
+            name = combined_camera_name(camera.name, own)
             cameras.setdefault(name, replace(camera, name=name))
-    seats = target_seats([recording.design for recording in recordings])
+    seats = target_owners_by_design([recording.design for recording in recordings])
     design = replace(first.design, cameras=tuple(cameras.values()), targets=_targets(recordings, seats))
     skipped = tuple(one for r in recordings for one in r.skipped)
     return replace(
@@ -113,13 +108,13 @@ def join_recordings(recordings: Sequence[Recording], owners: Owners) -> Recordin
     )
 
 
-def camera_name(camera: str, owners: dict[str, int]) -> str:
-    """What a camera of a recording is called among all; owners : of its recording."""
+def combined_camera_name(camera: str, owners: dict[str, int]) -> str:
+    """Name of a camera among the combined recordings: NAME or NAME@k. owners : of its recording."""
     return camera if owners[camera] == 0 else f"{camera}@{owners[camera] + 1}"
 
 
 def is_measured_by_instrument(recording: Recording) -> bool:
-    """Whether poses of an outside instrument are what measures a recording."""
+    """Whether a recording is measured by an outside instrument's poses."""
     return recording.poses is not None and (
         recording.design.instrument is not None or (recording.corners is None and not recording.has_images)
     )
@@ -166,7 +161,7 @@ def _exposures(parts: Sequence[Part], owners: Owners) -> Exposures:
     return Exposures(
         np.concatenate([part.frames + e.frame for part, e in seen]),
         np.concatenate([part.t + e.t for part, e in seen]),
-        [camera_name(name, own) if name else "" for (_, e), own in zip(seen, owners) for name in e.camera],
+        [combined_camera_name(name, own) if name else "" for (_, e), own in zip(seen, owners) for name in e.camera],
         [
             str(remote_folders.absolute(part.recording.folder) / name) if name else ""
             for part, e in seen
@@ -175,10 +170,8 @@ def _exposures(parts: Sequence[Part], owners: Owners) -> Exposures:
     )
 
 
-def target_seats(designs: Sequence[Design]) -> Owners:
-    """Of each recording {target: number (from 0) of the recording in which it was put where it stands}: a cube that
-    stands otherwise turned than in the recording before was taken off and put back between them; one that no rig.toml
-    says was taken off stands where it stood."""
+def target_owners_by_design(designs: Sequence[Design]) -> Owners:
+    """Owners of targets by the designs: {target: recording in which it was last remounted}."""
     out: list[dict[str, int]] = []
     for k, design in enumerate(designs):
         own = {}
@@ -196,7 +189,7 @@ def _targets(recordings: Sequence[Recording], seats: Owners) -> tuple[Target, ..
     step, out = _shift(recordings), dict[str, Target]()
     for recording, own in zip(recordings, seats):
         for target in recording.design.targets:
-            name = camera_name(target.name, own)
+            name = combined_camera_name(target.name, own)
             out.setdefault(name, replace(target, name=name, shift=step * own[target.name]))
     return tuple(out.values())
 
@@ -214,7 +207,7 @@ def _corners(parts: Sequence[Part], owners: Owners, seats: Owners) -> Corners | 
     covariance = [c.covariance for _, c, _ in seen if c.covariance is not None]
     return Corners(
         np.concatenate([part.frames + c.frame for part, c, _ in seen]),
-        [camera_name(name, own) for _, c, own in seen for name in c.camera],
+        [combined_camera_name(name, own) for _, c, own in seen for name in c.camera],
         np.concatenate([_keys(c.marker, part, seat, parts) for (part, c, _), seat in zip(seen, seats)]),
         np.concatenate([c.corner for _, c, _ in seen]),
         np.concatenate([c.uv for _, c, _ in seen]),
@@ -249,10 +242,8 @@ def _poses(parts: Sequence[Part], stage: int | None) -> Poses | None:
     )
 
 
-def dropped_channels(recordings: Sequence[Recording]) -> list[str]:
-    """Channels that some recordings logged and others did not, which can be asked of none; a payload that was not
-    logged is none.
-    """
+def channels_not_in_all(recordings: Sequence[Recording]) -> list[str]:
+    """Sensor channels that are not in all recordings, and are dropped."""
     own = [set(r.sensors.channels) if r.sensors is not None else set() for r in recordings]
     return sorted(name for name in set[str]().union(*own) - {PAYLOAD} if any(name not in one for one in own))
 
@@ -260,7 +251,7 @@ def dropped_channels(recordings: Sequence[Recording]) -> list[str]:
 def _sensors(parts: Sequence[Part]) -> Sensors | None:
     """The logs one after the other, of the channels that all have."""
     recordings = [part.recording for part in parts]
-    lost = dropped_channels(recordings)
+    lost = channels_not_in_all(recordings)
     names = [
         n
         for n in dict.fromkeys(n for r in recordings if r.sensors is not None for n in r.sensors.channels)

@@ -1,4 +1,4 @@
-"""corners.csv and poses.csv -> what was seen of a rig, checked: marker corners in images, platform poses."""
+"""Corner and pose tables of a recording: corners.csv and poses.csv, read with checks."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +13,7 @@ from rig.formats.checked_entries import LARGEST_RIG
 from rig.formats.csv_table import Table
 from rig.model.design import Design, Instrument
 from rig.model.pose import TRIANGLE, covariance_from_triangle, pose
-from rig.recording.exposures import Exposures
+from rig.recording.exposures_and_images import Exposures
 
 POSE_COLUMNS = ("x", "y", "z", "rx", "ry", "rz")
 DISTANCE = "distance"  # column of a drawn wire's length, m
@@ -46,7 +46,9 @@ class Poses:
 
 
 def load_corners(path: Path, design: Design, exposures: Exposures) -> Corners | None:
-    """Corners of a corners.csv, or None where there is none. Raises FileError with line and column."""
+    """Load the Corners of a corners.csv, None where there is none. Raises FileError.
+    Raises FileError with line and column.
+    """
     if not remote_folders.exists(path):
         return None
     rows = csv_table.read(path, CORNER_COLUMNS, ("sigma", *CORNER_COVARIANCE))
@@ -117,28 +119,27 @@ def _corner_covariance(rows: Table) -> np.ndarray | None:
 
 
 def load_poses(
-    path: str | Path, known_frames: set[int] | None = None, positions_alone: bool = False, commanded: bool = False
+    path: str | Path, known_frames: set[int] | None = None, positions_only: bool = False, are_commands: bool = False
 ) -> Poses:
-    """Poses of a poses.csv: measured ones, or wanted ones for `rig correct`.
+    """Load the Poses of a poses.csv, measured or wanted.
 
-    known_frames : set of frame numbers that there are, or None; positions_alone : rotations and covariances, if there
-    are any, mean nothing: the poses are unrotated; commanded : a covariance may be 0 in directions in which the machine
-    has no freedom
+    known_frames : set of frame numbers that there are, or None; positions_only : rotations and covariances, if there
+    are any, mean nothing: the poses are unrotated; are_commands : a covariance may be 0 in directions in which the
+    machine has no freedom
     Raises FileError with line and column.
     """
-    rows = csv_table.read(path, ("frame", *POSE_COLUMNS[: 3 if positions_alone else 6]), COVARIANCE_COLUMNS)
+    rows = csv_table.read(path, ("frame", *POSE_COLUMNS[: 3 if positions_only else 6]), COVARIANCE_COLUMNS)
     frame = _frames(rows, known_frames)
     values = np.zeros((len(rows), 6))
-    values[:, : 3 if positions_alone else 6] = rows.matrix(POSE_COLUMNS[: 3 if positions_alone else 6])
+    values[:, : 3 if positions_only else 6] = rows.matrix(POSE_COLUMNS[: 3 if positions_only else 6])
     _plausible(rows, values[:, :3], POSE_COLUMNS[:3])
     return Poses(
-        frame, pose(values[:, :3], values[:, 3:]), None if positions_alone else _pose_covariance(rows, commanded)
+        frame, pose(values[:, :3], values[:, 3:]), None if positions_only else _pose_covariance(rows, are_commands)
     )
 
 
-def load_measured(path: Path, known_frames: set[int], instrument: Instrument | None) -> Poses:
-    """Poses of a recording's poses.csv, as far as its Instrument sees them: orientations at the origin, a wire's
-    lengths along x.
+def load_instrument_poses(path: Path, known_frames: set[int], instrument: Instrument | None) -> Poses:
+    """Load the Poses of a poses.csv as its instrument measures them: poses, orientations or distances.
 
     Raises FileError with line and column
     """

@@ -1,6 +1,4 @@
-"""What an image file is, looked at before it is decoded: its format, the size it claims, whether it is whole, where it
-lies.
-"""
+"""Check of an image file before decoding: format, size, completeness, location."""
 
 import os
 import re
@@ -10,7 +8,7 @@ from typing import BinaryIO
 
 from rig.errors import FileError
 from rig.formats import remote_folders
-from rig.formats.input_files import open_file
+from rig.formats.input_files import open_regular_file
 from rig.model.design import Camera
 
 PNG, JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
@@ -23,23 +21,25 @@ FRAME = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # markers of a JPEG that give
 PNM = re.compile(rb"P[2356](?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})\s")
 
 
-def check_image(path: Path, camera: Camera | None = None) -> str | None:
-    """What is wrong with an image file, in words, or None.
+def image_file_problem(path: Path, camera: Camera | None = None) -> str | None:
+    """Problem of an image file as text, or None.
 
     path : file; camera : the Camera that took it, whose size it must have, or None for any. A PNG must end with its end
     chunk, a JPEG with its end marker. Nothing is decoded
     """
     try:
-        with open_file(path, "no such image") as file:
-            return check_open_image(file, camera)
+        with open_regular_file(path, "no such image") as file:
+            return open_image_file_problem(file, camera)
     except FileError as error:
         return str(error).split(": ", 1)[1]
     except OSError as error:
         return f"cannot be read: {error.strerror}"
 
 
-def check_open_image(file: BinaryIO, camera: Camera | None = None, most: int = MOST_PIXELS) -> str | None:
-    """The same of an image that is open. most : px that it may have. Raises OSError where it cannot be read."""
+def open_image_file_problem(file: BinaryIO, camera: Camera | None = None, max_pixels: int = MOST_PIXELS) -> str | None:
+    """Problem of an open image file as text, or None. max_pixels : px that it may have.
+    max_pixels : px that it may have. Raises OSError where it cannot be read.
+    """
     head = file.read(HEAD)
     size = file.seek(0, os.SEEK_END)
     file.seek(max(0, size - 64))
@@ -58,16 +58,16 @@ def check_open_image(file: BinaryIO, camera: Camera | None = None, most: int = M
         return f"is no image whose size can be told; images are {FORMATS}"
     if camera is not None and got != (camera.width, camera.height):
         return f"is {got[0]} x {got[1]} px, but camera {camera.name!r} has {camera.width} x {camera.height} px"
-    if not 0 < got[0] * got[1] <= most:
-        return f"claims {got[0]} x {got[1]} px; an image has at most {most}"
+    if not 0 < got[0] * got[1] <= max_pixels:
+        return f"claims {got[0]} x {got[1]} px; an image has at most {max_pixels}"
     return None
 
 
-def claimed_size(path: Path) -> tuple[int, int] | None:
-    """(width, height) px that an image file claims, or None for what is none. Raises FileError where it cannot be
-    opened.
+def image_size_from_header(path: Path) -> tuple[int, int] | None:
+    """Image size (width, height) px from an image file's header, None where it is no image.
+    Raises FileError where it cannot be opened.
     """
-    with open_file(path, "no such image") as file:
+    with open_regular_file(path, "no such image") as file:
         try:
             return _size(file, file.read(HEAD))
         except (struct.error, ValueError):
@@ -116,10 +116,8 @@ def _size_of_tiff(file: BinaryIO, order: str, head: bytes) -> tuple[int, int] | 
     return (found[256], found[257]) if len(found) == 2 else None
 
 
-def check_image_path(folder: Path, name: str) -> str | None:
-    """What is wrong with the name of an image of a recording, in words, or None: its file lies in the folder, links
-    followed.
-    """
+def image_path_problem(folder: Path, name: str) -> str | None:
+    """Problem of an image's path as text, or None: it must lie in the recording's folder."""
     if not name.isprintable() or len(name) > 1000:
         return "is no name of a file"
     if remote_folders.is_remote(folder):

@@ -1,4 +1,4 @@
-"""A recording folder <-> arrays: what the rig did and what was seen of it, all outside data checked here."""
+"""Recording folder read into arrays (Recording): commands, exposures, sensors, corners, poses, checked."""
 
 import re
 from collections.abc import Sequence
@@ -12,13 +12,13 @@ from rig.errors import FileError, RigError
 from rig.formats import csv_table, remote_folders
 from rig.formats.checked_entries import name_problem
 from rig.formats.csv_table import Table
-from rig.formats.output_files import require_complete
+from rig.formats.output_files import require_complete_folder
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design
-from rig.model.mechanism_kinds import bodies_of
-from rig.recording.corner_and_pose_tables import Corners, Poses, load_corners, load_measured, load_poses
-from rig.recording.exposures import Exposures, Unreadable, load_exposures
-from rig.recording.time_origin import Origin, exact_decimal
+from rig.model.mechanism_kinds import target_bodies
+from rig.recording.corner_and_pose_tables import Corners, Poses, load_corners, load_instrument_poses, load_poses
+from rig.recording.exposures_and_images import Exposures, Unreadable, load_exposures
+from rig.recording.time_origin import Origin, parse_exact_decimal
 from rig.report.pages.html_elements import result_html
 
 LIMB = re.compile(r"m[1-9]\d*")  # a channel of a measuring limb, m, read only where there are rows about an exposure
@@ -144,14 +144,14 @@ class Part:
     t: float
 
 
-def load(folder: str | Path, skip_unreadable: bool = False) -> Recording:
-    """Recording of a folder, here or behind a URL (s3://..). skip_unreadable : whether images that cannot be used are
-    left out, into `skipped`.
+def load_recording(folder: str | Path, skip_unreadable: bool = False) -> Recording:
+    """Load the Recording of a folder, local or behind a URL.
+    skip_unreadable : whether images that cannot be used are left out, into `skipped`.
 
     Raises FileError naming file, line and column of the first thing that cannot be used; of images, all that cannot be
 
     >>> import rig
-    >>> recording = rig.load("tests/data/bench/check")
+    >>> recording = rig.load_recording("tests/data/bench/check")
     >>> recording.design.mechanism.kind, recording.commands.values.shape
     ('hexapod', (14, 6))
     """
@@ -161,10 +161,10 @@ def load(folder: str | Path, skip_unreadable: bool = False) -> Recording:
         raise FileError(
             folder, "is a file, not a recording folder" if remote_folders.exists(folder) else "no such folder"
         )
-    require_complete(folder)
+    require_complete_folder(folder)
     if remote_folders.is_empty(folder):
         raise FileError(folder, "is an empty folder; a recording has at least rig.toml and frames.csv")
-    design = design_file.load(folder / "rig.toml")
+    design = design_file.load_design(folder / "rig.toml")
     commanded = _command_rows(folder / "commands.csv", design)
     exposed = csv_table.read(folder / "frames.csv", ("frame", "t", "camera", "image"))
     origin = _origin(exposed if commanded is None else commanded)
@@ -173,7 +173,7 @@ def load(folder: str | Path, skip_unreadable: bool = False) -> Recording:
     corners = load_corners(folder / "corners.csv", design, exposures)
     known = set(exposures.frame.tolist())
     poses = (
-        load_measured(folder / "poses.csv", known, design.instrument)
+        load_instrument_poses(folder / "poses.csv", known, design.instrument)
         if remote_folders.exists(folder / "poses.csv")
         else None
     )
@@ -196,7 +196,7 @@ def _stages(folder: Path, design: Design, known: set[int]) -> dict[int, Poses]:
     """{number: Poses} of a folder's poses_stage1.csv .. Raises FileError for one of a stage that rig.toml does not have
     below the last.
     """
-    bodies = bodies_of(design.mechanism)
+    bodies = target_bodies(design.mechanism)
     out = {}
     for name in remote_folders.list_folder(folder):
         if not name.startswith("poses_stage") or not name.endswith(".csv"):
@@ -206,7 +206,7 @@ def _stages(folder: Path, design: Design, known: set[int]) -> dict[int, Poses]:
             raise FileError(
                 folder / name, f"rig.toml has no {body!r} below a last platform; there are {', '.join(bodies)}"
             )
-        out[int(body.removeprefix("stage "))] = load_measured(folder / name, known, design.instrument)
+        out[int(body.removeprefix("stage "))] = load_instrument_poses(folder / name, known, design.instrument)
     return out
 
 
@@ -222,8 +222,10 @@ class Wanted:
 
 
 def load_wanted_poses(path: str | Path) -> Wanted:
-    """Wanted of a table frame,x,y,z,rx,ry,rz with or without a column t. Raises FileError with line and column."""
-    poses, rows = load_poses(path, commanded=True), csv_table.read(path, ("frame",))
+    """Load wanted poses (Wanted) from a table frame,x,y,z,rx,ry,rz with or without t. Raises FileError.
+    Raises FileError with line and column.
+    """
+    poses, rows = load_poses(path, are_commands=True), csv_table.read(path, ("frame",))
     if "t" not in rows.columns:
         return Wanted(poses, None, Origin())
     origin = _origin(rows)
@@ -231,16 +233,14 @@ def load_wanted_poses(path: str | Path) -> Wanted:
 
 
 def load_sensors(path: str | Path, origin: Origin) -> Sensors:
-    """Sensors of a sensors.csv beside no recording, its times told by an Origin. Raises FileError with line and
-    column.
-    """
+    """Load Sensors from a sensors.csv, times relative to an Origin. Raises FileError with line and column."""
     return _sensor_rows(csv_table.read(path, ("t",)), origin)
 
 
 def _origin(rows: Table) -> Origin:
     """The Origin that stands at 0 at the first row of a table with times."""
     rows.times("t", Origin())  # which checks them
-    return Origin(exact_decimal(rows.text("t")[0]))
+    return Origin(parse_exact_decimal(rows.text("t")[0]))
 
 
 def _command_rows(path: Path, design: Design) -> Table | None:

@@ -1,4 +1,4 @@
-"""Arrays -> the files of a recording, each written whole or not at all."""
+"""Recording tables written as CSV: poses, corners, configurations, times."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -17,28 +17,28 @@ from rig.recording.corner_and_pose_tables import (
     Corners,
     Poses,
 )
-from rig.recording.exposures import Exposures
+from rig.recording.exposures_and_images import Exposures
 from rig.recording.time_origin import Origin
 
 ANGLES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def write_table(path: Path, header: Iterable[str], rows: Iterable[str]) -> None:
-    """Write a CSV file of a header (names) and rows (lines of text)."""
+    """Write a CSV table of a header (names) and rows (lines of text)."""
     write_text(path, "\n".join([",".join(header), *rows]) + "\n")
 
 
-def write_configurations(path: Path, axes: Iterable[str], values: Iterable[np.ndarray]) -> None:
-    """Write configurations (k, axes) m or rad, numbered from 0, as the plan commands:FILE visits them; the figures keep
-    1e-7.
-    """
+def write_configurations(path: Path, axis_names: Iterable[str], configurations: Iterable[np.ndarray]) -> None:
+    """Write a CSV of configurations (k, axes) m or rad, numbered from 0, for the plan commands:FILE."""
     write_table(
-        path, ("frame", *axes), [f"{k}," + ",".join(f"{value:.7f}" for value in row) for k, row in enumerate(values)]
+        path,
+        ("frame", *axis_names),
+        [f"{k}," + ",".join(f"{value:.7f}" for value in row) for k, row in enumerate(configurations)],
     )
 
 
 def write_poses(path: Path, poses: Poses) -> None:
-    """Write a poses.csv, with covariance where there is one; the figures keep 1e-10 m and rad."""
+    """Write a poses.csv, with covariance where there is one; resolution 1e-10 m and rad."""
     header = ["frame", *POSE_COLUMNS, *(COVARIANCE_COLUMNS if poses.covariance is not None else ())]
     lines = [",".join(header)]
     for i, (frame, values) in enumerate(zip(poses.frame, pose_to_vector(poses.T_base_platform))):
@@ -49,10 +49,8 @@ def write_poses(path: Path, poses: Poses) -> None:
     write_text(path, "\n".join(lines) + "\n")
 
 
-def write_angles(path: Path, poses: Poses) -> None:
-    """Write poses as x, y, z (m) and roll, pitch, yaw (rad) against the static frame, with standard deviations u_*
-    where there is a covariance.
-    """
+def write_poses_as_roll_pitch_yaw(path: Path, poses: Poses) -> None:
+    """Write poses as x, y, z (m) and roll, pitch, yaw (rad), with standard deviations u_* where known."""
     sure = poses.covariance is not None
     rows = np.concatenate([poses.T_base_platform.translation, roll_pitch_yaw(poses.T_base_platform)], axis=-1)
     lines = [
@@ -76,7 +74,7 @@ def _positions(poses: Poses) -> np.ndarray:
 
 
 def write_corners(path: Path, corners: Corners) -> None:
-    """Write a corners.csv with sigma and the whole covariance of each corner."""
+    """Write a corners.csv with sigma and the covariance of each corner."""
     c = corners
     header, form = [*CORNER_COLUMNS], "%d,%s,%d,%d,%.5f,%.5f"
     columns = [c.frame.tolist(), c.camera, c.marker.tolist(), c.corner.tolist(), *c.uv.T.tolist()]
@@ -87,9 +85,8 @@ def write_corners(path: Path, corners: Corners) -> None:
     write_table(path, header, (form % row for row in zip(*columns)))
 
 
-def copy_times(source: Path, target: Path, exposures: Exposures, origin: Origin) -> None:
-    """Put frames.csv (without image names), commands.csv and sensors.csv of one folder into another, which then is a
-    recording.
+def copy_frames_commands_and_sensors(source: Path, target: Path, exposures: Exposures, origin: Origin) -> None:
+    """Copy frames.csv (without image names), commands.csv and sensors.csv from one folder to another.
 
     origin : Origin that the folder's times are told by
     """

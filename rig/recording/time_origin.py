@@ -1,5 +1,4 @@
-"""The owner's clock <-> seconds from a recording's start, so that nothing depends on where a clock counts from, and
-nothing is lost to it.
+"""Time origin of a recording: the owner's clock to seconds from the start, and back, without rounding.
 
 A clock that counts from 1970 stands at 1.7e9 s, where a float resolves 2.4e-7 s; the start is therefore taken off in
 decimal, before a time becomes a float, and put back in decimal when one is written.
@@ -27,7 +26,7 @@ class Origin:
         """
         if not self.offset:
             return np.array(texts, float)
-        return np.array([float(DIGITS.subtract(exact_decimal(text), self.offset)) for text in texts], float)
+        return np.array([float(DIGITS.subtract(parse_exact_decimal(text), self.offset)) for text in texts], float)
 
     def text(self, t: float) -> str:
         """A time t (s from the recording's start) as the owner's clock shows it, with all the digits that it had."""
@@ -38,8 +37,8 @@ class Origin:
         return float(self.text(t)) if self.offset else float(t)
 
 
-def exact_decimal(text: str) -> Decimal:
-    """A finite number's text, exactly."""
+def parse_exact_decimal(text: str) -> Decimal:
+    """Exact Decimal of a finite number's text."""
     try:
         return Decimal(text)
     except InvalidOperation:  # an exponent beyond what decimals hold: nothing, as for a float
@@ -47,5 +46,5 @@ def exact_decimal(text: str) -> Decimal:
 
 
 def likely_time_unit(t: float) -> str:
-    """What a time too large for seconds is likely to be in, in words."""
+    """Likely unit, as text, of a time that is too large for seconds."""
     return next((name for name, scale in UNITS if abs(t) / scale < LATEST / 10), UNITS[-1][0])

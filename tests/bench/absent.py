@@ -14,7 +14,7 @@ from rig.effects.texts.effect_text import parse_effect
 from rig.formats.rig_toml import design_file
 from rig.model.design import Sensor
 from rig.planning import plan
-from rig.planning.layout import hexapod_layout
+from rig.planning.layout import hexapod_and_two_strut_layout
 from synthetic import recording_simulation, rig_meshes, secret_machine
 from synthetic.image_sensor import expose_image
 from synthetic.renderer import SAMPLES
@@ -28,9 +28,9 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        text = hexapod_layout.hexapod_layout(0.3)
+        text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3)
         (folder / "rig.toml").write_text(text)
-        design = design_file.load(folder / "rig.toml")
+        design = design_file.load_design(folder / "rig.toml")
         yield from _accuracy(design)
         yield from _speed(folder, design)
         yield from _corner_level(design, folder, text)

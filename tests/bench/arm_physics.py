@@ -27,8 +27,8 @@ from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
 from rig.planning import plan
-from rig.planning.configuration_sets import low_discrepancy
-from rig.planning.layout import shipped_arms
+from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.layout import shipped_arm_layout
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
 from synthetic import recording_simulation, secret_machine
@@ -86,7 +86,7 @@ def effect_of(name: str, rng: np.random.Generator) -> Effect:
 
 def ways(folder: Path, name: str, seed: int) -> Ways:
     """Ways of one arm."""
-    text = shipped_arms.shipped_arm_rig_toml("puma560")
+    text = shipped_arm_layout.shipped_arm_rig_toml("puma560")
     if name.endswith("positions"):
         text = "\n".join(line for line in text.splitlines() if not line.startswith("rotation_sigma")) + "\n"
     effect = effect_of(name, np.random.default_rng([seed, 7]))
@@ -100,12 +100,12 @@ def ways(folder: Path, name: str, seed: int) -> Ways:
 def _recorded(folder: Path, text: str, seed: int, effects: tuple[Effect, ...]) -> tuple[Recording, World]:
     folder.mkdir(parents=True)
     (folder / "rig.toml").write_text(text)
-    design, rng = design_file.load(folder / "rig.toml"), np.random.default_rng(seed)
+    design, rng = design_file.load_design(folder / "rig.toml"), np.random.default_rng(seed)
     secret = secret_machine.draw_machine(design, rng, 1.0, effects)
     recording_simulation.write_recording(
         recording_simulation.simulate(secret, plan.build_plan(design, ROUTE, seed), rng), folder / "rec", text, rng
     )
-    return recording_folder.load(folder / "rec"), secret
+    return recording_folder.load_recording(folder / "rec"), secret
 
 
 def _driven(rec: Recording, secret: World, physics: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -129,7 +129,7 @@ def _driven(rec: Recording, secret: World, physics: bool) -> tuple[np.ndarray, n
         None if taken is None else taken.with_geometry(done),
     )
     seen = np.stack([sampled.samples.commanded.min(axis=0), sampled.samples.commanded.max(axis=0)], axis=1)
-    q = low_discrepancy(seen, 2 * POSES, REACH, 17)
+    q = sobol_configurations(seen, 2 * POSES, REACH, 17)
     values = np.linalg.svd(error_model.joint_jacobian(q, secret.true.mechanism), compute_uv=False)
     T = error_model.predicted_target_poses(
         q[values[:, -1] > NEAR_SINGULAR * values[:, 0]][:POSES], done.correction.fitted

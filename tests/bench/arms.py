@@ -18,8 +18,8 @@ from calib.models.arm.instrument_observations import pose_observations
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics, six_joint_inverse
-from rig.posture import force_transmission, null_space_search, wrench_estimate
-from rig.posture.force_transmission import Wish
+from rig.posture import force_transmission, null_space_search, wrench_from_torques
+from rig.posture.force_transmission import TransmissionObjective
 from tests.calib import arm_worlds as worlds
 from tests.cli import RIG
 from tests.conftest import SHARED
@@ -27,7 +27,7 @@ from tests.rig import pinocchio_arm
 from tests.rig.arms import SEVEN, UR10, configurations, random_arm
 from tests.rig.model.mechanisms.test_six_joint_inverse import ARMS, check, near_singular
 
-PANDA = design_file.load(files("rig") / "arms" / "panda.toml").mechanism
+PANDA = design_file.load_design(files("rig") / "arms" / "panda.toml").mechanism
 
 
 def rows() -> Iterator[tuple[str, str, str]]:
@@ -71,7 +71,8 @@ def _closed_forms():
         times = [_timed(lambda six=six, T=T: six_joint_inverse.inverse(T, six), time.process_time) for _ in range(5)]
         numeric = (
             _timed(
-                lambda T=T, q=q, arm=arm: mechanism.solve(T[:2000], arm, q[:2000] + 0.05, starts=0), time.process_time
+                lambda T=T, q=q, arm=arm: mechanism.solve_inverse(T[:2000], arm, q[:2000] + 0.05, starts=0),
+                time.process_time,
             )
             / 2000
         )
@@ -147,7 +148,7 @@ def _real():
     from calib.samples.recording_samples import sample_recording
     from rig.recording import recording_folder
 
-    folder = recording_folder.load(SHARED / "recordings/arm-1")
+    folder = recording_folder.load_recording(SHARED / "recordings/arm-1")
     done = certify_arm(
         sample_recording(folder).samples, folder.design.mechanism, folder.design.instrument, np.random.default_rng(0)
     )
@@ -193,7 +194,12 @@ def _real():
 
 def _postures():
     q = configurations(PANDA, 500, np.random.default_rng(3), 0.95)
-    for wish in (Wish(("fy",)), Wish(("fy",), np.inf), Wish(("fx", "mz")), Wish()):
+    for wish in (
+        TransmissionObjective(("fy",)),
+        TransmissionObjective(("fy",), np.inf),
+        TransmissionObjective(("fx", "mz")),
+        TransmissionObjective(),
+    ):
         found = null_space_search.gradient_search(q, PANDA, wish)
         best = null_space_search.global_search(q, PANDA, wish)
         sampled = null_space_search.sampled_search(q, PANDA, wish, np.random.default_rng(4))
@@ -221,15 +227,15 @@ def _postures():
 def _wrenches():
     rng = np.random.default_rng(5)
     q = configurations(PANDA, 20_000, rng, 0.9)
-    q = q[force_transmission.transmission_measure(q, PANDA, Wish()) > 1e-4]
+    q = q[force_transmission.transmission_measure(q, PANDA, TransmissionObjective()) > 1e-4]
     own = arm_dynamics.Links(rng.uniform(1, 4, 7), 0.1 * rng.normal(size=(7, 3)), np.tile(0.02 * np.eye(3), (7, 1, 1)))
     gravity, (v, a) = np.array([0, 0, -9.80665]), rng.normal(size=(2, *q.shape))
     true = rng.normal(size=(len(q), 6)) * [20, 20, 20, 3, 3, 3]
     half = 0.1 * (np.eye(7) + 0.3 * rng.normal(size=(7, 7)))
     pushed = np.einsum("mai,ma->mi", mechanism.jacobian(q, PANDA, "base"), true)
     measured = arm_dynamics.joint_torques(q, v, a, PANDA, own, gravity) - pushed + rng.normal(size=q.shape) @ half.T
-    found = wrench_estimate.estimate_wrench(
-        wrench_estimate.external(measured, q, v, a, PANDA, own, gravity), q, PANDA, half @ half.T
+    found = wrench_from_torques.estimate_wrench(
+        wrench_from_torques.external_joint_torques(measured, q, v, a, PANDA, own, gravity), q, PANDA, half @ half.T
     )
     error = found.value - true
     inside = np.einsum("mi,mij,mj->m", error, np.linalg.inv(found.covariance), error) < chi2.ppf(0.95, 6)

@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from rig.planning.layout import hexapod_layout
+from rig.planning.layout import hexapod_and_two_strut_layout
 from tests.cli import RIG
 from tests.conftest import SHARED
 
@@ -34,7 +34,9 @@ def rows() -> Iterator[tuple[str, str, str]]:
                 yield f"{recording} ({kind})", _told(SHARED / "recordings" / recording, folder / recording), ""
             else:
                 yield f"{recording} ({kind})", "skipped", "the shared recordings are not beside the project"
-        (folder / "rig.toml").write_text(hexapod_layout.hexapod_layout(0.3, width=640, height=512))
+        (folder / "rig.toml").write_text(
+            hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, width=640, height=512)
+        )
         for number, (hidden, options) in enumerate(OWN.items()):
             drawn = folder / f"own{number}"
             how = ["--plan", PLAN, "--seed", str(SEED), "--images", *SENSOR, *options, "--out", drawn]

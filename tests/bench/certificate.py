@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.certify.promise_and_conformity import CONFORMS, FAILS
 from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
+from rig.planning.layout import hexapod_and_two_strut_layout
 from tests.calib.certificate.trials import share_kept, trial, wrong_decisions
 
 RIGS = 500
@@ -29,8 +29,8 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(hexapod_layout.hexapod_layout(0.3))
-        design = design_file.load(path)
+        path.write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3))
+        design = design_file.load_design(path)
     for name, (level, kinds, noise) in CASES.items():
         start = time.process_time()
         trials = [trial(design, seed, level, SIZES, kinds, noise) for seed in range(RIGS)]

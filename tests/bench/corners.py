@@ -17,9 +17,9 @@ from scipy.spatial.transform import RigidTransform
 from rig.formats.rig_toml import design_file
 from rig.model.design import Marker, Sensor, Target
 from rig.model.pose import pose, pose_difference
-from rig.planning.layout import hexapod_layout
+from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.recording import recording_folder
-from rig.recording.exposures import read_image
+from rig.recording.exposures_and_images import read_image
 from tests.bench import bound
 from tests.cli import RIG
 from tests.conftest import SHARED
@@ -37,8 +37,8 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(hexapod_layout.hexapod_layout(0.3))
-        design = design_file.load(path)
+        path.write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3))
+        design = design_file.load_design(path)
         if SHARED.is_dir():
             yield from _first_light(Path(folder) / "first-light")
         else:
@@ -53,7 +53,7 @@ def _first_light(out):
     subprocess.run([*RIG, "measure", folder, "--out", out], check=True, capture_output=True)
     truth = json.loads((SHARED / "truth/first-light.json").read_text())
     true = {tuple(row[:4]): np.array(row[4:6]) for row in truth["corners"]}
-    found = recording_folder.load(out).corners
+    found = recording_folder.load_recording(out).corners
     ours = {
         (f, c, m, k): i
         for i, (f, c, m, k) in enumerate(
@@ -112,7 +112,7 @@ def _subpix():
 
 
 def _subpix_errors(folder, true):
-    exposures, detector, errors = recording_folder.load(folder).exposures, _subpix(), []
+    exposures, detector, errors = recording_folder.load_recording(folder).exposures, _subpix(), []
     for frame, camera, name in zip(exposures.frame.tolist(), exposures.camera, exposures.image):
         corners, ids, _ = detector.detectMarkers(read_image(folder / name))
         for number, quad in zip(ids.ravel().tolist(), corners):
@@ -179,8 +179,10 @@ def _speed(folder):
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     for width, height in ((1280, 1024), (2448, 2048)):
-        (folder / "rig.toml").write_text(hexapod_layout.hexapod_layout(0.3, width=width, height=height))
-        design = design_file.load(folder / "rig.toml")
+        (folder / "rig.toml").write_text(
+            hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, width=width, height=height)
+        )
+        design = design_file.load_design(folder / "rig.toml")
         markers, home = marker_map(design), design.mechanism.home
         try:
             renderer = Renderer(scenes.rig_parts(design), design)

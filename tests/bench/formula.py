@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
+from rig.planning.layout import hexapod_and_two_strut_layout
 from tests.calib import laws
 from tests.calib.recorded import recorded
 
@@ -38,8 +38,8 @@ def rows() -> Iterator[tuple[str, str, str]]:
     right, worst = 0, []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(text := hexapod_layout.hexapod_layout(0.3))
-        design = design_file.load(path)
+        path.write_text(text := hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3))
+        design = design_file.load_design(path)
         for number, law in enumerate(laws.LAWS):
             hits, ratios = [], []
             for k in range(RIGS):

@@ -12,15 +12,15 @@ from rig.formats.rig_toml import design_file
 from rig.model.design import Hexapod
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp
-from rig.planning.layout import hexapod_layout
+from rig.planning.layout import hexapod_and_two_strut_layout
 
 
 def mechanism_of_bench() -> Hexapod:
     """The Hexapod of `rig design --radius 0.3`."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(hexapod_layout.hexapod_layout(0.3))
-        return design_file.load(path).mechanism
+        path.write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3))
+        return design_file.load_design(path).mechanism
 
 
 def rows() -> Iterator[tuple[str, str, str]]:

@@ -17,16 +17,16 @@ from calib.online.run_learning import Learner
 from rig.cli.shared.run_observation import RunObserver, Stopping
 from rig.cli.shared.run_page import RunPage
 from rig.cli.shared.run_preparation import save_image, warm_up
-from rig.driving.cameras.camera_interface import Frame
-from rig.driving.cameras.camera_synchronisation import Shutter
+from rig.driving.cameras.camera_interface_and_clock import Frame
 from rig.driving.cameras.settling_check import parse_settling
+from rig.driving.cameras.synchronised_grab_and_exposure import Shutter
 from rig.driving.clock import SystemClock
 from rig.driving.operator_loop import Bench, Operator
 from rig.driving.run_journal import Began, Journal
-from rig.driving.run_steps import steps_of_plan
+from rig.driving.run_steps_and_progress import steps_of_plan
 from rig.formats.rig_toml import design_file
 from rig.model.design import Sensor
-from rig.planning.layout import hexapod_layout
+from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.planning.plan import build_plan
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
@@ -77,14 +77,14 @@ def rows() -> Iterator[tuple[str, str, str]]:
 
 def _run(folder):
     """{frame: s from its exposure to its event at the page}"""
-    text = hexapod_layout.hexapod_layout(0.3, cameras=3, width=1280, height=1024)
+    text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=3, width=1280, height=1024)
     (folder / "rig.toml").write_text(text)
-    design, rng, plan = design_file.load(folder / "rig.toml"), np.random.default_rng(1), f"sobol:{FRAMES}"
+    design, rng, plan = design_file.load_design(folder / "rig.toml"), np.random.default_rng(1), f"sobol:{FRAMES}"
     done = recording_simulation.simulate(secret_machine.draw_machine(design, rng), build_plan(design, plan), rng)
     recording_simulation.write_recording(
         done, folder / "drawn", text, rng, images=Images(Sensor(blur=0.5, read_noise=1.0))
     )
-    read, clock = recording_folder.load(folder / "drawn"), SystemClock()
+    read, clock = recording_folder.load_recording(folder / "drawn"), SystemClock()
     e, taken = read.exposures, {camera.name: [] for camera in design.cameras}
     images = {
         c.name: [read_image(read.folder / n) for n, name in zip(e.image, e.camera) if name == c.name]

@@ -150,7 +150,9 @@ def strength(case: blind_cases.DrawnCase) -> list[float]:
         blind_cases.write_recording(
             replace(case, image_settings=None, rng=np.random.default_rng(0)), Path(folder) / "rec"
         )
-        written = replace(recording_folder.load(Path(folder) / "rec"), corners=blind_cases.simulated_corners(case))
+        written = replace(
+            recording_folder.load_recording(Path(folder) / "rec"), corners=blind_cases.simulated_corners(case)
+        )
     world = case.simulation.world
     return platform_effect_strengths(written, world.true, case.noise, world.effects, case.simulation.sensors)[
         : len(case.hidden)
@@ -164,7 +166,7 @@ def drawn(keep: Path, kind: str, index: int) -> tuple[blind_cases.DrawnCase, Rec
     if not truth.exists():
         blind_cases.write_recording(case, folder)
         blind_cases.write_truth(case, truth, index=index, strengths=strength(case))
-    return case, recording_folder.load(folder), truth
+    return case, recording_folder.load_recording(folder), truth
 
 
 def diagnosed(recorded: Recording, sampled: Sampled, out: Path) -> Path:

@@ -20,12 +20,12 @@ from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosi
 from calib.experiment.diagnosis_questions import platform_questions
 from calib.experiment.experiment_choice import Experiment, available_plans, choose_experiment, evaluate_experiment
 from calib.experiment.experiment_information import NAME
-from rig.effects.texts.effect_text import parse_effect, require_place
+from rig.effects.texts.effect_text import parse_effect, require_existing_place
 from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design
 from rig.planning import plan
-from rig.planning.layout import hexapod_layout
+from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
 from synthetic import recording_simulation, secret_machine
@@ -93,7 +93,7 @@ class Case:
 
     def __init__(self, folder, design, text, truth, seed):
         self.folder, self.design, self.text, self.seed = folder, design, text, seed
-        effects = () if truth is None else (require_place(parse_effect(truth), design),)
+        effects = () if truth is None else (require_existing_place(parse_effect(truth), design),)
         self.world, self.truth = secret_machine.draw_machine(design, np.random.default_rng(seed), 1.0, effects), truth
         self.title = "" if truth is None else f"{effects[0].name.replace('_', ' ')} at {effects[0].place}"
 
@@ -102,7 +102,7 @@ class Case:
         recording_simulation.write_recording(
             recording_simulation.simulate(self.world, route, rng), self.folder / name, self.text, rng, NOISE
         )
-        return recording_folder.load(self.folder / name)
+        return recording_folder.load_recording(self.folder / name)
 
     def first(self, text) -> tuple[Recording, PlatformDiagnosis]:
         """(Recording, its diagnosis) of a first plan."""
@@ -243,11 +243,11 @@ def _rig(path, kind) -> tuple[Design, str]:
     """(Design, text of rig.toml) of a rig whose poses an instrument measures, or which cameras see, or with a heavy
     platform.
     """
-    text = hexapod_layout.hexapod_layout(0.3) + ("" if kind == "corners" else POSES)
+    text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3) + ("" if kind == "corners" else POSES)
     if kind == "heavy":
         text = re.sub(r"mass = [\d.]+", f"mass = {HEAVY}", text, count=1)
     path.write_text(text)
-    return design_file.load(path), text
+    return design_file.load_design(path), text
 
 
 def names(found) -> list[str]:

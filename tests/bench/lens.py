@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.formats.rig_toml import design_file
 from rig.model.design import Camera
 from rig.model.pose import exp
-from rig.planning.layout import hexapod_layout
+from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.recording import recording_folder
 from tests.conftest import SHARED
 from tests.vision.scenes import scene
@@ -130,8 +130,10 @@ def _sheet():
 def _adjustment():
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(hexapod_layout.hexapod_layout(0.3, cameras=3, width=1280, height=1024, cubes=4))
-        design = design_file.load(path)
+        path.write_text(
+            hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=3, width=1280, height=1024, cubes=4)
+        )
+        design = design_file.load_design(path)
     observations, stated, _, T = scene(design, 1, frames=380)
     observations = replace(
         observations, covariance=np.tile(0.04**2 * np.eye(2), (len(observations), 1, 1))
@@ -212,7 +214,7 @@ def _block():
         begun = time.perf_counter()
         main(["measure", str(SHARED / "recordings" / "tumbling-block"), "--out", folder])
         seconds = time.perf_counter() - begun
-    block = recording_folder.load(SHARED / "recordings" / "tumbling-block")
+    block = recording_folder.load_recording(SHARED / "recordings" / "tumbling-block")
     frames, t = block.exposures.times()
     markers = marker_map(block.design)
     observed = observations_from_corners(block.corners, frames, block.design, markers)

@@ -24,7 +24,7 @@ from calib.diagnose.report.diagnosis_report import Report
 from calib.recording_calibration import diagnosed
 from docs.make.results import SCHEMA
 from rig.errors import RigError
-from rig.recording import frame_mask, recording_folder
+from rig.recording import frame_selection, recording_folder
 from tests.bench.made_by import commit, machine, release
 from tests.truth import FAULTS, PLANS, SIGHTS, Case, draw, record
 from tests.truth.draw_faults import fits
@@ -96,10 +96,10 @@ def tried(hidden: Hidden, folder: Path) -> dict[str, Any]:
     """The line of a recording, written to a folder and diagnosed."""
     begun, case = time.process_time(), hidden.case()
     bad, frames, laws = spoilt(case, hidden.seed)
-    found: dict[str, Any] = {"clean": _diagnosed(recording_folder.load(record(case, folder / "clean")))}
-    spoiled = recording_folder.load(record(bad, folder / "wild"))
+    found: dict[str, Any] = {"clean": _diagnosed(recording_folder.load_recording(record(case, folder / "clean")))}
+    spoiled = recording_folder.load_recording(record(bad, folder / "wild"))
     for name, mask in masks(frames, np.random.default_rng([hidden.seed, 6])).items():
-        found[name] = _diagnosed(frame_mask.remove_frames(spoiled, mask) if mask else spoiled) | {"mask": mask}
+        found[name] = _diagnosed(frame_selection.remove_frames(spoiled, mask) if mask else spoiled) | {"mask": mask}
     same, as_clean = counted(found)
     return {
         "recording": hidden.name,

@@ -18,7 +18,7 @@ from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platfor
 from calib.samples.recording_samples import sample_recording
 from rig.effects.texts.effect_text import parse_effect
 from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
+from rig.planning.layout import hexapod_and_two_strut_layout
 from tests.calib.physical import ASKED, driven, learnt, write
 
 EFFECTS = ("transmission_error:strut2:profile=0/2e-5/-2e-5/3e-5/0/2e-5/-3e-5/1e-5", "compliance:rig:stiffness=3e6")
@@ -40,8 +40,8 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(text := hexapod_layout.hexapod_layout(0.3))
-        design, effects = design_file.load(path), [parse_effect(one) for one in EFFECTS]
+        path.write_text(text := hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3))
+        design, effects = design_file.load_design(path), [parse_effect(one) for one in EFFECTS]
         recording, secret = write(Path(folder) / "rec", design, text, SEED, effects, ROUTE)
         sampled = sample_recording(recording)
         cube, _ = write(

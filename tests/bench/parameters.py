@@ -24,12 +24,12 @@ from calib.models.platform.parameter_accuracy import PLAUSIBLE, parameter_combin
 from calib.online.information_filter import Online
 from calib.online.learners import Drifting, FirstOrder, Forgetting
 from calib.samples.recording_samples import sample_recording
-from rig.formats.exporters import linuxcnc_genhexkins
+from rig.formats.exporters import linuxcnc_and_compensation_tables
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference
-from rig.planning import plan
-from rig.planning.layout import hexapod_layout
+from rig.planning import configuration_sets, plan
+from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
 from tests.calib.designs import worst_jacobian
@@ -46,8 +46,8 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(hexapod_layout.hexapod_layout(0.3))
-        design = design_file.load(path)
+        path.write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3))
+        design = design_file.load_design(path)
     yield "J_p against differences, 1000 random machines and poses, worst", f"{worst_jacobian(1000, 0):.1e}", "<= 1e-6"
     yield from _batch(design)
     yield from _scatter(design)
@@ -188,9 +188,9 @@ def _jumps(design):
 
 def _exports(design):
     true = secret_machine.draw_machine(design, np.random.default_rng(0)).true
-    commands = plan.low_discrepancy(true.mechanism.strut_range, 200, 0.9)
+    commands = configuration_sets.sobol_configurations(true.mechanism.strut_range, 200, 0.9)
     theirs = genhex_forward(
-        linuxcnc_genhexkins.genhexkins_settings(true.mechanism), commands, design.mechanism.home, 1e3
+        linuxcnc_and_compensation_tables.genhexkins_settings(true.mechanism), commands, design.mechanism.home, 1e3
     )
     worst = np.linalg.norm(pose_difference(hexapod.forward(commands, true.mechanism), theirs)[:, :3], axis=1).max()
     yield (
@@ -202,14 +202,14 @@ def _exports(design):
 
 def _limbs():
     with tempfile.TemporaryDirectory() as folder:
-        text, path = hexapod_layout.hexapod_layout(0.3, limbs=6), Path(folder) / "rig.toml"
+        text, path = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, limbs=6), Path(folder) / "rig.toml"
         path.write_text(text)
-        design, rng = design_file.load(path), np.random.default_rng(0)
+        design, rng = design_file.load_design(path), np.random.default_rng(0)
         done = recording_simulation.simulate(
             secret_machine.draw_machine(design, rng), plan.build_plan(design, "axes:9,sobol:150"), rng
         )
         recording_simulation.write_recording(done, Path(folder) / "rec", text, rng, noise=0.04)
-        read = recording_folder.load(Path(folder) / "rec")
+        read = recording_folder.load_recording(Path(folder) / "rec")
         frames, lengths = measuring_limbs.limb_readings(read)
         samples, nominal = (
             measuring_limbs.samples_by_limbs(sample_recording(read).samples, frames, lengths),
@@ -231,7 +231,7 @@ def _limbs():
     learner, true = Online(read.design.mechanism, shared=42), done.world.true.mechanism
     for each in zip(read.commanded()[2], T, *limbs.uncertainty(T)):
         learner.update(*each)
-    spread = plan.low_discrepancy(true.strut_range, 500, 0.9)
+    spread = configuration_sets.sobol_configurations(true.strut_range, 500, 0.9)
     error = pose_difference(hexapod.forward(spread, true), hexapod.forward(spread, learner.hexapod))
     before = pose_difference(hexapod.forward(spread, true), hexapod.forward(spread, design.mechanism))
     rms = [np.sqrt((e[:, :3] ** 2).sum(axis=1).mean()) * 1e6 for e in (before, error)]
@@ -239,7 +239,7 @@ def _limbs():
 
 
 def _joint():
-    read = recording_folder.load(SHARED / "recordings/open-quiet")
+    read = recording_folder.load_recording(SHARED / "recordings/open-quiet")
     truth, nominal = json.loads((SHARED / "truth/open-quiet.json").read_text()), read.design.mechanism
     true = replace(
         nominal,

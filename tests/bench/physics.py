@@ -16,7 +16,7 @@ import numpy as np
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
 from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
+from rig.planning.layout import hexapod_and_two_strut_layout
 from tests.calib.physical import three_ways
 
 RIGS = 3
@@ -55,9 +55,9 @@ def measured(name, rigs=RIGS, route=ROUTE, text=None) -> np.ndarray:
     out = []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        text = hexapod_layout.hexapod_layout(0.3) if text is None else text
+        text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3) if text is None else text
         path.write_text(text)
-        design = design_file.load(path)
+        design = design_file.load_design(path)
         for k in range(rigs):
             seed = 100 * list(SIZES).index(name) + k
             ways = three_ways(

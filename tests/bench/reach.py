@@ -25,7 +25,7 @@ from scipy.ndimage import correlate1d
 from rig.formats.rig_toml import design_file
 from rig.model.design import Marker, Sensor, Target
 from rig.model.pose import exp, pose
-from rig.planning.layout import hexapod_layout
+from rig.planning.layout import hexapod_and_two_strut_layout
 from tests.vision.pictures import camera, picture, quad
 
 REACHES, KNOTS = (2.4, 2.8, 3.2, 3.6), (5, 7, 9, 11)
@@ -175,8 +175,8 @@ def _main(reach):
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(hexapod_layout.hexapod_layout(0.3))
-        design = design_file.load(path)
+        path.write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3))
+        design = design_file.load_design(path)
     listed = tuple(Marker(k, 1.0, pose([0, 0, 0], [0, 0, 0]), 0.9 / 7) for k in range(PICTURES))
     sheet = marker_map(replace(design, targets=(Target("t", "platform", NAME, listed=listed),)))
     rng = np.random.default_rng(0)

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.drift.visit_history import History, add_visit
 from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
+from rig.planning.layout import hexapod_and_two_strut_layout
 from tests.calib.drifting import SIX, changed, rig
 
 RIGS, WEEK, QUIET = 10, 7, 20  # rigs; quiet visits before a change; quiet visits of each rig in all, beside those
@@ -24,8 +24,8 @@ def rows(rigs=RIGS, quiet=QUIET) -> Iterator[tuple[str, str, str]]:
     start = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         base = Path(folder)
-        (base / "rig.toml").write_text(hexapod_layout.hexapod_layout(0.3))
-        design, text = design_file.load(base / "rig.toml"), (base / "rig.toml").read_text()
+        (base / "rig.toml").write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3))
+        design, text = design_file.load_design(base / "rig.toml"), (base / "rig.toml").read_text()
         for seed in range(rigs):
             one, rng = rig(design, text, seed, base / f"{seed}"), np.random.default_rng([seed, 1])
             history = week = History("")

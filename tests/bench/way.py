@@ -80,7 +80,7 @@ def _measured(folder, name, wanted, clock, limit):
 
 def _corners(out):
     true = {tuple(row[:4]): row[4:6] for row in _truth("first-light")["corners"]}
-    found = recording_folder.load(out).corners
+    found = recording_folder.load_recording(out).corners
     error, seen = [], set()
     for key, uv in zip(zip(found.frame.tolist(), found.camera, found.marker.tolist(), found.corner.tolist()), found.uv):
         if key in true:
@@ -97,7 +97,7 @@ def _corners(out):
 
 
 def _workspace():
-    folder = recording_folder.load(SHARED / "recordings/open-quiet")
+    folder = recording_folder.load_recording(SHARED / "recordings/open-quiet")
     nominal, truth = folder.design.mechanism, _truth("open-quiet")
     true = replace(
         nominal,
@@ -131,7 +131,7 @@ def _workspace():
 
 
 def _unused(name):
-    folder = recording_folder.load(SHARED / "recordings" / name)
+    folder = recording_folder.load_recording(SHARED / "recordings" / name)
     samples = sample_recording(folder).samples
     half = np.arange(len(samples)) < len(samples) // 2
     correction, _ = calibrate_correction(samples.take(half), folder.design.mechanism)

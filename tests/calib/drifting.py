@@ -37,7 +37,7 @@ class Rig:
         recording_simulation.write_recording(
             recording_simulation.simulate(change.world, self.route, rng, weather), folder, self.text, rng, NOISE
         )
-        return recording_folder.load(folder)
+        return recording_folder.load_recording(folder)
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def rig(design, text, seed, folder, poses=80):
     recording_simulation.write_recording(
         recording_simulation.simulate(secret, route, rng, _weather(route, ROOM, 0.0)), folder, text, rng, NOISE
     )
-    sampled = sample_recording(recording_folder.load(folder))
+    sampled = sample_recording(recording_folder.load_recording(folder))
     correction, found = calibrate_correction(sampled.samples, design.mechanism)
     made = Calibration(correction, found.covariance, found.scatter, tuple(sampled.samples.frame.tolist()), (), None, {})
     return Rig(secret, text, made, visits_of(design, made))
@@ -69,8 +69,10 @@ def rig(design, text, seed, folder, poses=80):
 def visits_of(design, calibration):
     """Plan of a visit to a calibrated rig."""
     strokes = design.mechanism.strut_range
-    return plan.settled_plan(
-        choose_visit_configurations(calibration, design, 12).commands, strokes.mean(axis=1), plan.plan_speed(design)
+    return plan.plan_of_configurations(
+        choose_visit_configurations(calibration, design, 12).commands,
+        strokes.mean(axis=1),
+        plan.planned_axis_speeds(design),
     )
 
 

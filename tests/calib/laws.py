@@ -161,7 +161,7 @@ def recorded(folder, design, text, number, seed, seen=2.5e-5):
         motion_simulation.motion_of_commands(bare.world.true, route.commands, route.t, (), bare.sensors),
         T=bare.run.T_base_platform,
     )
-    lengths = effect.deviation(motion) + motion_simulation.apparent_strut_lengths(
+    lengths = effect.deviation(motion) + motion_simulation.apparent_strut_elongations(
         bare.world.true, motion.T, effect.sway(motion)
     )
     lines = np.column_stack([np.ones(len(route.t)), motion.stroke])
@@ -171,4 +171,4 @@ def recorded(folder, design, text, number, seed, seen=2.5e-5):
     secret = secret_machine.draw_machine(design, np.random.default_rng(seed), 1.0, (effect,))
     rng = np.random.default_rng(seed)
     recording_simulation.write_recording(recording_simulation.simulate(secret, route, rng), folder, text, rng, 0.04)
-    return recording_folder.load(folder), effect, covariates
+    return recording_folder.load_recording(folder), effect, covariates

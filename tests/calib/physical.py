@@ -17,8 +17,8 @@ from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES
 from rig.model import mechanisms, motion_simulation
 from rig.model.pose import pose_difference
-from rig.planning import plan
-from rig.planning.layout import hexapod_layout
+from rig.planning import configuration_sets, plan
+from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
 from tests.calib.worlds import rms
@@ -48,7 +48,7 @@ def write(folder, design, text, seed, effects, route):
     recording_simulation.write_recording(
         recording_simulation.simulate(secret, plan.build_plan(design, route, seed), rng), folder, text, rng, 0.04
     )
-    return recording_folder.load(folder), secret
+    return recording_folder.load_recording(folder), secret
 
 
 def learnt(rec, sampled, findings, remainder="find"):
@@ -72,7 +72,7 @@ def driven(calibration, secret, seed, sensed=True, approach="auto", poses=POSES)
     rng = np.random.default_rng([seed, 1])
     m = secret.stated.mechanism
     T = mechanisms.kinematics_of(m).forward(
-        plan.low_discrepancy(m.strut_range, poses, 0.75, seed=int(rng.integers(1 << 30))), m
+        configuration_sets.sobol_configurations(m.strut_range, poses, 0.75, seed=int(rng.integers(1 << 30))), m
     )
     t = 30 + np.cumsum(rng.uniform(8, 40, poses))
     true, log = secret_machine.draw_temperatures(t[-1], rng)
@@ -113,7 +113,7 @@ def three_ways(folder, design, text, seed, effect, route):
 
 def measured_by(text=None, position=4e-6, rotation=3e-5):
     """A rig.toml whose poses an outside instrument sees, in place of cameras: m and rad, standard deviations."""
-    text = hexapod_layout.hexapod_layout(0.3) if text is None else text
+    text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3) if text is None else text
     return text[: text.index("\n[[camera]]")] + (
         f'\n[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = {position}\nrotation_sigma = {rotation}\n'
     )

@@ -4,7 +4,7 @@ import numpy as np
 
 from rig.effects.texts.effect_text import parse_effect
 from rig.planning import plan
-from rig.planning.layout.hexapod_layout import hexapod_layout
+from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
 
@@ -20,7 +20,7 @@ def recorded(folder, design, effects, seed=5, route=PLAN, noise=0.04, logged=Tru
     recording_simulation.write_recording(
         recording_simulation.simulate(secret, plan.build_plan(design, route, seed), rng),
         folder,
-        hexapod_layout(0.3),
+        hexapod_layout_rig_toml(0.3),
         rng,
         noise,
     )
@@ -28,4 +28,4 @@ def recorded(folder, design, effects, seed=5, route=PLAN, noise=0.04, logged=Tru
         lines = [line.split(",") for line in (folder / "sensors.csv").read_text().splitlines()]
         kept = [i for i, name in enumerate(lines[0]) if "temperature" not in name]
         (folder / "sensors.csv").write_text("".join(",".join(line[i] for i in kept) + "\n" for line in lines))
-    return recording_folder.load(folder)
+    return recording_folder.load_recording(folder)

@@ -10,7 +10,7 @@ from calib.models.platform.identification import geometric_parameters, mechanism
 from calib.online.information_filter import Online
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp
-from rig.planning.plan import low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
 from synthetic import secret_machine
 from tests.calib.worlds import OWN
 
@@ -37,7 +37,7 @@ def stream(design, seed, count, at=None, jump=None, moved=None):
     rng = np.random.default_rng(seed)
     before = secret_machine.draw_machine(design, rng).true.mechanism
     after = before if jump is None else mechanism_with_parameters(before, geometric_parameters(before) + jump)
-    commands = low_discrepancy(design.mechanism.strut_range, count, 0.9, seed)
+    commands = sobol_configurations(design.mechanism.strut_range, count, 0.9, seed)
     split = count if at is None else at
     matrices = np.concatenate(
         [hexapod.forward(commands[:split], before).as_matrix(), hexapod.forward(commands[split:], after).as_matrix()]

@@ -19,10 +19,10 @@ from calib.diagnose.problems.platform.operating_point import operating_point_of_
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined, refine, refine_at_fixed_repeated_error
 from calib.diagnose.report import report_sentences
 from calib.diagnose.report.diagnosis_json import FindingEntry, Value, bounded_value
-from rig.effects.framework.fit_coordinates import coordinates_of
+from rig.effects.framework.fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text import parse_effect
 from rig.model.manufacturing_tolerances import SIDES
-from synthetic import printing_errors
+from synthetic import blind_image_settings
 from tests.calib.recorded import recorded
 
 ROUTE, SCALE, SIDE = "sobol:24", "print_scale:markers:scale=2e-3", 1e-4
@@ -39,7 +39,7 @@ def fitted(folder, design, printed):
 
 def larger(k, place, by):
     """The OperatingPoint with one marker's corners seen where they are on a larger one."""
-    one = printing_errors.Printing(
+    one = blind_image_settings.Printing(
         "markers",
         (0.0,) * (2 * len(k.observed.markers.id)),
         tuple(by * (k.observed.markers.id == int(place.split()[1]))),
@@ -54,7 +54,7 @@ def test_sides_of_single_markers_make_the_side_of_all_less_sure(tmp_path, design
     """A marker's side moves the scale of all as a fit to corners so moved finds it; they vary as much as the recording
     shows, not as is tolerated.
     """
-    prints = printing_errors.draw_printing_errors(design, np.random.default_rng(3), 3e-6, SIDE)
+    prints = blind_image_settings.draw_printing_errors(design, np.random.default_rng(3), 3e-6, SIDE)
     refined, sensitivities = fitted(tmp_path, design, [prints])
     found = tolerance_columns.tolerance_model(refined.marginalised, sensitivities)
     sigma = observed_tolerance_sigmas(found.projected(refined.marginalised), found)
@@ -92,7 +92,7 @@ def test_markers_that_are_as_stated_leave_intervals_as_they_are(tmp_path, design
 )
 def test_a_time_constant_stays_within_what_makes_sense_and_says_where_it_is_open(sigma, ends, left_open, said):
     effect = parse_effect("warm_up:strut2:amplitude=1e-4,time_constant=1800")
-    coordinates = coordinates_of((effect,))
+    coordinates = coordinates_of_effects((effect,))
     values = np.array([c.read(effect) for c in coordinates])
     found = Refined(None, None, coordinates, values, np.diag([1e-6, sigma]) ** 2, None).intervals(0)
     value, low, high = found["time_constant"]

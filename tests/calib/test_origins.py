@@ -23,7 +23,7 @@ def verdicts(folder, tmp_path, only, origins=ORIGINS):
     """{origin: tree of diagnosis.json}."""
     return {
         origin: platform_report(
-            diagnose_platform(recording_folder.load(counted_from(folder, tmp_path / origin, origin)), only)
+            diagnose_platform(recording_folder.load_recording(counted_from(folder, tmp_path / origin, origin)), only)
         ).tree()
         for origin in origins
     }
@@ -74,7 +74,7 @@ def test_no_page_depends_on_the_origin(tmp_path, design):
     recorded(tmp_path / "rec", design, texts, route="moving:8,sobol:36,moving:8")
     pages = []
     for origin in (ORIGINS[0], ORIGINS[-1]):
-        found = recording_folder.load(counted_from(tmp_path / "rec", tmp_path / origin, origin))
+        found = recording_folder.load_recording(counted_from(tmp_path / "rec", tmp_path / origin, origin))
         diagnosed = diagnose_platform(found, ["missed_steps strut 2", "camera_bump camera cam1"])
         diagnosis_page(tmp_path / "page.html", platform_report(diagnosed), PlatformView(found, diagnosed))
         pages.append(cells((tmp_path / "page.html").read_text(encoding="utf-8")))

@@ -9,7 +9,7 @@ import numpy as np
 from rig.effects.texts.effect_text import parse_effect
 from rig.model.pose import exp
 from rig.planning import plan
-from rig.planning.layout.hexapod_layout import hexapod_layout
+from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
 from rig.recording import recording_folder
 from rig.recording.corner_and_pose_tables import Poses
 from synthetic import recording_simulation, secret_machine
@@ -26,8 +26,8 @@ def posed(folder, design, effects, seed, route=ROUTE):
         plan.build_plan(design, route, seed),
         rng,
     )
-    recording_simulation.write_recording(done, folder, hexapod_layout(0.3), rng, 0.04)
-    rec, T = recording_folder.load(folder), done.run.T_base_platform
+    recording_simulation.write_recording(done, folder, hexapod_layout_rig_toml(0.3), rng, 0.04)
+    rec, T = recording_folder.load_recording(folder), done.run.T_base_platform
     frames = rec.exposures.times()[0]
     poses = Poses(
         frames, T * exp(POSE * rng.normal(size=(len(frames), 6))), np.tile(np.diag(POSE**2), (len(frames), 1, 1))

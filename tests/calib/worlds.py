@@ -7,7 +7,7 @@ import numpy as np
 from calib.samples.pose_samples import Samples
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference
-from rig.planning import plan
+from rig.planning import configuration_sets
 from synthetic import secret_machine
 
 OWN = np.array([6e-6, 6e-6, 6e-6, 4e-5, 4e-5, 4e-5])  # m, rad
@@ -22,7 +22,11 @@ def sampled(design, seed, count=120, deviation=None, noisy=True, commands=None, 
         shared"""
     rng = np.random.default_rng(seed)
     true = secret_machine.draw_machine(design, rng).true.mechanism
-    commands = plan.low_discrepancy(design.mechanism.strut_range, count, 0.9, seed) if commands is None else commands
+    commands = (
+        configuration_sets.sobol_configurations(design.mechanism.strut_range, count, 0.9, seed)
+        if commands is None
+        else commands
+    )
     common, own = (COMMON, OWN) if own is None else (np.zeros(6), own)
     effective = commands if deviation is None else commands + deviation(commands)
     T = hexapod.forward(effective, true)
@@ -48,7 +52,7 @@ def real(commands, true, deviation=None):
 
 def workspace(design, count=300, seed=99):
     """Wanted poses all over the workspace."""
-    lengths = plan.low_discrepancy(design.mechanism.strut_range, count, 0.85, seed)
+    lengths = configuration_sets.sobol_configurations(design.mechanism.strut_range, count, 0.85, seed)
     return hexapod.forward(lengths, design.mechanism)
 
 

@@ -20,7 +20,7 @@ from rig.cli.command_line import COMMANDS
 from rig.cli.shared.argument_parser import add_common_options
 from rig.errors import FileError
 from rig.model.mechanism_kinds import Mechanism
-from rig.recording.recording_folder import load
+from rig.recording.recording_folder import load_recording
 from tests.docs import told
 
 ROOT = told.ROOT
@@ -76,7 +76,7 @@ def test_every_file_of_a_recording_is_on_the_page():
 
 def refusal(folder: Path) -> str:
     with pytest.raises(FileError) as refused:
-        load(folder)
+        load_recording(folder)
     return str(refused.value)
 
 

@@ -63,10 +63,10 @@ def test_there_are_examples():
 
 
 def test_a_recording_shows_itself():
-    text = rig.load(BENCH)._repr_html_()
+    text = rig.load_recording(BENCH)._repr_html_()
     assert "check: 6 frames" in text and "cam0 (" in text and "commands" in text
     with pytest.raises(rig.RigError) as refused:
-        rig.load(BENCH / "images")
+        rig.load_recording(BENCH / "images")
     assert isinstance(refused.value, FileError)
 
 

@@ -10,10 +10,10 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from calib.files import calibration_file
-from rig.driving.cameras.gstreamer_pipelines import pipeline_complaint
+from rig.driving.cameras.opencv_camera import gstreamer_pipeline_problem
 from rig.errors import RigError
-from rig.formats.json_positions import Places, repeated_key
-from rig.formats.number_parsing import parse_number, parse_whole_number
+from rig.formats.json_file import Places, first_repeated_key
+from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 from rig.formats.printable_text import escape_unprintable
 from rig.formats.rig_toml import design_file
 from rig.model.controller_settings import SCHEMES, port_problem
@@ -58,7 +58,7 @@ def a_key(path: Path) -> None:
     table = table if table in TABLES else "actuator"
     quoted = json.dumps(key)
     try:
-        design_file.design_of(design_file.entries_of(_toml(table, f"{quoted} = 0.001\n"), path))
+        design_file.design_of_entries(design_file.entries_of_text(_toml(table, f"{quoted} = 0.001\n"), path))
     except RigError:
         return
     assert key in TABLES[table], key
@@ -109,7 +109,7 @@ def places_of_json(path: Path) -> None:
             assert start == {dict: "{", list: "[", str: '"', bool: "t" if value else "f", type(None): "n"}.get(
                 type(value), start
             ), (at, start)
-    assert repeated_key(text) is not None or len(list(_paths(tree, ()))) == len(found)
+    assert first_repeated_key(text) is not None or len(list(_paths(tree, ()))) == len(found)
 
 
 def _paths(tree, at):
@@ -131,7 +131,7 @@ def a_pipeline(path: Path) -> None:
     of the video.
     """
     text = text_of(path)
-    if pipeline_complaint(text) is None:
+    if gstreamer_pipeline_problem(text) is None:
         parts = [part.split() for part in text.split("!")]
         elements = [words for words in parts if not words[0].startswith(("video/", "image/"))]
         assert [words[0] for words in elements if "sink" in words[0]] == ["appsink"] and parts[-1][0] == "appsink", (

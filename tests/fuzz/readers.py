@@ -17,7 +17,7 @@ from calib.files import calibration_file
 from calib.online.information_filter import Online
 from rig.cli import blind
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.texts.effect_text import effect_from_dict, parse_effect, require_known_effect, require_place
+from rig.effects.texts.effect_text import effect_from_dict, parse_effect, require_existing_place, require_known_effect
 from rig.errors import RigError
 from rig.formats import csv_table, importers
 from rig.formats.importers import image_file_frames as frames
@@ -25,11 +25,11 @@ from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.rig_toml import design_file
 from rig.model.pose import TRIANGLE
 from rig.planning import plan
-from rig.planning.layout import hexapod_layout
+from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.recording import recording_folder
 from rig.recording.corner_and_pose_tables import COVARIANCE_COLUMNS, load_corners, load_poses
-from rig.recording.exposures import load_exposures
-from rig.recording.image_file_check import check_image
+from rig.recording.exposures_and_images import load_exposures
+from rig.recording.image_file_check import image_file_problem
 from synthetic import diagnosis_score, recording_simulation, secret_machine
 from tests.fuzz.laws import laws
 from vision.lenses import calibration_board
@@ -46,9 +46,9 @@ class Reader:
 
 def readers(folder: Path) -> list[Reader]:
     """All of them. folder : where what they read beside their input is kept"""
-    text = hexapod_layout.hexapod_layout(0.3, cameras=2, width=640, height=480, cubes=2)
+    text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=2, width=640, height=480, cubes=2)
     (folder / "rig.toml").write_text(text)
-    design = design_file.load(folder / "rig.toml")
+    design = design_file.load_design(folder / "rig.toml")
     rng = np.random.default_rng(1)
     done = recording_simulation.simulate(
         secret_machine.draw_machine(design, rng, 1.0, (parse_effect("backlash:strut2:gap=4e-5"),)),
@@ -58,7 +58,7 @@ def readers(folder: Path) -> list[Reader]:
     recording_simulation.write_recording(done, folder, text, rng, 0.04)
     for name, keep in (("corners.csv", 9), ("sensors.csv", 99), ("commands.csv", 99)):
         (folder / name).write_text("\n".join((folder / name).read_text().splitlines()[:keep]) + "\n")
-    held = recording_folder.load(folder)
+    held = recording_folder.load_recording(folder)
     known = [*_files(folder, design, held), *_json(folder, design, done), *_texts(design), *_foreign(folder, design)]
     return known + [Reader(*law) for law in laws((folder / "calibration.json").read_bytes())]
 
@@ -87,7 +87,7 @@ def _files(folder, design, held):
         b'[instrument]\nbase = "free"\ntool = "rig"\nposition_sigma = 1e-5\n'
     )
     return [
-        Reader("rig.toml", (*seed("rig.toml"), arm), design_file.load),
+        Reader("rig.toml", (*seed("rig.toml"), arm), design_file.load_design),
         Reader("frames.csv", seed("frames.csv"), frames),
         Reader("commands.csv", seed("commands.csv"), commands),
         Reader(
@@ -97,7 +97,7 @@ def _files(folder, design, held):
         ),
         Reader("corners.csv", seed("corners.csv"), lambda path: load_corners(path, design, held.exposures)),
         Reader("poses.csv", (f"{poses}\n{row}\n".encode(),), load_poses),
-        Reader("image", pictures, check_image),
+        Reader("image", pictures, image_file_problem),
     ]
 
 
@@ -157,7 +157,7 @@ def _json(folder, design, done):
                 json.dumps({"effect": e.name, "place": "rig", "parameters": {p.name: 0 for p in e.parameters}}).encode()
                 for e in ALL
             ),
-            lambda path: require_place(effect_from_dict(_loaded(path)), design),
+            lambda path: require_existing_place(effect_from_dict(_loaded(path)), design),
         ),
     ]
 
@@ -184,7 +184,7 @@ def _texts(design):
         b"commands:x.csv",
     )
     return [
-        Reader("effect", effects, of(lambda text: require_place(parse_effect(text), design))),
+        Reader("effect", effects, of(lambda text: require_existing_place(parse_effect(text), design))),
         Reader("plan", plans, of(lambda text: plan.build_plan(design, text))),
         Reader(
             "place",
@@ -227,8 +227,8 @@ def _foreign(folder, design):
         lines = path.read_bytes().decode("utf-8", "replace").splitlines()[:50]
         cameras = ["cam0", "cam1"]
         files = [Path("in") / line.replace("\0", "0").lstrip("/")[:255] for line in lines if line.strip("/. ")]
-        found = frames.pictures_of_folder(files, Path("in"), {name: name for name in cameras}, None, cameras)
-        return frames.group_exposures(found, Images((Path("in"),)), lambda t: True) if found else None
+        found = frames.image_files_of_folder(files, Path("in"), {name: name for name in cameras}, None, cameras)
+        return frames.group_images_into_exposures(found, Images((Path("in"),)), lambda t: True) if found else None
 
     return [
         Reader(
@@ -253,7 +253,7 @@ def _foreign(folder, design):
             (log,),
             lambda path: importers.sensor_table.read_sensors(ForeignTable(path), lambda t: True),
         ),
-        Reader("recipe", (recipe,), importers.load),
+        Reader("recipe", (recipe,), importers.load_recipe),
         Reader(
             "names of images",
             (b"cam0_1763800000123.png\ncam1_1763800000125.png\ncam0_1763800001123.png", b"cam0/1.png\ncam1/1.png"),

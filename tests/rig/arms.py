@@ -4,7 +4,7 @@ import numpy as np
 
 from rig.model.design import Arm
 from rig.model.pose import pose
-from rig.planning.layout import shipped_arms
+from rig.planning.layout import shipped_arm_layout
 
 HALF = np.pi / 2
 UR10 = Arm(
@@ -30,7 +30,9 @@ SEVEN = Arm(
     ],
     np.radians([[-170, 170], [-120, 120], [-170, 170], [-120, 120], [-170, 170], [-120, 120], [-175, 175]]),
 )
-SCARA, GANTRY, STANFORD = (shipped_arms.load_shipped_arm(name).mechanism for name in ("scara", "gantry", "stanford"))
+SCARA, GANTRY, STANFORD = (
+    shipped_arm_layout.load_shipped_arm(name).mechanism for name in ("scara", "gantry", "stanford")
+)
 
 
 def random_arm(rng, joints=6, slides=()):

@@ -21,7 +21,7 @@ def case():
 
 def written(case, folder, *hard):
     blind_arm_cases.write_recording(replace(case, hard=hard, rng=np.random.default_rng(1)), folder)
-    return recording_folder.load(folder)
+    return recording_folder.load_recording(folder)
 
 
 def test_the_same_case_is_drawn_again_and_a_third_is_hard(case):

@@ -198,7 +198,7 @@ def test_a_campaign_is_blinded_scored_and_goes_on(tmp_path, monkeypatch, capfd):
     tree = json.loads((tmp_path / "s" / "score.json").read_text())
     assert [t["case"] for t in tree["cases"]] == [1, 2, 3]
     assert all(h["outcome"] == "named and placed" for t in tree["cases"] for h in t["hidden"])
-    assert recording_folder.load(tmp_path / "s" / "recordings" / "0003").corners is not None
+    assert recording_folder.load_recording(tmp_path / "s" / "recordings" / "0003").corners is not None
     capfd.readouterr()
     (tmp_path / "s" / "hashes" / "0001.sha256").write_text("")
     (tmp_path / "s" / "diagnoses" / "0002.json").write_text('{"seconds": 1')
@@ -347,7 +347,7 @@ def test_strength_is_the_signal_after_calibration_has_had_its_share(design, rig_
         recording_simulation.write_recording(done, tmp_path / "rec", rig_text, rng, noise)
         found.append(
             platform_effect_strengths(
-                recording_folder.load(tmp_path / "rec"), done.world.true, noise, effects, done.sensors
+                recording_folder.load_recording(tmp_path / "rec"), done.world.true, noise, effects, done.sensors
             )
         )
     assert (
@@ -357,7 +357,7 @@ def test_strength_is_the_signal_after_calibration_has_had_its_share(design, rig_
     window, exchanged = parse_effect("refraction:cam1:thickness=0.01"), parse_effect("marker_swap:8:turn=1")
     alone, beside = (
         platform_effect_strengths(
-            recording_folder.load(tmp_path / "rec"), done.world.true, 0.04, (window, *more), done.sensors
+            recording_folder.load_recording(tmp_path / "rec"), done.world.true, 0.04, (window, *more), done.sensors
         )
         for more in ((), (exchanged,))
     )

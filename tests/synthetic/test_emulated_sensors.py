@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.driving.cameras import CameraError, open_source
+from rig.driving.cameras import CameraError, open_camera
 from rig.driving.clock import SimulatedClock, SystemClock
 from rig.effects.texts.effect_text import parse_effect
 from rig.errors import RigError
@@ -16,7 +16,7 @@ from rig.model import mechanisms, motion_simulation
 from rig.model.design import Sensor
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands
-from synthetic import camera_server, emulated_sensors, secret_machine
+from synthetic import emulated_cameras, secret_machine
 from synthetic.image_simulation import Images
 
 
@@ -35,7 +35,7 @@ def told(design):
 
 
 def test_what_is_shown_is_the_true_pose_with_what_the_way_did_to_it(secret, told):
-    shown = emulated_sensors.Eyes(secret, Images(Sensor()), 1, lambda: told, SimulatedClock(105.0))
+    shown = emulated_cameras.EmulatedCameras(secret, Images(Sensor()), 1, lambda: told, SimulatedClock(105.0))
     T = motion_simulation.run_machine(
         secret.true, Commands(told[0] - 100, told[1]), [5.0], secret.effects, None
     ).T_base_platform[0]
@@ -55,10 +55,10 @@ def test_what_is_not_yet_told_is_waited_for_and_never_guessed(secret, told):
             rows[0] = 4
         return told[0][: rows[0]], told[1][: rows[0]]
 
-    shown = emulated_sensors.Eyes(secret, Images(Sensor()), 1, grows, clock)
+    shown = emulated_cameras.EmulatedCameras(secret, Images(Sensor()), 1, grows, clock)
     np.testing.assert_allclose(
         shown.pose(104.0),
-        emulated_sensors.Eyes(secret, Images(Sensor()), 1, lambda: told, clock).pose(104.0),
+        emulated_cameras.EmulatedCameras(secret, Images(Sensor()), 1, lambda: told, clock).pose(104.0),
         atol=1e-12,
     )
     assert clock.now() >= 104.6
@@ -69,7 +69,7 @@ def test_what_is_not_yet_told_is_waited_for_and_never_guessed(secret, told):
 def test_history_is_read_as_it_grows_and_standing_takes_no_room(tmp_path):
     path = tmp_path / "history.csv"
     path.write_text("t,l1,l2\n")
-    told = emulated_sensors.ToldByFile(path)
+    told = emulated_cameras.HistoryFromFile(path)
     with pytest.raises(RigError, match="says nothing yet"):
         told()
     with open(path, "a") as file:
@@ -84,11 +84,11 @@ def test_history_is_read_as_it_grows_and_standing_takes_no_room(tmp_path):
 
 def test_measuring_limbs_read_the_pose(design, told, tmp_path):
     from rig.formats.rig_toml import design_file
-    from rig.planning.layout import hexapod_layout
+    from rig.planning.layout import hexapod_and_two_strut_layout
 
-    (tmp_path / "rig.toml").write_text(hexapod_layout.hexapod_layout(0.3, limbs=6))
-    secret = secret_machine.draw_machine(design_file.load(tmp_path / "rig.toml"), np.random.default_rng(3))
-    shown = emulated_sensors.Eyes(secret, Images(Sensor()), 1, lambda: told, SimulatedClock(105.0))
+    (tmp_path / "rig.toml").write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, limbs=6))
+    secret = secret_machine.draw_machine(design_file.load_design(tmp_path / "rig.toml"), np.random.default_rng(3))
+    shown = emulated_cameras.EmulatedCameras(secret, Images(Sensor()), 1, lambda: told, SimulatedClock(105.0))
     limbs, T = secret.true.insitu, shown.pose(105.0)
     legs = limbs.platform_joints @ T[:3, :3].T + T[:3, 3] - limbs.base_joints
     read = shown.sensors(105.0)
@@ -102,7 +102,7 @@ def test_every_picture_is_of_its_own_moment(secret, told, opengl):
     small = tuple(
         replace(c, width=160, height=128, matrix=c.matrix * [[1 / 8], [1 / 8], [1]]) for c in secret.true.cameras
     )
-    shown = emulated_sensors.Eyes(
+    shown = emulated_cameras.EmulatedCameras(
         replace(secret, true=replace(secret.true, cameras=small)),
         Images(Sensor()),
         1,
@@ -121,8 +121,8 @@ def test_cameras_answer_over_tcp_brighter_with_longer_exposures(secret, told, op
     secret = replace(secret, true=replace(secret.true, cameras=small))
     clock, going = SystemClock(), [True]
     now = clock.now()
-    server = camera_server.EyesServer(
-        emulated_sensors.Eyes(
+    server = emulated_cameras.CameraServer(
+        emulated_cameras.EmulatedCameras(
             secret, Images(Sensor(bits=12)), 1, lambda: (told[0] - 105.0 + now + 3600, told[1]), clock
         ),
         ("127.0.0.1", 0),
@@ -133,13 +133,13 @@ def test_cameras_answer_over_tcp_brighter_with_longer_exposures(secret, told, op
 
     def ask():
         try:
-            source = open_source(asked, clock)
+            source = open_camera(asked, clock)
             for seconds in (0.005, 0.01):
                 source.set_exposure(seconds)
                 before = clock.now()
                 got[seconds] = source.grab()
                 assert before <= got[seconds].t <= clock.now()
-            stranger = open_source(replace(asked, name="cam9"), clock)
+            stranger = open_camera(replace(asked, name="cam9"), clock)
             with pytest.raises(CameraError, match="no camera 'cam9'"):
                 stranger.grab()
             for one in (source, stranger):

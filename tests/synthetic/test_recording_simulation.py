@@ -33,7 +33,7 @@ def done(design):
 
 def test_what_is_written_is_read_back(done, tmp_path, rig_text):
     recording_simulation.write_recording(done, tmp_path / "rec", rig_text, np.random.default_rng(0), noise=0.0)
-    found = recording_folder.load(tmp_path / "rec")
+    found = recording_folder.load_recording(tmp_path / "rec")
     again = motion_simulation.run_machine(
         done.world.true, found.commands, found.exposures.times()[1], done.world.effects, found.sensors
     )
@@ -41,7 +41,7 @@ def test_what_is_written_is_read_back(done, tmp_path, rig_text):
     assert {"ambient_temperature_C", "strut6_temperature_C", "payload_mass_kg"} <= set(found.sensors.channels)
     assert len(found.corners.uv) > 14 * 3 * 4 * 6
     recording_simulation.write_recording(done, tmp_path / "noisy", rig_text, np.random.default_rng(0), noise=0.1)
-    gap = recording_folder.load(tmp_path / "noisy").corners.uv - found.corners.uv
+    gap = recording_folder.load_recording(tmp_path / "noisy").corners.uv - found.corners.uv
     assert np.std(gap) == pytest.approx(0.1, rel=0.05)
 
 
@@ -106,7 +106,7 @@ def test_corners_of_a_picture_are_those_of_the_simulation(design, rig_text, tmp_
         rng,
         images=image_simulation.Images(Sensor(blur=0.5, read_noise=0.5), "cluttered", processes=1),
     )
-    found = collect_corners(recording_folder.load(tmp_path / "rec"), marker_map(design)).corners
+    found = collect_corners(recording_folder.load_recording(tmp_path / "rec"), marker_map(design)).corners
     true = {tuple(row[:4]): row[4:] for row in recording_simulation.truth_corners(s)}
     keys = list(zip(found.frame.tolist(), found.camera, found.marker.tolist(), found.corner.tolist()))
     errors = np.array([uv - true[key] for key, uv in zip(keys, found.uv) if key in true])
@@ -166,7 +166,7 @@ def test_scene_has_everything(design):
 @pytest.mark.parametrize("name", ["open-quiet", "open-backlash", "open-compliance", "open-two"])
 def test_our_machine_moves_as_the_shared_recordings_did(name):
     """The conventions of signs, starts and forces are those of an independent simulator."""
-    found = recording_folder.load(SHARED / "recordings" / name)
+    found = recording_folder.load_recording(SHARED / "recordings" / name)
     truth = json.loads((SHARED / "truth" / f"{name}.json").read_text())
     mechanism = replace(
         found.design.mechanism, **{key: truth[key] for key in ("base_joints", "platform_joints", "strut_zeros")}

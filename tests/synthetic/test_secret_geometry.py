@@ -7,10 +7,10 @@ import pytest
 
 from rig.cli import command_line
 from rig.effects.texts.effect_text import parse_effect
-from rig.formats.rig_toml.design_file import load
+from rig.formats.rig_toml.design_file import load_design
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
-from rig.planning.layout.hexapod_layout import hexapod_layout
+from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
 from rig.recording import recording_folder
 from synthetic.secret_machine import world_from_truth
 from tests.test_one_more_effect import RIGS
@@ -36,7 +36,7 @@ def simulated(folder, kind, *words, place="rig", rotations=True):
         folder / "truth.json",
     ]
     assert command_line.main([str(word) for word in argv]) == 0
-    found = recording_folder.load(folder / "rec")
+    found = recording_folder.load_recording(folder / "rec")
     return found, world_from_truth(folder / "truth.json", found.design), json.loads((folder / "truth.json").read_text())
 
 
@@ -72,19 +72,19 @@ def test_an_instrument_of_positions_writes_positions(tmp_path):
 
 def test_cameras_see_the_cubes_in_an_arms_hand(tmp_path):
     """The cameras and cubes of a hexapod's rig.toml about an arm that carries the platform's cubes."""
-    text = hexapod_layout(0.3)
+    text = hexapod_layout_rig_toml(0.3)
     start, end = text.index("[mechanism]"), text.index("[[camera]]")
     # its hand at 0.45 m
     arm = 'kind = "arm"\njoints = [[0.0, 0.2, 0.02, 0.1], [0.0, 0.25, 0.01, 0.0]]\nlimits = [[-0.3, 0.3], [-0.3, 0.3]]'
     (tmp_path / "rig.toml").write_text(f"{text[:start]}[mechanism]\n{arm}\n\n{text[end:]}")
-    assert load(tmp_path / "rig.toml").mechanism.kind == "arm"
+    assert load_design(tmp_path / "rig.toml").mechanism.kind == "arm"
     assert (
         command_line.main(
             ["simulate", str(tmp_path / "rig.toml"), "--plan", "sobol:20", "--out", str(tmp_path / "rec")]
         )
         == 0
     )
-    found = recording_folder.load(tmp_path / "rec")
+    found = recording_folder.load_recording(tmp_path / "rec")
     assert found.poses is None and len(found.corners.uv) > 100
     on_hand = {number for target in found.design.targets if target.body == "platform" for number in target.ids}
     assert on_hand & set(found.corners.marker.tolist())
@@ -106,7 +106,8 @@ def test_an_arm_as_found_is_drawn_anew_by_the_same_machine(tmp_path):
     (folder / "machine.json").write_bytes((tmp_path / "truth.json").read_bytes())
     assert command_line.main(["simulate", "--from", str(folder), "--out", str(tmp_path / "both")]) == 0
     drawn = {
-        kind: recording_folder.load(tmp_path / "both" / kind).poses.T_base_platform for kind in ("with", "without")
+        kind: recording_folder.load_recording(tmp_path / "both" / kind).poses.T_base_platform
+        for kind in ("with", "without")
     }
     off = {kind: pose_difference(T, found.poses.T_base_platform).std(axis=0) for kind, T in drawn.items()}
     np.testing.assert_allclose(off["with"], np.sqrt(2) * np.repeat(SIGMA, 3), rtol=0.3)

@@ -3,17 +3,17 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.planning.layout import hexapod_layout
-from rig.planning.layout.layout_elements import camera, cube_lines
+from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.planning.layout.camera_and_cube_placement import cube_lines, single_camera_lines
 
 WIDE, SIZE, EDGE = 0.62, (640, 512), 0.075  # rad to either side; px; m
 
 
 def text():
     """Its rig.toml."""
-    whole = hexapod_layout.hexapod_layout(0.3)
+    whole = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3)
     looks = RigidTransform.from_components([0.0, 0.0, -0.04], Rotation.from_rotvec([np.pi, 0, 0]))
-    lines = camera("cam0", looks, WIDE, SIZE, "hand")
+    lines = single_camera_lines("cam0", looks, WIDE, SIZE, "hand")
     for i in range(6):
         place = (0.13 * np.cos(i * np.pi / 3), 0.13 * np.sin(i * np.pi / 3), EDGE / 2 + 0.015 * (i % 3))
         lines += cube_lines(f"B{i + 1}", "base", "DICT_5X5_100", 5 * i, EDGE, place, (0, 0, 0.4 * i))

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.planning import plan
+from rig.planning import configuration_sets, plan
 from synthetic import recording_simulation, secret_machine
 from vision.corner_observations import observations_from_corners
 from vision.targets import marker_map
@@ -17,8 +17,10 @@ def scene(design, seed, frames=12, noise=0.04, size=1.0, spoil=None):
     rng = np.random.default_rng(seed)
     secret = secret_machine.draw_machine(design, rng, size)
     strokes = design.mechanism.strut_range
-    route = plan.settled_plan(
-        plan.low_discrepancy(strokes, frames, seed=seed), strokes.mean(axis=1), plan.plan_speed(design)
+    route = plan.plan_of_configurations(
+        configuration_sets.sobol_configurations(strokes, frames, seed=seed),
+        strokes.mean(axis=1),
+        plan.planned_axis_speeds(design),
     )
     done = recording_simulation.simulate(secret, route, rng)
     corners = recording_simulation.noisy_corners(done, noise, rng)

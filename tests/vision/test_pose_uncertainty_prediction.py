@@ -31,7 +31,7 @@ def measured(request, tmp_path_factory):
         at / "rig.toml",
     )
     rig("simulate", at / "rig.toml", "--plan", "sobol:24", "--seed", "4", "--out", at / "rec")
-    read = recording_folder.load(at / "rec")
+    read = recording_folder.load_recording(at / "rec")
     return measure_recording(read)[0], read.design
 
 

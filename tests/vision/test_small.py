@@ -9,8 +9,8 @@ from rig.errors import NotEnoughData
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
-from rig.planning import plan
-from rig.planning.layout import hexapod_layout
+from rig.planning import configuration_sets, plan
+from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
 from vision.bundle import bundle_adjustment as adjusting
@@ -23,16 +23,16 @@ def seen(design, text, folder, seed, count, home, noise=0.04):
     """(Recording of `count` settled frames, the first at home where `home` says so; true poses)."""
     rng = np.random.default_rng(seed)
     strokes = design.mechanism.strut_range
-    commands = plan.low_discrepancy(strokes, max(count, 2), seed=seed)[:count]
+    commands = configuration_sets.sobol_configurations(strokes, max(count, 2), seed=seed)[:count]
     if home:
         commands[0] = hexapod.inverse(design.mechanism.home, design.mechanism)
     done = recording_simulation.simulate(
         secret_machine.draw_machine(design, rng),
-        plan.settled_plan(commands, strokes.mean(axis=1), plan.plan_speed(design)),
+        plan.plan_of_configurations(commands, strokes.mean(axis=1), plan.planned_axis_speeds(design)),
         rng,
     )
     recording_simulation.write_recording(done, folder, text, rng, noise)
-    return recording_folder.load(folder), done.run.T_base_platform
+    return recording_folder.load_recording(folder), done.run.T_base_platform
 
 
 def agrees(design, text, folder, seed, count, home, noise):
@@ -76,9 +76,9 @@ def test_an_optimum_is_found_although_its_cost_is_rounded(design, rig_text, tmp_
 def test_a_camera_that_shows_no_base_stands_where_it_is_stated(tmp_path):
     """Two cubes hide each other from some camera; its stated pose is then worth 10 mm, and what it alone sees is no
     better. What others see as well says where it stands."""
-    text = hexapod_layout.hexapod_layout(0.3, cameras=3, cubes=2)
+    text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=3, cubes=2)
     (tmp_path / "rig.toml").write_text(text)
-    design = design_file.load(tmp_path / "rig.toml")
+    design = design_file.load_design(tmp_path / "rig.toml")
     read, true = seen(design, text, tmp_path / "rec", 6, 1, True)
     on_base = [number for target in design.targets if target.body == "base" for number in target.ids]
     alone = only_rows(read, (np.array(read.corners.camera) == "cam2") | np.isin(read.corners.marker, on_base))
@@ -95,11 +95,11 @@ def test_a_camera_that_shows_no_base_stands_where_it_is_stated(tmp_path):
 
 def test_what_nothing_determines_is_named(tmp_path):
     """Without targets on the base two cameras that never see the platform together are not tied to each other."""
-    text = hexapod_layout.hexapod_layout(0.3, cameras=3, cubes=2)
+    text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=3, cubes=2)
     head, *targets = text.split("[[target]]")
     text = "[[target]]".join([head, *(t for t in targets if 'body = "platform"' in t)])
     (tmp_path / "rig.toml").write_text(text)
-    design = design_file.load(tmp_path / "rig.toml")
+    design = design_file.load_design(tmp_path / "rig.toml")
     read, _ = seen(design, text, tmp_path / "rec", 6, 4, False)
     apart = read.corners
     keep = np.array([(name == "cam2") == (frame % 2 == 0) for frame, name in zip(apart.frame, apart.camera)])

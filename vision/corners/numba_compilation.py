@@ -8,8 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from rig.compute.kernel_cache import kernel_folder
-from rig.compute.numba_kernels import Kernel
+from rig.compute.numba_kernels import Kernel, kernel_cache_folder
 
 # all of fast mathematics but the promise that nothing is infinite or no number
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
@@ -28,7 +27,7 @@ def _folder() -> str:
     here, settings = Path(__file__).parent, cast(Any, config)
     sources = [path.read_bytes() for path in sorted(here.glob("*.py"))]
     digest = hashlib.sha256(b"".join(source for source in sources if b"@kernel" in source)).hexdigest()[:16]
-    parent = Path(settings.CACHE_DIR) if settings.CACHE_DIR else kernel_folder() or here / "__pycache__"
+    parent = Path(settings.CACHE_DIR) if settings.CACHE_DIR else kernel_cache_folder() or here / "__pycache__"
     return str(parent / f"kernels-{digest}")
 
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.errors import FileError, NotEnoughData, RigError
 from rig.model.design import Camera
-from rig.recording.exposures import read_image
+from rig.recording.exposures_and_images import read_image
 from rig.recording.image_file_check import MOST_OF_A_PHOTOGRAPH
 from vision.corner_observations import Observations
 from vision.lenses.calibration_board import Board, BoardView, find_board_corners

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.errors import RigError
-from rig.formats.number_parsing import parse_number, parse_whole_number
+from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 from rig.model.design import DICTIONARIES, Camera
 from vision import lens
 from vision.corners.marker_detection import detect_markers, grey_image

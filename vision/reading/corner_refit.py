@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.compute.dask_cluster import shared_path
+from rig.compute.dask_cluster import path_on_workers
 from rig.model.design import Camera
-from rig.recording.exposures import read_image
+from rig.recording.exposures_and_images import read_image
 from rig.recording.recording_folder import Corners, Recording
 from vision.corners import local_lens
 from vision.corners.edge_spread import PLAIN
@@ -59,7 +59,7 @@ def refit_corners(
         for frame, camera, name in zip(recording.exposures.frame, recording.exposures.camera, recording.exposures.image)
         if name and (int(frame), camera) in seen
     ]
-    folder, spread = shared_path(recording.folder), collected.spread
+    folder, spread = path_on_workers(recording.folder), collected.spread
 
     def one(image: tuple[int, str, str, Read]) -> Detection:
         _, camera, name, read = image

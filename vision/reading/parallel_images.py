@@ -38,7 +38,7 @@ def map_images_in_processes(
         return one(item)
 
     with _one_thread_each():
-        return parallel_map(alone, work, progress, few=EACH, far=True)
+        return parallel_map(alone, work, progress, items_per_process=EACH, on_cluster=True)
 
 
 @contextmanager

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.compute.dask_cluster import shared_path
+from rig.compute.dask_cluster import path_on_workers
 from rig.errors import FileError
 from rig.model.design import Camera, Design
-from rig.recording.exposures import read_image, undecodable_images, unusable_images_error
+from rig.recording.exposures_and_images import read_image, undecodable_images, unusable_images_error
 from rig.recording.recording_folder import Corners, Recording
 from vision.corner_observations import corner_correlation
 from vision.corners.edge_spread import PLAIN, Spread, empty_profile, learn_edge_spread
@@ -102,7 +102,7 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
     stated.
     Raises FileError naming the image that cannot be decoded or has another size than its camera.
     """
-    e, design, folder = recording.exposures, recording.design, shared_path(recording.folder)
+    e, design, folder = recording.exposures, recording.design, path_on_workers(recording.folder)
     work = [(int(e.frame[i]), design.camera(e.camera[i]), name) for i, name in enumerate(e.image) if name]
     tell = _counter(progress, len(work))
     found: dict[int, Detection] = {}
@@ -267,7 +267,7 @@ def search_missed_markers(
     bodies = {
         k: dict(zip(m.frames.tolist(), m.T_base_platform)) for k, m in {0: measurement, **measurement.stages}.items()
     }
-    work, folder = [], shared_path(recording.folder)
+    work, folder = [], path_on_workers(recording.folder)
     for frame, camera_name, name in zip(
         recording.exposures.frame.tolist(), recording.exposures.camera, recording.exposures.image
     ):

@@ -7,7 +7,7 @@ import numpy as np
 from calib.diagnose.engine.formula_library import Library, Quantity
 from calib.diagnose.engine.formula_search import Formula
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.formula_quantities import POSE, quantities
+from rig.effects.framework.formula_quantities import POSE, quantities_of_motion
 from rig.effects.framework.machine_motion import Motion
 from rig.effects.texts.formula_effect_file import Term, Written
 
@@ -47,7 +47,7 @@ def library_of_quantities(motion: Motion, axis: int | None, directions: int = 1,
     """Library of the quantities that vary: of one axis by its index, of all alike (None), or of the platform."""
     own = None if axis is None else f"travel of {motion.places[axis]}"
     out = []
-    for q in quantities(motion, not apart):
+    for q in quantities_of_motion(motion, not apart):
         values = q.values(motion)
         values = values[:, [axis]] if axis is not None and values.shape[1] > 1 else values
         if q.name == own or np.ptp(values) <= STILL * np.abs(values).max(initial=0.0):

@@ -101,7 +101,7 @@ def _points(q: np.ndarray, arm: Arm | Chain) -> tuple[np.ndarray, np.ndarray]:
     outline: list[np.ndarray] = []
     joints: list[np.ndarray] = []
     below = np.broadcast_to(np.eye(4), (len(q), 4, 4))
-    for (stage, own), T in zip(chains.stages(q, arm), chains.stage_transforms(q, arm)):
+    for (stage, own), T in zip(chains.stages_and_values(q, arm), chains.stage_transforms(q, arm)):
         if isinstance(stage, Arm):
             links = mechanism.frames(own, stage)[..., :3, 3]
             outline, joints = [*outline, _in(below, links)], [*joints, _in(below, links[:, : len(stage.joints)])]

@@ -14,7 +14,7 @@ from calib.diagnose.report.diagnosis_json import (
     SuggestionEntry,
     Value,
 )
-from rig.formats.number_rounding import UNITS, round_to_digits, separating_digits
+from rig.formats.number_parsing_and_rounding import UNITS, round_to_digits, separating_digits
 
 SCALES = {unit: UNITS[unit][0] for unit in ("m", "rad", "1/K", "N/m")}  # one unit for all sizes, so that they compare
 LONG_TIME = 1000.0  # s; times from there on, and clocks, are written to a tenth of a second

@@ -14,7 +14,7 @@ from calib.report.calibration_page import evidence_html, provenance_html, view_3
 from calib.report.pose_figures import correction_error_figures, pose_coverage_figures
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
-from rig.effects.framework.covariate import DRAWN
+from rig.effects.framework.diagnosis_interface import PLOT_UNITS
 from rig.model import mechanisms
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_elements import folding_section, heading, note, paragraph, table
@@ -103,8 +103,8 @@ def _profiles(calibration: Calibration, samples: Samples) -> str:
         *(
             plot_panel(
                 places[i],
-                (f"commanded, {DRAWN[unit][1]}", f"correction, m{unit}"),
-                [Series(q[:, i] * DRAWN[unit][0], rho[:, i] * 1e3)],
+                (f"commanded, {PLOT_UNITS[unit][1]}", f"correction, m{unit}"),
+                [Series(q[:, i] * PLOT_UNITS[unit][0], rho[:, i] * 1e3)],
             )
             for i, unit in enumerate(units)
         )

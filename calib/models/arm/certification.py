@@ -55,7 +55,8 @@ from calib.models.arm.joint_physics_fit import JointFit
 from calib.samples.pose_samples import Samples
 from rig.model.design import Arm, Instrument
 from rig.model.pose import pose_difference
-from rig.planning.plan import FILL, low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.plan import FILL
 
 STRETCHES = 30  # in time; every third is held out at once, so a third of the samples, and each sample once
 PARTS = 3
@@ -371,7 +372,7 @@ def arm_workspace_claim(samples: Samples, certified: Certified, rng: np.random.G
     if certified.held_out is None:
         return claim_of_too_few_configurations(told, words)
     seen = np.stack([each.commanded.min(axis=0), each.commanded.max(axis=0)], axis=1)
-    q = low_discrepancy(seen, PLACES, FILL)
+    q = sobol_configurations(seen, PLACES, FILL)
     T = correction.predict(q)
     stated = extension_error_squares(correction, q, error_model.joint_jacobian(q, found.arm))
     own = certified.left.own_draws(float(stated[0]), DRAWS, rng) if certified.left is not None else stated

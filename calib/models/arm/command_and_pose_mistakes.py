@@ -11,7 +11,7 @@ from calib.models.arm import error_model, instrument_placement
 from calib.models.arm.instrument_observations import Observations, position_observations
 from calib.models.arm.instrument_placement import nearest_rotation, rigid_transform, solve_rotation_placement
 from rig.checks.platform_commands_and_poses import LIKELY, written_pose_columns
-from rig.checks.pose_conventions import other_poses
+from rig.checks.units_and_conventions import poses_in_other_conventions
 from rig.checks.user_mistake import Mistake, sort_mistakes
 from rig.errors import RigError
 from rig.model.design import Arm, Instrument
@@ -198,7 +198,7 @@ def _candidates(reached: ReachedPoses) -> Iterator[tuple[str, str, ReachedPoses]
         do,
         replace(reached, index=text[reached.index]),
     )
-    for what, T in other_poses(reached.v):
+    for what, T in poses_in_other_conventions(reached.v):
         yield (
             f"poses.csv: {what}",
             "Write the target in the instrument: m, and rotation vectors in rad",

@@ -12,7 +12,7 @@ from calib.models.arm.joint_profiles import Profile
 from rig.errors import Unreachable
 from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
-from rig.model.mechanisms import deficient_arm as deficient
+from rig.model.mechanisms import numerical_arm_inverse as deficient
 from rig.model.pose import exp, pose_difference
 
 BRANCH_STEP = (0.05, 0.1)  # m, rad; of the hand
@@ -40,8 +40,8 @@ def _solution_from_start(T_base_platform: RigidTransform, arm: Arm, start: np.nd
             error = pose_difference(mechanism.forward(q[going], arm), at)
             Jt = np.swapaxes(J, 1, 2)
             q[going] += (Jt @ np.linalg.solve(J @ Jt + DAMPING**2 * np.eye(6), error[..., None]))[..., 0]
-    q, left = mechanism.solve(T_base_platform, arm, q, starts=0)
-    return mechanism.nearest_turn(q, arm, start), left
+    q, left = mechanism.solve_inverse(T_base_platform, arm, q, starts=0)
+    return mechanism.nearest_equivalent_angles(q, arm, start), left
 
 
 STARTS = 4  # visited configurations tried as a start before any other
@@ -80,12 +80,12 @@ class ArmCorrection(Correction[Arm, Profile]):
         if self.deficient:
             return (
                 commands
-                - deficient.nearest_configuration(
-                    self.predict(commands), self.nominal, commands, deficient.reachable_directions(self.nominal)
+                - deficient.nearest_joint_values(
+                    self.predict(commands), self.nominal, commands, deficient.reachable_direction_counts(self.nominal)
                 )[0]
             )
         flat = commands.reshape(-1, commands.shape[-1])
-        found, left = mechanism.solve(self.predict(flat), self.nominal, flat, starts=0)
+        found, left = mechanism.solve_inverse(self.predict(flat), self.nominal, flat, starts=0)
         far = np.flatnonzero(left > mechanism.GOOD)
         if len(far):
             raise Unreachable(
@@ -188,7 +188,7 @@ class ArmCorrection(Correction[Arm, Profile]):
             q, reached = (
                 _solution_from_start(T[todo], self.fitted, start)
                 if k < starts.shape[1]
-                else mechanism.solve(T[todo], self.fitted, start)
+                else mechanism.solve_inverse(T[todo], self.fitted, start)
             )
             q, reached = self._compensate(T[todo], np.where((reached < NEAR)[:, None], q, start))
             better = (reached <= TOLERANCE) | (reached < left[todo])
@@ -241,13 +241,13 @@ class ArmCorrection(Correction[Arm, Profile]):
         """(commands (m, joints), good (m,) bool, rest (m, 6)) of an arm of few joints led to poses T (m,) from starts
         (m, joints), as `_nearest`.
         """
-        count = deficient.reachable_directions(self.nominal)
-        q, rest, settled = deficient.nearest_configuration(
+        count = deficient.reachable_direction_counts(self.nominal)
+        q, rest, settled = deficient.nearest_joint_values(
             T, arm, start, count, None if rho is None else lambda values: values - rho(values)
         )
         place, turn = np.linalg.norm(rest[:, :3], axis=1), np.linalg.norm(rest[:, 3:], axis=1)
         good = settled & (place <= (MET if count.position == 3 else FAR)) & (turn <= FAR)
-        return mechanism.nearest_turn(q, self.nominal, q), good, rest
+        return mechanism.nearest_equivalent_angles(q, self.nominal, q), good, rest
 
     def _compensate(self, T: RigidTransform, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(commands, left): from joint solutions q (m, n) of the fitted arm, by differential error transforms."""
@@ -268,7 +268,7 @@ class ArmCorrection(Correction[Arm, Profile]):
                 ..., 0
             ]
             q = q + step / np.maximum(1, np.abs(step).max(axis=1, keepdims=True) / STEP)
-        return mechanism.nearest_turn(best, self.nominal, best), left
+        return mechanism.nearest_equivalent_angles(best, self.nominal, best), left
 
     def _near(self, T: RigidTransform) -> np.ndarray:
         """(m, STARTS, joints) visited configurations whose poses are nearest to T (m,), nearest first."""

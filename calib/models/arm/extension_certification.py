@@ -54,7 +54,7 @@ from rig.errors import RigError
 from rig.model.design import Arm, Instrument
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import FILL, low_discrepancy
+from rig.planning.configuration_sets import FILL, sobol_configurations
 
 # times the typical; a direction of the joints that a pose tells worse than that, as of a wrist near its singularity,
 # keeps none
@@ -270,11 +270,11 @@ def _summand(correction: ArmCorrection, q: np.ndarray) -> np.ndarray:
     owner's model: of a stretched arm it lies beyond its reach by micrometres, or on another branch."""
     if correction.deficient:
         return correction.summand(q)
-    found, rest = mechanism.solve(correction.predict(q), correction.nominal, q, starts=0)
+    found, rest = mechanism.solve_inverse(correction.predict(q), correction.nominal, q, starts=0)
     return np.where((rest <= mechanism.GOOD)[:, None], mechanism.joint_difference(q, found, correction.nominal), np.nan)
 
 
 def _places(correction: ArmCorrection) -> np.ndarray:
     """(m, joints) rad or m, evenly over the middle of the values visited."""
     seen = np.stack([correction.visited.min(axis=0), correction.visited.max(axis=0)], axis=1)
-    return low_discrepancy(seen, PLACES, FILL)
+    return sobol_configurations(seen, PLACES, FILL)

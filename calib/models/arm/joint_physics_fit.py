@@ -16,10 +16,10 @@ from calib.models.arm.instrument_observations import observation_jacobian, sampl
 from calib.samples.pose_samples import Samples
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_validity import check_effect
-from rig.effects.framework.fit_coordinates import Coordinate, constrained_sums, coordinates_of
+from rig.effects.framework.fit_coordinates import Coordinate, constrained_sums, coordinates_of_effects
 from rig.model import motion_simulation
 from rig.model.design import Arm, Design
-from rig.model.mechanism_kinds import arm_of
+from rig.model.mechanism_kinds import require_arm
 from rig.recording.recording_folder import Commands, Sensors
 
 ITERATIONS = 12
@@ -47,7 +47,7 @@ class History:
         """Identified geometry of samples that were told, by the parameters that the arm as stated has."""
         observations = sample_observations(samples)
         return identify_arm(
-            observations, start, independent_arm_parameters(arm_of(self.design.mechanism), observations.kind)
+            observations, start, independent_arm_parameters(require_arm(self.design.mechanism), observations.kind)
         )
 
     def moved(self, samples: Samples, effects: tuple[Effect, ...], arm: Arm) -> tuple[np.ndarray, np.ndarray]:
@@ -215,7 +215,7 @@ def _refined(
     measured: Samples, history: History, arm: Arm, effects: tuple[Effect, ...], before: Prior | None, columns: Columns
 ) -> JointFit:
     """Together from where effects and an Arm stand, with the geometry that is left in the end."""
-    coordinates = coordinates_of(effects)
+    coordinates = coordinates_of_effects(effects)
     samples = history.told(measured, effects, arm)
     seen = _Seen.of(samples, history.identified(samples, arm))
     prior, own = _Prior.of(coordinates, effects, before), np.zeros((0, 0))
@@ -262,7 +262,7 @@ def _columns(
     """Columns of effects' coordinates at samples, by differences. before : near by, of which what is linear holds
     still; None to work out all
     """
-    coordinates = coordinates_of(effects)
+    coordinates = coordinates_of_effects(effects)
     joints = np.zeros((*samples.commanded.shape, len(coordinates))) if before is None else before.joints.copy()
     hand = np.zeros((len(samples), 6, len(coordinates))) if before is None else before.hand.copy()
     bent = {c.effect for c in coordinates if c.role not in STRAIGHT or any(e.retimes() for e in effects)}

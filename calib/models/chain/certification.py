@@ -26,7 +26,7 @@ from calib.samples.pose_samples import Samples
 from rig.model.design import Chain
 from rig.model.mechanisms import chain as mechanism
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import FILL, low_discrepancy
+from rig.planning.configuration_sets import FILL, sobol_configurations
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +109,7 @@ def chain_workspace_claim(samples: Samples, certified: Certified, rng: np.random
     )
     if len(each) < LEAST:
         return claim_of_too_few_configurations(told, words)
-    values, T = commands_with_pose(low_discrepancy(mechanism.travel(nominal), PLACES, FILL), certified.correction)
+    values, T = commands_with_pose(sobol_configurations(mechanism.travel(nominal), PLACES, FILL), certified.correction)
     own = (
         (found.scatter**2).reshape(2, 3).sum(axis=1)
         if certified.left is None

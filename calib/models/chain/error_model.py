@@ -96,7 +96,9 @@ def parameter_jacobian(values: np.ndarray, chain: Chain, last_stage: int | None 
     own = np.concatenate(
         [
             back @ _own(own, T, stage)
-            for (stage, own), T, back in zip(mechanism.stages(values, chain), poses, mechanism.tangent_maps(poses))
+            for (stage, own), T, back in zip(
+                mechanism.stages_and_values(values, chain), poses, mechanism.stage_tangent_maps(poses)
+            )
         ],
         axis=-1,
     )

@@ -10,7 +10,7 @@ from calib.models.platform.parameter_accuracy import PLAUSIBLE
 from rig.errors import NotConverged, RigError
 from rig.model.design import Hexapod
 from rig.model.mechanisms import hexapod as mechanism
-from rig.planning import plan
+from rig.planning import configuration_sets
 from rig.planning.approach_balance import balanced_order
 from rig.planning.configuration_sets import FILL as WORKSPACE
 
@@ -67,9 +67,9 @@ def choose_d_optimal_configurations(
         else np.zeros((0, 42))
     )
     picked = exchange_configurations(G, known.T @ known, count, criterion, progress)
-    even = configuration_information(plan.low_discrepancy(hexapod.strut_range, count, FILL, seed + 1), hexapod, sigmas)[
-        1
-    ].reshape(-1, 42)
+    even = configuration_information(
+        configuration_sets.sobol_configurations(hexapod.strut_range, count, FILL, seed + 1), hexapod, sigmas
+    )[1].reshape(-1, 42)
     parts = [np.concatenate([known, rows]) for rows in (G[picked].reshape(-1, 42), even)]
     chosen = candidates[picked]
     order = balanced_order(chosen, np.random.default_rng(seed), hexapod.strut_range.mean(axis=1))
@@ -124,9 +124,11 @@ def _candidates(
     hexapod: Hexapod, sigmas: tuple[float, float], seed: int, avoided: Avoided | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Low-discrepancy configurations and the strokes' outermost ones, with their rows."""
-    spread = plan.low_discrepancy(hexapod.strut_range, CANDIDATES, FILL, seed)
+    spread = configuration_sets.sobol_configurations(hexapod.strut_range, CANDIDATES, FILL, seed)
     return configuration_information(
-        allowed_configurations(np.concatenate([spread, plan.simplices(hexapod.strut_range, 1, FILL)]), avoided),
+        allowed_configurations(
+            np.concatenate([spread, configuration_sets.simplex_configurations(hexapod.strut_range, 1, FILL)]), avoided
+        ),
         hexapod,
         sigmas,
     )
@@ -208,10 +210,10 @@ def fewest_configurations(
     avoided : which of configurations (n, 6) m are not to be visited, (n,) bool, or None where all may be
     Raises RigError where MOST poses do not keep it, or where none may be visited
     """
-    spread = plan.low_discrepancy(hexapod.strut_range, FEWEST_CANDIDATES, FILL, seed)
+    spread = configuration_sets.sobol_configurations(hexapod.strut_range, FEWEST_CANDIDATES, FILL, seed)
     candidates, G = configuration_information(allowed_configurations(spread, avoided), hexapod, sigmas)
     places, _ = configuration_information(
-        plan.low_discrepancy(hexapod.strut_range, PLACES, WORKSPACE, seed + 1), hexapod, sigmas
+        configuration_sets.sobol_configurations(hexapod.strut_range, PLACES, WORKSPACE, seed + 1), hexapod, sigmas
     )
     J = pose_parameter_jacobian(mechanism.forward(places, hexapod), hexapod)[:, :3].reshape(-1, 42) * PLAUSIBLE
     A = J.T @ J / len(places)

@@ -83,29 +83,30 @@ def _serve_emulated_cameras(
 
     import numpy as np
 
-    from rig.driving.cameras.emulated_camera import USUAL
+    from rig.driving.cameras.emulated_camera_client import USUAL
     from rig.driving.clock import SystemClock
     from rig.driving.emulators.emulator_construction import home_lengths
     from rig.formats.rig_toml import design_file
-    from rig.model.mechanism_kinds import struts_of
+    from rig.model.mechanism_kinds import require_struts
     from synthetic import secret_machine
-    from synthetic.camera_server import EyesServer
-    from synthetic.emulated_sensors import Eyes, ToldByFile
+    from synthetic.emulated_cameras import CameraServer, EmulatedCameras, HistoryFromFile
     from synthetic.image_simulation import Images, check_drawable
     from synthetic.renderer import import_pyrender
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who interrupts the emulator ends this with it
     try:
-        stated = design_file.load(design)
+        stated = design_file.load_design(design)
         secret = secret_machine.world_from_truth(Path(truth), stated) if truth else secret_machine.World(stated, stated)
         check_drawable(secret.effects)
         import_pyrender()
         clock, images = SystemClock(), Images(stated.sensor)
-        home = home_lengths(struts_of(stated.mechanism))
-        at_home = Eyes(secret, images, seed, lambda: (np.array([0.0, 1.0]), np.array([home, home])), clock)
+        home = home_lengths(require_struts(stated.mechanism))
+        at_home = EmulatedCameras(secret, images, seed, lambda: (np.array([0.0, 1.0]), np.array([home, home])), clock)
         for camera in secret.true.cameras:  # what is compiled and loaded for the first pictures is not waited for later
             at_home.image(camera.name, 1.0, USUAL)
-        server = EyesServer(Eyes(secret, images, seed, ToldByFile(Path(history)), clock), address, clock)
+        server = CameraServer(
+            EmulatedCameras(secret, images, seed, HistoryFromFile(Path(history)), clock), address, clock
+        )
     except RigError as error:
         pipe.send((False, str(error)))
         return

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from rig.cli.shared.terminal_output import Progress
 from rig.errors import MissingLibrary, RigError
-from rig.formats.number_parsing import parse_number
+from rig.formats.number_parsing_and_rounding import parse_number
 from rig.formats.output_files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
@@ -78,9 +78,9 @@ def _add_left_out(parser: ArgumentParser) -> None:
 def read_recording(arguments: Namespace, path: Path | None = None) -> Recording:
     """Read a recording, by default that of the arguments; omitted images are named on standard error."""
     from rig.recording import recording_folder as recordings
-    from rig.recording.frame_mask import remove_frames
+    from rig.recording.frame_selection import remove_frames
 
-    found = recordings.load(path or arguments.recording, arguments.skip_unreadable)
+    found = recordings.load_recording(path or arguments.recording, arguments.skip_unreadable)
     for image in found.skipped:
         print(f"left out, as asked: {image.path}: {image.problem}", file=sys.stderr)
     return found if arguments.mask is None else remove_frames(found, arguments.mask)

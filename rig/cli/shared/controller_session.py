@@ -19,7 +19,7 @@ from rig.model.design import Design
 
 def design_with_controller(path: Path, port: str | None) -> Design:
     """Design of a rig.toml with a controller, its port replaced where one is given. Raises RigError for one without."""
-    design = design_file.load(path)
+    design = design_file.load_design(path)
     if design.controller is None:
         raise RigError(f"{path} has no [controller], so there is nothing to drive: state its protocol and port there")
     if port and (problem := port_problem(port)):
@@ -74,14 +74,14 @@ def lengths_text(lengths: np.ndarray) -> str:
 
 def print_status(status: Status, design: Design) -> None:
     """Print a Status, with the pose that its lengths give by the nominal model."""
-    from rig.driving.operator_advice import advice
+    from rig.driving.operator_advice import operator_advice
     from rig.errors import NotConverged
     from rig.model import mechanisms
     from rig.model.pose import pose_to_vector
 
     homing = design.driver().homing
     fault = f" ({status.fault})" if status.fault not in ("", status.activity) else ""
-    print(f"{status.activity}{fault}{advice(status.activity, homing)}")
+    print(f"{status.activity}{fault}{operator_advice(status.activity, homing)}")
     if not status.known:
         print("position not known: " + ("home it" if homing else "see that it is true, then say --trust"))
     print(f"lengths {lengths_text(status.lengths)}")

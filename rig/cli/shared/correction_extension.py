@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.errors import RigError
-from rig.formats.number_parsing import parse_number
+from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -111,16 +111,16 @@ def certify_correction_extension(
     progress: Progress,
 ) -> Extended:
     """Extend the corrections of struts or an arm as --extend requests and certify it. Raises RigError for a chain."""
-    from rig.model.mechanism_kinds import arm_of, struts_of
+    from rig.model.mechanism_kinds import require_arm, require_struts
 
     if mechanism.kind == "arm":
-        return _of_arm(arguments, arm_of(mechanism), sampled.samples, sampled.instrument, rng, progress)
+        return _of_arm(arguments, require_arm(mechanism), sampled.samples, sampled.instrument, rng, progress)
     from calib.certify.extension_certification import Asked, certify_extended_correction, claim_without_geometry
     from calib.certify.platform_certification import platform_workspace_claim
     from calib.correct.summand_extension import single_step_errors
     from calib.report.calibration_page import write_calibration_page
 
-    samples, nominal = sampled.samples, struts_of(mechanism)
+    samples, nominal = sampled.samples, require_struts(mechanism)
     kept: dict[str, Any] = {}
     if base_calibration is None:
         done, tried = certify_extended_correction(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from rig.cli.shared.command_options import SEED, Progress
 from rig.errors import RigError
-from rig.formats.number_parsing import parse_number
+from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
     import numpy as np
@@ -46,7 +46,7 @@ def visited_configurations(path: Path, mechanism: Hexapod | Planar2 | Arm | Free
     from rig.recording import recording_folder
 
     if path.is_dir():
-        read = recording_folder.load(path)
+        read = recording_folder.load_recording(path)
         if read.design.mechanism.kind != "hexapod":
             raise RigError(f"{path} is a recording of a mechanism of kind {read.design.mechanism.kind!r}")
         return read.commanded()[2]
@@ -114,11 +114,11 @@ def _allowed_interventions(arguments: Namespace, design: Design) -> tuple[str, .
     """What an experiment may ask of an operator, cubes by their names. Raises RigError for a cube that the design does
     not have
     """
-    from rig.model.cube_remounting import parse_permission
+    from rig.model.cube_remounting import parse_cube_turn_permission
 
     out = []
     for word in arguments.may or design.experiment.may:
-        may, problem = parse_permission(word, design.targets)
+        may, problem = parse_cube_turn_permission(word, design.targets)
         if problem:
             raise RigError(f"--may {word!r}: {problem}")
         out.append(may)
@@ -132,7 +132,7 @@ def write_next_experiment_plan(
     from calib.experiment.experiment_choice import available_plans, choose_experiment
     from calib.experiment.experiment_information import camera_information_shares
     from rig.model.cube_remounting import quarter_turns
-    from rig.planning import plan_table
+    from rig.planning import plan_construction_and_table
 
     experiments: list[Experiment] = []
     seen: dict[str, float] = {}
@@ -169,7 +169,9 @@ def write_next_experiment_plan(
         json.dumps(_next_json(questions, experiments, seen), indent=1) + "\n", encoding="utf-8"
     )
     if experiments:
-        plan_table.write_plan(arguments.outputs.file(arguments.next), experiments[0].plan, design.mechanism.axes)
+        plan_construction_and_table.write_plan_table(
+            arguments.outputs.file(arguments.next), experiments[0].plan, design.mechanism.axes
+        )
         print(f"written: {arguments.next}")
 
 

@@ -55,7 +55,7 @@ class InvestigationMachine:
 
     def refuse(self, plan: Plan) -> None:
         """Raise RigError for a plan that this machine cannot carry out."""
-        from rig.driving.run_steps import steps_of_plan
+        from rig.driving.run_steps_and_progress import steps_of_plan
 
         if self.by == "driver":
             steps_of_plan(plan)
@@ -122,7 +122,7 @@ class InvestigationMachine:
 
         wanted, told = (
             dict(build_plan(self.design, f"commands:{plan}").turned),
-            quarter_turns(design_file.load(out / "rig.toml")),
+            quarter_turns(design_file.load_design(out / "rig.toml")),
         )
         if told != wanted:
             raise RigError(
@@ -183,7 +183,7 @@ def certify_investigation(
     """
     from calib.experiment.investigation_folder import diagnosis_path, plan_path, recording_path
     from rig.planning.plan import build_plan
-    from rig.planning.plan_table import write_plan
+    from rig.planning.plan_construction_and_table import write_plan_table
 
     out, said = arguments.out, []
     recordings = [str(recording_path(out, look.number)) for look in looks]
@@ -217,7 +217,7 @@ def certify_investigation(
             stands = build_plan(
                 machine.design, f"commands:{plan_path(out, number)}"
             ).turned  # cubes stay as they were put back
-            write_plan(
+            write_plan_table(
                 plan,
                 replace(build_plan(machine.design, f"commands:{commands}"), turned=stands),
                 machine.design.mechanism.axes,
@@ -242,19 +242,21 @@ def _write_verification_poses(path: Path, rig: InvestigationMachine, arguments: 
     import numpy as np
 
     from rig.model import mechanisms
-    from rig.model.mechanism_kinds import arm_of
-    from rig.planning.configuration_sets import low_discrepancy
+    from rig.model.mechanism_kinds import require_arm
+    from rig.planning.configuration_sets import sobol_configurations
     from rig.planning.plan import axis_strokes
     from rig.recording.recording_folder import Poses
     from rig.recording.recording_tables import write_poses
 
     m = rig.design.mechanism
-    lengths = low_discrepancy(axis_strokes(rig.design), arguments.verify, REACH, arguments.seed + VERIFYING)
+    lengths = sobol_configurations(axis_strokes(rig.design), arguments.verify, REACH, arguments.seed + VERIFYING)
     if m.kind == "arm":
         from calib.files import calibration_file
         from calib.models.arm import error_model
 
-        T = error_model.predicted_target_poses(lengths, arm_of(calibration_file.load(calibration).correction.fitted))
+        T = error_model.predicted_target_poses(
+            lengths, require_arm(calibration_file.load(calibration).correction.fitted)
+        )
     else:
         T = mechanisms.kinematics_of(m).forward(lengths, m)
     write_poses(path, Poses(np.arange(len(lengths)), T, None))

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 from rig.cli.shared.command_options import Progress, print_frames_without_pose
 from rig.errors import RigError
-from rig.formats.number_parsing import parse_number
+from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
     from calib.samples.pose_samples import Samples
-    from rig.recording.data_provenance import Marks
+    from rig.recording.frame_content_hashes import Marks
     from rig.recording.recording_folder import Recording
 
 
@@ -21,9 +21,9 @@ def unlearnt_frame_numbers(recording: Recording, marks: Marks, learnt: set[str])
 
     Raises RigError where none is left: what is learnt twice counts twice
     """
-    from rig.recording.data_provenance import frames_with_known_data
+    from rig.recording.frame_content_hashes import frames_with_known_hashes
 
-    frames, again = recording.exposures.times()[0], frames_with_known_data(marks, learnt)
+    frames, again = recording.exposures.times()[0], frames_with_known_hashes(marks, learnt)
     if len(again) == len(marks) > 0:
         raise RigError(
             f"all {len(marks)} frames of {recording.folder} in which anything is seen have been learnt already; "
@@ -118,16 +118,16 @@ def learn_poses(
     from calib.models.platform.identification import geometric_parameters
     from calib.online import learners
     from calib.report.online_and_limb_pages import OnlineResult
-    from rig.model.mechanism_kinds import hexapod_of
-    from rig.recording.data_provenance import content_marks, marks_of_frames
+    from rig.model.mechanism_kinds import require_hexapod
+    from rig.recording.frame_content_hashes import content_hashes, hashes_of_frames
 
     refuse_other_learners_settings(arguments)
     learner = _learner(arguments, recording, calibration)
-    of, before = content_marks(recording), learner.number
+    of, before = content_hashes(recording), learner.number
     fresh = unlearnt_frame_numbers(recording, of, learner.data)
     found = sampled()
     samples = unlearnt_samples(found.samples, fresh, recording)
-    learner.data |= set(marks_of_frames(of, fresh))
+    learner.data |= set(hashes_of_frames(of, fresh))
     commands = samples.commanded - (0 if calibration is None else calibration.correction.rho(samples.commanded))
     errors = np.empty((len(samples), 6))
     for k, (x, T, C) in enumerate(zip(commands, samples.T_base_platform, samples.total_covariance())):
@@ -138,7 +138,9 @@ def learn_poses(
         f"({learner.SETTING} {learner.setting:g})" + (f" after {before} before" if before else "")
     )
     _print_prediction_errors(errors)
-    moved = float(np.sqrt(np.mean((learner.p - geometric_parameters(hexapod_of(recording.design.mechanism))) ** 2)))
+    moved = float(
+        np.sqrt(np.mean((learner.p - geometric_parameters(require_hexapod(recording.design.mechanism))) ** 2))
+    )
     sigma = None if learner.covariance is None else float(np.sqrt(np.mean(np.diag(learner.covariance))))
     known = "" if sigma is None else f", known to {sigma * 1e3:.4f} mm RMS"
     print(f"joints and zeros moved by {moved * 1e3:.4f} mm RMS from rig.toml{known}")
@@ -165,7 +167,7 @@ def _learner(arguments: Namespace, recording: Recording, calibration: Calibratio
     """The Learner of a state that is there, else a new one. Raises RigError where the two do not go together."""
     from calib.online import learners
     from calib.online.learners import LEARNERS
-    from rig.model.mechanism_kinds import hexapod_of
+    from rig.model.mechanism_kinds import require_hexapod
 
     kind, chosen = LEARNERS[arguments.learner], getattr(arguments, SETTINGS[arguments.learner])
     if arguments.state is not None and arguments.state.exists():
@@ -175,7 +177,7 @@ def _learner(arguments: Namespace, recording: Recording, calibration: Calibratio
         if chosen is not None and chosen != learner.setting:
             raise RigError(f"{arguments.state} goes on with {learner.SETTING} {learner.setting:g}, not with {chosen:g}")
         return learner
-    nominal = hexapod_of(recording.design.mechanism if calibration is None else calibration.correction.fitted)
+    nominal = require_hexapod(recording.design.mechanism if calibration is None else calibration.correction.fitted)
     try:
         learner = kind(nominal) if chosen is None else kind(nominal, chosen)
     except ValueError as error:

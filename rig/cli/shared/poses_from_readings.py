@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from rig.cli.shared import calibration_and_effect_files
 from rig.errors import RigError
-from rig.formats.number_parsing import parse_whole_number
+from rig.formats.number_parsing_and_rounding import parse_whole_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable

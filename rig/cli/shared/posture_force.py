@@ -12,7 +12,7 @@ from rig.errors import RigError
 if TYPE_CHECKING:
     import numpy as np
 
-    from rig.formats.rig_toml.arm_dynamics import ArmDynamics
+    from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
     from rig.model.design import Arm
     from rig.posture.exertable_wrench import Exertion
 
@@ -73,11 +73,11 @@ def exertion_dict(q: np.ndarray, arm: Arm, exertion: Exertion) -> dict[str, Any]
     from rig.posture import exertable_wrench as of
 
     strength = exertion.strength
-    weight, load = strength.weight(q, arm), of.joint_loads(q, arm, exertion.wrench)
+    weight, load = strength.weight(q, arm), of.joint_torques_for_wrench(q, arm, exertion.wrench)
     low, high = strength.box(q, arm)
     torque = weight + load
     margin, multiple = strength.limits - np.abs(torque), float(exertion.value(q, arm))
-    A = of.joint_loads(q, arm, np.eye(6)[:, :3]).reshape(len(q), 3)
+    A = of.joint_torques_for_wrench(q, arm, np.eye(6)[:, :3]).reshape(len(q), 3)
     bears = bool((low <= 0).all() and (high >= 0).all())
     out = {
         "wrench": exertion.wrench.tolist(),
@@ -139,7 +139,7 @@ def exertion_svg(q: np.ndarray, arm: Arm, exertion: Exertion) -> str:
     low, high = exertion.strength.box(q, arm)
     if (low > 0).any() or (high < 0).any():
         raise RigError("the posture cannot hold the arm's own weight, and there is nothing to draw")
-    A = of.joint_loads(q, arm, np.eye(6)[:, :3]).reshape(len(q), 3)
+    A = of.joint_torques_for_wrench(q, arm, np.eye(6)[:, :3]).reshape(len(q), 3)
     return force_polytope_figure.force_polytope_svg(
         A, exertion.strength.limits, of.force_polytope_corners(A, low, high), exertion.wrench[:3]
     )

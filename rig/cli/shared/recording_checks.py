@@ -105,10 +105,10 @@ def load_and_check_recordings(
 
 def _check_files(recording: "Recording", anyway: bool) -> None:
     """Judge what a recording's files and some of its images show."""
-    from rig.checks.recording_without_images import file_mistakes
+    from rig.checks.recording_files import recording_file_mistakes
     from rig.model.cube_remounting import WORDS, quarter_turns
 
-    report_mistakes(file_mistakes(recording), anyway)
+    report_mistakes(recording_file_mistakes(recording), anyway)
     for name, quarters in quarter_turns(recording.design).items():
         print(
             f"{recording.folder}: cube {name} was taken off and put back, {WORDS[quarters]}; its place is "

@@ -18,11 +18,11 @@ from rig.cli.online import change_sentence
 from rig.driving.clock import Clock
 from rig.driving.operator_loop import Shot
 from rig.driving.run_journal import Departure, Ended, Exposed, Readings, Remark, Resumed, Row
-from rig.driving.run_steps import Step, step_distances
+from rig.driving.run_steps_and_progress import Step, step_distances
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_kinds import struts_of
+from rig.model.mechanism_kinds import require_struts
 from vision.reading.camera_and_marker_alarms import Alarm, Watch
 from vision.reading.live_measurement import Live, Sight, sight_from_limbs
 
@@ -124,7 +124,7 @@ class RunObserver:
             float("nan"),
             start,
             start,
-            struts_of(design.mechanism).strut_range,
+            require_struts(design.mechanism).strut_range,
             (),
             None,
             None,

@@ -20,15 +20,14 @@ from rig.cli.shared import poses_from_readings
 from rig.cli.shared.run_observation import Display, RunObserver, Stopping
 from rig.cli.shared.run_page import RunPage
 from rig.cli.shared.run_terminal_display import terminal_display
-from rig.driving.cameras import CameraError, open_source
-from rig.driving.cameras.camera_synchronisation import Shutter
-from rig.driving.cameras.exposure_setting import CLIPPED, set_exposure_for_markers
+from rig.driving.cameras import CameraError, open_camera
 from rig.driving.cameras.settling_check import Settling
+from rig.driving.cameras.synchronised_grab_and_exposure import CLIPPED, Shutter, set_exposure_for_markers
 from rig.driving.clock import Clock
 from rig.driving.driver import Driver
 from rig.driving.operator_loop import Bench
 from rig.driving.sensor_port import Sensing
-from rig.driving.trapezoidal_profile import Way, trapezoidal_profile
+from rig.driving.straight_moves import Way, trapezoidal_profile
 from rig.errors import RigError
 from rig.formats.output_files import write_bytes
 from rig.model import mechanisms
@@ -90,7 +89,7 @@ def open_cameras(design: Design, clock: Clock) -> Shutter:
     opened = []
     try:
         for camera in design.cameras:
-            opened.append(open_source(camera, clock))
+            opened.append(open_camera(camera, clock))
     except RigError:
         for source in opened:
             source.close()
@@ -186,7 +185,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from rig.driving.clock import Clock
-    from rig.driving.run_steps import Step
+    from rig.driving.run_steps_and_progress import Step
     from rig.model.design import Design
 
 SHARED_DRAWS = 42  # draws that all poses by limbs have in common: their geometry

@@ -10,9 +10,9 @@ from typing import Any
 
 from rig.cli.shared.command_options import Progress
 from rig.compute import dask_cluster
-from rig.compute.worker_processes import end_child_processes, limit_workers, worker_count
+from rig.compute.worker_processes import limit_workers, terminate_child_processes, worker_count
 from rig.errors import RigError
-from rig.formats.number_parsing import parse_whole_number
+from rig.formats.number_parsing_and_rounding import parse_whole_number
 
 MOST = 1024  # processes
 
@@ -63,7 +63,7 @@ def worker_pool() -> Iterator[Any]:
         yield threads
     except BaseException:
         threads.shutdown(wait=False, cancel_futures=True)
-        end_child_processes()
+        terminate_child_processes()
         raise
     else:
         threads.shutdown(wait=False, cancel_futures=True)

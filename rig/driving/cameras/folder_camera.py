@@ -1,16 +1,16 @@
-"""A watched folder: images that another program drops there, taken once they are whole."""
+"""Folder camera: a watched folder into which another program writes images, read once they are complete."""
 
 import os
 from pathlib import Path
 
 import numpy as np
 
-from rig.driving.cameras.camera_interface import CameraError, Frame
+from rig.driving.cameras.camera_interface_and_clock import CameraError, Frame
 from rig.driving.clock import Clock
 from rig.errors import FileError
 from rig.model.design import Camera
-from rig.recording.exposures import read_image
-from rig.recording.image_file_check import JPEG, PNG, check_image, claimed_size
+from rig.recording.exposures_and_images import read_image
+from rig.recording.image_file_check import JPEG, PNG, image_file_problem, image_size_from_header
 
 EVERY = 0.02  # s between looks
 QUIET = 0.2  # s without growth after which a file without an end mark of its own counts as whole
@@ -63,7 +63,7 @@ class FolderSource:
         what is no image.
         """
         try:
-            size, expected = claimed_size(path), (self._camera.width, self._camera.height)
+            size, expected = image_size_from_header(path), (self._camera.width, self._camera.height)
             if size is not None and size != expected:
                 raise CameraError(
                     f"camera {self.name!r}: {path} is {size[0]} x {size[1]} px, but rig.toml has "
@@ -93,7 +93,7 @@ class FolderSource:
         if not size:
             return False
         if head.startswith((PNG, JPEG)):
-            return "cut off" not in (check_image(path, self._camera) or "")
+            return "cut off" not in (image_file_problem(path, self._camera) or "")
         return size == before and now - since >= QUIET
 
     def set_exposure(self, seconds: float) -> float:

@@ -1,14 +1,11 @@
-"""GenICam cameras (GigE Vision, USB3 Vision) through harvesters: triggered by software, stamped by the camera's own
-clock.
-"""
+"""GenICam camera (GigE Vision, USB3 Vision) through harvesters: software trigger, hardware timestamps."""
 
 import os
 from typing import Any
 
 import numpy as np
 
-from rig.driving.cameras.camera_interface import CameraError, Frame
-from rig.driving.cameras.clock_offset import Offset
+from rig.driving.cameras.camera_interface_and_clock import CameraError, Frame, Offset
 from rig.driving.clock import Clock
 from rig.errors import MissingLibrary
 
@@ -100,9 +97,9 @@ class GenicamSource:
         self._acquirer.destroy()
 
 
-def open_genicam(name: str, serial: str, clock: Clock, size: tuple[int, int]) -> GenicamSource:
-    """The camera with a serial number. Raises MissingLibrary without harvesters, CameraError where no such camera
-    answers.
+def open_genicam_camera(name: str, serial: str, clock: Clock, size: tuple[int, int]) -> GenicamSource:
+    """Open the GenICam camera with a serial number.
+    Raises MissingLibrary without harvesters, CameraError where no such camera answers.
 
     GENICAM_GENTL64_PATH names the folders with the makers' producers (.cti files), as the GenTL standard has it.
     """

@@ -1,17 +1,50 @@
-"""UVC and GStreamer cameras through OpenCV: fresh frames only, and times from the driver's stamps where it gives
-them.
-"""
+"""OpenCV camera (UVC or GStreamer): fresh frames with driver timestamps; check of GStreamer pipelines."""
 
 from __future__ import annotations
 
 import math
+import re
 import sys
 from typing import TYPE_CHECKING, Any
 
-from rig.driving.cameras.camera_interface import CameraError, Frame
-from rig.driving.cameras.clock_offset import UNIFORM, Offset
-from rig.driving.cameras.gstreamer_pipelines import pipeline_complaint
+from rig.driving.cameras.camera_interface_and_clock import UNIFORM, CameraError, Frame, Offset
 from rig.driving.clock import Clock
+
+READING = re.compile(r"(?!wrapper)[a-z0-9]+src")
+CONVERTING = re.compile(
+    r"[a-z0-9]+(dec|depay|parse|demux|convert|convertscale|conv|postproc)|avdec_[a-z0-9]+|decodebin3?|bayer2rgb|"
+    r"capsfilter|queue|rtpjitterbuffer|video(scale|rate|flip|crop|balance|box)|deinterlace"
+)
+END = "appsink"
+SETTING = re.compile(r"[A-Za-z][A-Za-z0-9_-]*=[^\s!\"'\\()<>{}\[\];]+")
+VALUE = r"(\([a-z]+\))?[A-Za-z0-9_.:/+-]+"
+CAPS = re.compile(rf"(video|image)/[a-z0-9.+-]+(\(memory:[A-Za-z]+\))?(\s*,\s*[a-z-]+\s*=\s*{VALUE})*")
+
+
+def gstreamer_pipeline_problem(pipeline: str) -> str | None:
+    """Problem of a GStreamer pipeline as text, None where it only reads, decodes, converts and ends in appsink.
+
+    Elements are known by name, settings are NAME=VALUE without quotes or blanks, what is asked of the video is as
+    video/x-raw,width=640
+    """
+    parts = [part.strip() for part in pipeline.split("!")]
+    for number, part in enumerate(parts):
+        if CAPS.fullmatch(part) and 0 < number < len(parts) - 1:
+            continue
+        element, *settings = part.split() or [""]
+        last = number == len(parts) - 1
+        if last and element != END:
+            return f"ends in {element!r}, and must end in {END}"
+        if not last and ("sink" in element or not (READING.fullmatch(element) or CONVERTING.fullmatch(element))):
+            return (
+                f"names {element!r}; only elements that read, decode or convert images are opened, since others "
+                "may write files"
+            )
+        wrong = next((one for one in settings if not SETTING.fullmatch(one)), None)
+        if wrong is not None:
+            return f"has {wrong!r} after {element}, which is no setting NAME=VALUE"
+    return None if len(parts) > 1 else f"must name where images come from, then ! {END}"
+
 
 if TYPE_CHECKING:
     import numpy as np
@@ -108,28 +141,30 @@ class VideoSource:
         self._capture.release()
 
 
-def open_video(name: str, kind: str, place: str, clock: Clock, size: tuple[int, int]) -> VideoSource:
-    """A camera of kind "uvc" (place : number or device path) or "gstreamer" (place : a pipeline that ends in appsink).
+def open_opencv_camera(
+    name: str, kind: str, device_or_pipeline: str, clock: Clock, size: tuple[int, int]
+) -> VideoSource:
+    """Open an OpenCV camera of kind "uvc" (device number or path) or "gstreamer" (pipeline ending in appsink).
 
     size : (width, height) px, as rig.toml has them. Raises CameraError where it does not open, and for a pipeline that
-    may write (see rig.driving.cameras.gstreamer_pipelines).
+    may write (see rig.driving.cameras.opencv_camera).
     """
     import cv2
 
     if kind == "uvc":
-        device = int(place) if place.isdigit() else place
+        device = int(device_or_pipeline) if device_or_pipeline.isdigit() else device_or_pipeline
         capture = cv2.VideoCapture(device, cv2.CAP_V4L2 if sys.platform == "linux" else cv2.CAP_ANY)
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
     else:
-        wrong = pipeline_complaint(place)
+        wrong = gstreamer_pipeline_problem(device_or_pipeline)
         if wrong is not None:
-            raise CameraError(f"camera {name!r}: gstreamer:{place} {wrong}")
+            raise CameraError(f"camera {name!r}: gstreamer:{device_or_pipeline} {wrong}")
         if cv2.CAP_GSTREAMER not in cv2.videoio_registry.getBackends():
             raise CameraError(f"camera {name!r}: this build of OpenCV has no GStreamer; Debian's python3-opencv has")
-        capture = cv2.VideoCapture(place, cv2.CAP_GSTREAMER)
+        capture = cv2.VideoCapture(device_or_pipeline, cv2.CAP_GSTREAMER)
     if not capture.isOpened():
         capture.release()
-        raise CameraError(f"camera {name!r}: {kind}:{place} cannot be opened; is it there, and free?")
+        raise CameraError(f"camera {name!r}: {kind}:{device_or_pipeline} cannot be opened; is it there, and free?")
     return VideoSource(name, capture, clock, size, kind == "uvc")

@@ -1,6 +1,4 @@
-"""Whether the platform stands still: by the time since it arrived, by images that no longer change, or by measuring
-limbs.
-"""
+"""Settling check: whether the platform stands still, by elapsed time, unchanged images or measuring limbs."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -55,7 +53,9 @@ class Settling:
 
 
 def parse_settling(text: str) -> Settling:
-    """Settling of "time:SECONDS", "images" or "limbs:METRES". Raises RigError for anything else."""
+    """Settling parsed from text: "time:SECONDS", "images" or "limbs:METRES".
+    Raises RigError for anything else.
+    """
     by, _, amount = text.partition(":")
     try:
         value = float(amount) if amount else 0.0
@@ -66,11 +66,9 @@ def parse_settling(text: str) -> Settling:
     return Settling(by, value)
 
 
-def image_difference(a: np.ndarray, b: np.ndarray) -> float:
-    """How much two images (height, width[, 3]) of a camera differ beyond noise, in what noise would come to at most:
-    above 1 it moved.
-    """
-    difference = np.abs(_blocks(a) - _blocks(b))
+def image_difference(first_image: np.ndarray, second_image: np.ndarray) -> float:
+    """Difference of two images of a camera relative to noise; above 1 the view has moved."""
+    difference = np.abs(_blocks(first_image) - _blocks(second_image))
     noise = min(float(np.median(difference)) / 0.6745, LARGEST_NOISE)
     return float(difference.max()) / max(NOISES * noise, LEAST)
 

@@ -2,7 +2,7 @@
 in the field.
 """
 
+from rig.driving.emulators.controller_emulator import TrueCommandsLog
 from rig.driving.emulators.emulator_construction import emulator_of_design
-from rig.driving.emulators.true_commands_log import History
 
-__all__ = ["History", "emulator_of_design"]
+__all__ = ["TrueCommandsLog", "emulator_of_design"]

@@ -1,4 +1,4 @@
-"""What goes wrong with controllers in the field, each to order."""
+"""Faults of an emulated controller, injected once or at a rate per move."""
 
 from dataclasses import dataclass
 
@@ -41,8 +41,8 @@ class Order:
 
 
 def parse_faults(text: str) -> tuple[Order, ...]:
-    """Orders of `KIND` (once) or `KIND:RATE` (chance per move); KIND `all` shares the rate among all kinds. Raises
-    RigError.
+    """Fault orders parsed from text: `KIND` (once) or `KIND:RATE` (chance per move).
+    Raises RigError.
     """
     kind, _, rate = text.partition(":")
     try:

@@ -1,6 +1,4 @@
-"""The machine behind a controller: true axes, the counters that the controller believes, homing, faults, and a log of
-what was done.
-"""
+"""Emulated machine behind a controller: true axes, position counters, homing, faults, executed moves."""
 
 from dataclasses import dataclass
 

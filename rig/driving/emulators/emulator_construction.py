@@ -1,4 +1,4 @@
-"""A rig.toml -> the emulator of its controller."""
+"""Construction of a controller emulator from the rig's design."""
 
 import numpy as np
 
@@ -13,30 +13,34 @@ from rig.driving.emulators.moving_axes import Axes
 from rig.driving.emulators.own_strut_protocol import Struts
 from rig.errors import RigError
 from rig.model.design import Design, Hexapod, Planar2
-from rig.model.mechanism_kinds import hexapod_of, struts_of
+from rig.model.mechanism_kinds import require_hexapod, require_struts
 
 ACCELERATION = 0.1  # m/s^2, where the rig.toml states none
 
 
 def emulator_of_design(
-    design: Design, faults: Faults, clock: Clock, start: np.ndarray | None = None, speed: float = 1.0
+    design: Design, faults: Faults, clock: Clock, start_lengths: np.ndarray | None = None, speed_factor: float = 1.0
 ) -> Emulator:
-    """The Emulator of a design's controller.
+    """The Emulator of the controller of a rig's design, with faults, clock and start lengths.
 
-    start : (n,) m, lengths at first, by default those after homing; speed : factor on the struts' speed. Raises
+    start_lengths : (n,) m, lengths at first, by default those after homing; speed_factor : factor on the struts' speed.
+
+        Raises
     RigError for a start that the struts cannot have, and for a rig without a controller
     """
     c = design.controller
     if c is None:
         raise RigError("the rig.toml has no [controller]; its speeds and zeros are what an emulator needs")
-    m = struts_of(design.mechanism)
+    m = require_struts(design.mechanism)
     home = c.home if c.home is not None else home_lengths(m)
-    start = home if start is None else np.array(start, float)
+    start_lengths = home if start_lengths is None else np.array(start_lengths, float)
     low, high = m.strut_range.T
-    if start.shape != home.shape or not ((start >= low) & (start <= high)).all():
-        raise RigError(f"the struts cannot start at {start.tolist()} m; their ranges are {m.strut_range.tolist()} m")
+    if start_lengths.shape != home.shape or not ((start_lengths >= low) & (start_lengths <= high)).all():
+        raise RigError(
+            f"the struts cannot start at {start_lengths.tolist()} m; their ranges are {m.strut_range.tolist()} m"
+        )
     acceleration = np.full(len(home), ACCELERATION) if c.max_acceleration is None else c.max_acceleration
-    axes = Axes(clock.now(), start, speed * c.max_speed, speed**2 * acceleration)
+    axes = Axes(clock.now(), start_lengths, speed_factor * c.max_speed, speed_factor**2 * acceleration)
     machine = Machine(axes, c.zero, home, faults, known=not c.homing)
     limits = m.strut_range - c.zero[:, None]
     if c.protocol == "grblhal":
@@ -54,13 +58,13 @@ def emulator_of_design(
             clock,
             c.axes or tuple("XYZABC"[: len(home)]),
             limits,
-            hexapod_of(m) if c.kinematics == "world" else None,
+            require_hexapod(m) if c.kinematics == "world" else None,
         )
     raise RigError(f"there is no emulator of {c.protocol!r}")
 
 
 def home_lengths(mechanism: Hexapod | Planar2) -> np.ndarray:
-    """(n,) m of a Hexapod's home pose; of two struts in the plane the middle of their ranges."""
+    """Home lengths (n,) m: strut lengths at a Hexapod's home pose; for two struts the middle of their ranges."""
     if mechanism.kind != "hexapod":
         return mechanism.strut_range.mean(axis=1)
     return np.linalg.norm(mechanism.home.apply(mechanism.platform_joints) - mechanism.base_joints, axis=1)

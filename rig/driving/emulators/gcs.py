@@ -1,4 +1,4 @@
-"""A PI controller at the far end of a line: GCS 2.0 as its manuals have it, closed-loop axes in mm."""
+"""Emulated PI controller: General Command Set (GCS) 2.0, closed-loop axes in mm."""
 
 import re
 from collections.abc import Iterable

@@ -1,5 +1,4 @@
-"""grblHAL at the far end of a line: what its core (report.c, protocol.c, gcode.c) answers, for axes that move in
-straight lines.
+"""Emulated grblHAL controller: answers to G-code lines and real-time bytes as its firmware gives them.
 
 An error stands until a `$` line or an empty one, as in grblHAL: lines of G-code in between are answered by it and not
 carried out.

@@ -1,6 +1,4 @@
-"""LinuxCNC's linuxcncrsh at the far end of a line: what emcrsh.cc answers, for axes or for poses that genhexkins would
-take.
-"""
+"""Emulated LinuxCNC (linuxcncrsh over TCP): joint moves, or poses through genhexkins."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""Axes that move in time: straight moves with trapezoidal speed, halts, and the history of where they were."""
+"""Moving axes over time: straight moves with trapezoidal speed, halts, history of positions."""
 
 import bisect
 import threading

@@ -1,6 +1,4 @@
-"""Our own line protocol at the far end of a line (docs/protocol.md): what a sound firmware answers, and what the faults
-make of it.
-"""
+"""Emulated firmware of our own strut protocol (docs/protocol.md), sound or with faults."""
 
 import re
 
@@ -10,7 +8,7 @@ from rig.driving.clock import Clock
 from rig.driving.emulators.controller_emulator import Emulator
 from rig.driving.emulators.controller_faults import Faults
 from rig.driving.emulators.emulated_machine import Machine
-from rig.driving.protocols.own_strut_protocol import NM, VERSION, decode, encode
+from rig.driving.protocols.own_strut_protocol import NM, VERSION, decode_frame, encode_frame
 
 
 class Struts(Emulator):
@@ -27,7 +25,7 @@ class Struts(Emulator):
 
     def greet(self) -> None:
         self._answered, self._silent = None, False
-        self.say(encode("<", None, f"BOOT {self._boot}").decode())
+        self.say(encode_frame("<", None, f"BOOT {self._boot}").decode())
 
     def at_once(self, byte: int) -> bool:
         if byte != ord("!"):
@@ -36,10 +34,10 @@ class Struts(Emulator):
         return True
 
     def line(self, line: bytes) -> None:
-        frame = decode(">", line.decode("latin-1"))
+        frame = decode_frame(">", line.decode("latin-1"))
         if frame is None or frame.number is None:
             if line.strip():
-                self.say(encode("<", None, "NAK").decode())
+                self.say(encode_frame("<", None, "NAK").decode())
             return
         self._heard = self.now
         if self._answered is not None and self._answered[:2] == (frame.number, frame.text):
@@ -49,7 +47,7 @@ class Struts(Emulator):
         answer = self._carry_out(word, arguments)
         if answer is None:
             return
-        data = encode("<", frame.number, answer)
+        data = encode_frame("<", frame.number, answer)
         self._answered = None if word == "HELLO" else (frame.number, frame.text, data)
         self.say(data.decode(), acknowledges=word in ("MOVE", "HOME"))
 
@@ -139,7 +137,7 @@ class Struts(Emulator):
         self.faults.begin()
         take = self.faults.take
         if take("ok-after-error"):
-            self.say(encode("<", None, "NAK").decode())
+            self.say(encode_frame("<", None, "NAK").decode())
             return "ERR 2" if self.faults.rng.random() < 0.5 else None
         if take("resend"):
             return "NAK" if self.faults.rng.random() < 0.5 else None
@@ -147,6 +145,6 @@ class Struts(Emulator):
         self.machine.go(self.now, target, cruise / 1e3)
         self.strikes_on_move(self.machine.axes.until - self.now)
         if asks:
-            self.say(encode("<", None, "NAK").decode())
+            self.say(encode_frame("<", None, "NAK").decode())
             return None
         return "ERR 2" if fails else "OK"

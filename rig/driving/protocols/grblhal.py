@@ -1,5 +1,4 @@
-"""grblHAL and Grbl 1.1: struts as linear axes in mm, lines answered by `ok` or `error:N`, real-time bytes `?`, `!` and
-0x18.
+"""Protocol grblHAL and Grbl 1.1: struts as linear axes in mm, G-code lines and real-time bytes.
 
 Moves are in machine coordinates (G53), so that no work offset matters; scaling would, and is switched off. After
 `hello` the feed word is never 0; a controller that says F0 has started anew. Source: Grbl 1.1 Interface and Commands
@@ -11,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from rig.driving.protocols.protocol_interface import Dialogue, Exchange, Segment, State, Verdict, query
+from rig.driving.protocols.protocol_interface import Dialogue, Exchange, Segment, State, Verdict, query_dialogue
 from rig.errors import ControllerFault, NoAnswer
 
 MM = 1e3
@@ -99,7 +98,9 @@ class GrblHAL:
         self._homing = False
 
     def hello(self) -> Dialogue[str]:
-        report = _STATUS.search((yield from query(b"?", lambda lines: _STATUS.search(lines[-1]) is not None))[-1])
+        report = _STATUS.search(
+            (yield from query_dialogue(b"?", lambda lines: _STATUS.search(lines[-1]) is not None))[-1]
+        )
         if report is not None and report[1].split(":")[0] in _DEAF:
             raise ControllerFault(
                 f"the controller is held and takes nothing ({report[0]}): see why, then rig stop drops what is held"
@@ -146,7 +147,7 @@ class GrblHAL:
 
     def state(self) -> Dialogue[State]:
         for _ in range(40):  # the work offset comes with every 30th report, at the latest
-            lines = yield from query(b"?", lambda lines: self._read(lines[-1]) is not None)
+            lines = yield from query_dialogue(b"?", lambda lines: self._read(lines[-1]) is not None)
             state = self._read(lines[-1])
             if state is not None and state.positions is not None:
                 return state
@@ -193,7 +194,7 @@ class GrblHAL:
         yield Exchange(b"!", lambda lines: False, 0.0)
         for _ in range(int(HOLD / 0.05) if word != "Home" else 0):
             try:
-                lines = yield from query(b"?", lambda lines: _STATUS.search(lines[-1]) is not None, *ASKED)
+                lines = yield from query_dialogue(b"?", lambda lines: _STATUS.search(lines[-1]) is not None, *ASKED)
             except NoAnswer:
                 break
             status = _STATUS.search(lines[-1])
@@ -284,7 +285,7 @@ def _told(data: bytes, locked: bool = False, patience: float = 0.0) -> Dialogue[
         came before told them
     """
     for _ in range(1 + int(patience / AGAIN)):
-        lines = yield from query(data, lambda lines: _END.fullmatch(lines[-1].strip()) is not None)
+        lines = yield from query_dialogue(data, lambda lines: _END.fullmatch(lines[-1].strip()) is not None)
         end = lines[-1].strip()
         if end != "error:8":
             break
@@ -296,7 +297,7 @@ def _told(data: bytes, locked: bool = False, patience: float = 0.0) -> Dialogue[
 
 def _modes() -> Dialogue[set[str]]:
     """The words of what it takes for granted: units, distances, feed."""
-    lines = yield from query(b"$G\n", _after("[GC:"))
+    lines = yield from query_dialogue(b"$G\n", _after("[GC:"))
     return {*next(line for line in lines if line.startswith("[GC:"))[4:].strip().rstrip("]").split()}
 
 

@@ -1,5 +1,4 @@
-"""LinuxCNC through linuxcncrsh over TCP: moves as MDI lines, positions as joints; answers begin with the word that was
-asked for.
+"""Protocol LinuxCNC (linuxcncrsh over TCP): moves as MDI lines, positions as joints.
 
 "joint": each axis word is a strut (trivkins, identity kinematics). "world": poses go through the controller's own
 inverse kinematics (genhexkins with this rig.toml's geometry); what is read back are the joints all the same. An
@@ -13,7 +12,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from rig.driving.protocols.protocol_interface import Dialogue, Exchange, Lines, Segment, State, Verdict, query
+from rig.driving.protocols.protocol_interface import Dialogue, Exchange, Lines, Segment, State, Verdict, query_dialogue
 from rig.errors import ControllerFault, NoAnswer
 
 CLIENT = "rig 1.0"
@@ -155,7 +154,7 @@ class LinuxCNC:
         """The server's name and version; a greeting may be said again, and whatever was sent before has been dealt with
         then.
         """
-        lines = yield from query(
+        lines = yield from query_dialogue(
             f"HELLO {self._password} {CLIENT}\r\n".encode(),
             lambda lines: lines[-1].strip().startswith(("HELLO ACK", "HELLO NAK")),
         )
@@ -169,7 +168,7 @@ class LinuxCNC:
         """
         whole = re.compile(rf"{word} (?:{pattern})", re.IGNORECASE)
         refused = f"GET {word} NAK"
-        lines = yield from query(
+        lines = yield from query_dialogue(
             f"GET {word}\r\n".encode(),
             _either(lambda line: whole.fullmatch(line) or line.upper().startswith((refused, "GET NAK"))),
         )

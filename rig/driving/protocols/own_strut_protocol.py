@@ -1,6 +1,4 @@
-"""Our own line protocol for one's own firmware: numbered, checked frames, a watchdog, exactly one execution. Described
-in docs/protocol.md.
-"""
+"""Our own strut protocol (docs/protocol.md): numbered frames with checksum, watchdog, single execution."""
 
 import binascii
 import re
@@ -43,21 +41,23 @@ class Frame:
     text: str
 
 
-def encode(way: str, number: int | None, text: str) -> bytes:
-    """A frame. way : ">" to the controller, "<" from it."""
+def encode_frame(direction: str, number: int | None, text: str) -> bytes:
+    """Encode a numbered text as a frame. direction : ">" to the controller, "<" from it.
+    direction : ">" to the controller, "<" from it.
+    """
     body = f"{'-' if number is None else number} {text}"
-    return f"{way}{body}*{checksum(body)}\n".encode("ascii")
+    return f"{direction}{body}*{_checksum(body)}\n".encode("ascii")
 
 
-def decode(way: str, line: str) -> Frame | None:
-    """The last sound frame in a line, or None; what stands before it is noise."""
+def decode_frame(direction: str, line: str) -> Frame | None:
+    """Decode the last valid frame in a line, None where there is none."""
     for match in reversed(list(_FRAME.finditer(line))):
-        if match[1] == way and match[4] == checksum(f"{match[2]} {match[3]}"):
+        if match[1] == direction and match[4] == _checksum(f"{match[2]} {match[3]}"):
             return Frame(None if match[2] == "-" else int(match[2]), match[3])
     return None
 
 
-def checksum(body: str) -> str:
+def _checksum(body: str) -> str:
     """CRC-16/CCITT-FALSE of a frame's body, four hexadecimal digits."""
     return f"{binascii.crc_hqx(body.encode('latin-1'), 0xFFFF):04X}"
 
@@ -105,7 +105,7 @@ class Struts:
                 ramp = cruise = int(np.ceil(np.sqrt(float(ramp) * max(cruise, 1))))
         nm = " ".join(str(round(value)) for value in NM * segment.target)
         text = f"MOVE {self._boot} {max(cruise, 1)} {ramp} {nm}"
-        if len(encode(">", NUMBERS - 1, text)) > self._line:
+        if len(encode_frame(">", NUMBERS - 1, text)) > self._line:
             raise ControllerFault(
                 f"the controller takes lines of {self._line} bytes, too few for {text!r}; nothing was sent"
             )
@@ -137,7 +137,7 @@ class Struts:
         return (yield from self._command("UNLOCK"))
 
     def event(self, line: str) -> str:
-        frame = decode("<", line)
+        frame = decode_frame("<", line)
         if frame is not None and frame.number is None and frame.text.startswith("BOOT"):
             return "restarted"
         return ""
@@ -175,8 +175,8 @@ class Struts:
 
     def _ask(self, text: str) -> Dialogue[tuple[Verdict, str]]:
         self._number = number = self._number % (NUMBERS - 1) + 1
-        lines: Lines = yield Exchange(encode(">", number, text), lambda lines: _answers(lines[-1], number))
-        frame = None if lines is None else decode("<", lines[-1])
+        lines: Lines = yield Exchange(encode_frame(">", number, text), lambda lines: _answers(lines[-1], number))
+        frame = None if lines is None else decode_frame("<", lines[-1])
         if frame is None:
             return Verdict(None, f"no answer to {text}"), ""
         word, _, rest = frame.text.partition(" ")
@@ -189,7 +189,7 @@ class Struts:
 
 
 def _answers(line: str, number: int) -> bool:
-    frame = decode("<", line)
+    frame = decode_frame("<", line)
     return frame is not None and (
         frame.number == number and frame.text.split(" ")[0] in ("OK", "ERR") or frame == Frame(None, "NAK")
     )

@@ -1,6 +1,4 @@
-"""What every protocol offers: dialogues, which yield the bytes to send and take the lines that answer. Nothing here
-opens a port.
-"""
+"""Interface of controller protocols: dialogues that yield request bytes and receive answer lines."""
 
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
@@ -106,14 +104,14 @@ class Protocol(Interface):
         """What a line says that nobody asked for: "restarted", an alarm or an error in words, or "" for nothing."""
 
 
-def query(
-    data: bytes, complete: Callable[[Sequence[str]], bool], timeout: float | None = None, tries: int = TRIES
+def query_dialogue(
+    data: bytes, is_complete: Callable[[Sequence[str]], bool], timeout: float | None = None, tries: int = TRIES
 ) -> Dialogue[tuple[str, ...]]:
-    """The lines that answer a question which moves nothing, asked again where no answer comes. Raises NoAnswer with the
-    question.
+    """Dialogue of a query that moves nothing: returns the answer lines, repeated up to `tries` times.
+    Raises NoAnswer with the question.
     """
     for _ in range(tries):
-        lines = yield Exchange(data, complete, timeout)
+        lines = yield Exchange(data, is_complete, timeout)
         if lines is not None:
             return lines
     raise NoAnswer(f"no answer to {data!r}, asked {tries} times")

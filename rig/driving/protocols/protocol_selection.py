@@ -1,4 +1,4 @@
-"""The protocol of a controller, chosen by what its rig.toml states."""
+"""Selection of the protocol stated for the controller in rig.toml."""
 
 from rig.driving.protocols.gcs import GCS
 from rig.driving.protocols.grblhal import GrblHAL
@@ -8,17 +8,19 @@ from rig.driving.protocols.protocol_interface import Protocol
 from rig.model.controller_settings import Controller
 
 
-def of(controller: Controller, count: int) -> Protocol:
-    """The protocol of a controller that drives `count` axes. Raises ValueError for a protocol that there is not."""
+def protocol_of_controller(controller: Controller, axis_count: int) -> Protocol:
+    """The Protocol of a controller that drives `axis_count` axes. Raises ValueError for an unknown protocol.
+    Raises ValueError for a protocol that there is not.
+    """
     if controller.protocol == "grblhal":
-        return GrblHAL(controller.axes or tuple("XYZABC"[:count]))
+        return GrblHAL(controller.axes or tuple("XYZABC"[:axis_count]))
     if controller.protocol == "gcs":
-        return GCS(controller.axes, count)
+        return GCS(controller.axes, axis_count)
     if controller.protocol == "struts":
-        return Struts(count, controller.watchdog)
+        return Struts(axis_count, controller.watchdog)
     if controller.protocol == "linuxcnc":
         return LinuxCNC(
-            controller.axes or tuple("XYZABC"[:count]),
+            controller.axes or tuple("XYZABC"[:axis_count]),
             controller.kinematics,
             controller.password,
             controller.enable_password,

@@ -1,13 +1,13 @@
-"""An axis takes part in another one's travel: wrist gears, a cable, a shared belt."""
+"""Axis coupling: an axis takes part in another's travel, by wrist gears, a cable, a shared belt."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import numpy as np
 
-from rig.effects.framework.covariate import Covariate, travel_covariate
+from rig.effects.framework.diagnosis_interface import Covariate, travel_covariate
 from rig.effects.framework.effect import Candidate, Context, Effect, Motion, Parameter
-from rig.effects.framework.random_effects import Drawing, draw_number
+from rig.effects.framework.parameter import Drawing, draw_number
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,11 +1,11 @@
-"""Lost motion: the axis follows its command only once the gap is taken up."""
+"""Backlash (lost motion): the axis follows its command only once the gap is taken up."""
 
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.covariate import Covariate, travel_covariate
+from rig.effects.framework.diagnosis_interface import Covariate, travel_covariate
 from rig.effects.framework.effect import Effect, Motion, Parameter
 from rig.effects.framework.play_operator import play_deviation
 

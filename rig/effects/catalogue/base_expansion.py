@@ -1,11 +1,11 @@
-"""The base plate grows with the room: its joints move outward."""
+"""Base expansion: the base plate grows with the room's temperature, its joints move outward."""
 
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.covariate import Covariate, temperature_covariate
+from rig.effects.framework.diagnosis_interface import Covariate, temperature_covariate
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Context, Effect, Motion, Parameter
 from rig.errors import RigError
 

@@ -1,4 +1,4 @@
-"""Somebody knocked one camera."""
+"""Camera bump: one camera is knocked at a moment and stands elsewhere from then on."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""One camera's mount creeps to a new place."""
+"""Camera drift: one camera's mount creeps slowly to a new place."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

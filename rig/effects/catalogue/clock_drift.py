@@ -1,11 +1,11 @@
-"""The cameras' clock runs fast or slow against the commands'."""
+"""Clock drift: the cameras' clock runs fast or slow against the commands'."""
 
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.covariate import Covariate, travel_covariate
+from rig.effects.framework.diagnosis_interface import Covariate, travel_covariate
 from rig.effects.framework.effect import Effect, Motion, Parameter
 
 

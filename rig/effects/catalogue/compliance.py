@@ -1,4 +1,4 @@
-"""Axes give under load, in static equilibrium."""
+"""Compliance: axes yield elastically under load, in static equilibrium."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
@@ -6,10 +6,10 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from scipy.linalg import qr
 
-from rig.effects.framework.covariate import Covariate, load_covariate
+from rig.effects.framework.diagnosis_interface import Covariate, load_covariate
 from rig.effects.framework.effect import Candidate, Context, Effect, Linear, Motion, Parameter
+from rig.effects.framework.parameter import Drawing, draw_parameter, log_uniform
 from rig.effects.framework.place_names import kind_of
-from rig.effects.framework.random_effects import Drawing, draw_parameter, log_uniform
 from rig.errors import RigError
 
 FAINT = 5e-3  # m/s^2 m; a link's weight that turns a joint by less bends nothing
@@ -97,7 +97,7 @@ class Compliance(Effect):
 
     @classmethod
     def sites(cls, context: Context) -> tuple[str, ...]:
-        return by_links(context) or super(Compliance, cls).sites(context)
+        return places_with_link_loads(context) or super(Compliance, cls).sites(context)
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
@@ -105,7 +105,7 @@ class Compliance(Effect):
         if not motion.no_loads():
             return [Candidate(cls, place, [{}], cls.linear(place)[:1])]
         table = motion.links()[:, motion.places.index(place)]
-        kept = distinct(table)
+        kept = independent_columns(table)
         if not len(kept):
             return []
         node = {"_count": table.shape[1]}
@@ -131,18 +131,14 @@ class Compliance(Effect):
         return out
 
 
-def by_links(context: Context) -> tuple[str, ...]:
-    """The axes, where what they carry is not stated but their load is linear in the masses of the machine's own links;
-    else none.
-    """
+def places_with_link_loads(context: Context) -> tuple[str, ...]:
+    """Places of the axes whose load is known only through the masses of the machine's own links."""
     motion = context.moved()
     return motion.places if motion is not None and motion.no_loads() and motion.links().shape[2] else ()
 
 
-def distinct(table: np.ndarray) -> np.ndarray:
-    """Indices of the columns of a joint's table (n, c) that others do not make up, and that the weight turns; a
-    constant is the joint's zero.
-    """
+def independent_columns(table: np.ndarray) -> np.ndarray:
+    """Indices of linearly independent columns of a joint's load table (n, c) that vary with the posture."""
     if not table.shape[1]:
         return np.zeros(0, int)
     _, r, order = qr((table - table.mean(axis=0)) / np.sqrt(len(table)), mode="economic", pivoting=True)

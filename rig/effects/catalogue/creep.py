@@ -1,4 +1,4 @@
-"""Part of every move arrives late."""
+"""Creep: a part of every move arrives late."""
 
 from dataclasses import dataclass
 from typing import ClassVar

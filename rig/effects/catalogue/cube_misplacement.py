@@ -1,4 +1,4 @@
-"""One cube sits off its stated pose."""
+"""Cube misplacement: one cube sits off its stated pose."""
 
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -6,8 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect, Parameter
-from rig.effects.framework.marker_displacement import displace_markers
-from rig.model.pose import exp
+from rig.model.pose import displace_selected_poses, exp
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,4 +29,4 @@ class CubeMisplacement(Effect):
             return markers
         middle = markers.T_body_marker.translation[rows].mean(axis=0)
         shift = exp(np.r_[middle, 0, 0, 0]) * exp(np.asarray(self.motion)) * exp(np.r_[-middle, 0, 0, 0])
-        return replace(markers, T_body_marker=displace_markers(markers.T_body_marker, rows, lambda T: shift * T))
+        return replace(markers, T_body_marker=displace_selected_poses(markers.T_body_marker, rows, lambda T: shift * T))

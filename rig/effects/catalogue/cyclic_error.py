@@ -1,11 +1,11 @@
-"""Error periodic in the screw or the gear: it comes back with every turn."""
+"""Cyclic error: periodic in the screw or gear, it repeats with every turn."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.covariate import Covariate
+from rig.effects.framework.diagnosis_interface import Covariate
 from rig.effects.framework.effect import Candidate, Context, Effect, Motion, Parameter
 from rig.effects.framework.place_names import kind_of
 

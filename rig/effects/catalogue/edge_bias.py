@@ -1,4 +1,4 @@
-"""Exposure or print eats into the black: every edge of the square moves inward by so many pixels."""
+"""Edge bias: exposure or print shifts every edge of the black square inward by so many pixels."""
 
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,4 +1,4 @@
-"""The catalogue of left-out physics: adding a file and a line here adds an effect everywhere."""
+"""List of all effects of the catalogue; a file and a line here add an effect everywhere."""
 
 from rig.effects.catalogue.axis_coupling import AxisCoupling
 from rig.effects.catalogue.backlash import Backlash

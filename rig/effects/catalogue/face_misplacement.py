@@ -1,4 +1,4 @@
-"""One face's marker sits askew on its cube."""
+"""Face misplacement: one face's marker sits off its stated place on its cube."""
 
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -6,8 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect, Parameter
-from rig.effects.framework.marker_displacement import displace_markers
-from rig.model.pose import exp
+from rig.model.pose import displace_selected_poses, exp
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +31,7 @@ class FaceMisplacement(Effect):
         rows = np.array([self.at(f"marker {number}") for number in markers.id])
         return replace(
             markers,
-            T_body_marker=displace_markers(
+            T_body_marker=displace_selected_poses(
                 markers.T_body_marker, rows, lambda T: T * exp(np.r_[self.offset, self.rotation])
             ),
         )

@@ -1,4 +1,4 @@
-"""The focal length follows the temperature."""
+"""Focal drift: the focal length follows the temperature."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

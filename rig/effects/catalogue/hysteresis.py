@@ -1,11 +1,11 @@
-"""Friction and springs in a drive: nested loops that do not saturate at one gap."""
+"""Hysteresis of friction and springs in a drive: nested loops that do not saturate at one gap."""
 
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.covariate import Covariate, travel_covariate
+from rig.effects.framework.diagnosis_interface import Covariate, travel_covariate
 from rig.effects.framework.effect import Effect, Motion, Parameter
 from rig.effects.framework.play_operator import play_deviation
 

@@ -1,12 +1,12 @@
-"""A loose joint settles on one side or the other, as the axis pushes or pulls."""
+"""Joint clearance: a loose joint settles on one side or the other, as the axis pushes or pulls."""
 
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.catalogue.compliance import by_links, distinct
-from rig.effects.framework.covariate import Covariate, load_covariate
+from rig.effects.catalogue.compliance import independent_columns, places_with_link_loads
+from rig.effects.framework.diagnosis_interface import Covariate, load_covariate
 from rig.effects.framework.effect import Candidate, Context, Effect, Motion, Parameter
 from rig.errors import RigError
 
@@ -60,7 +60,7 @@ class JointClearance(Effect):
 
     @classmethod
     def sites(cls, context: Context) -> tuple[str, ...]:
-        return by_links(context) or super(JointClearance, cls).sites(context)
+        return places_with_link_loads(context) or super(JointClearance, cls).sites(context)
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
@@ -68,5 +68,7 @@ class JointClearance(Effect):
         if not motion.no_loads():
             return [Candidate(cls, place, [{}], cls.linear(place))]
         table = motion.links()[:, motion.places.index(place)]
-        turning = [i for i in distinct(table) if min((table[:, i] > 0).sum(), (table[:, i] < 0).sum()) >= SIDES]
+        turning = [
+            i for i in independent_columns(table) if min((table[:, i] > 0).sum(), (table[:, i] < 0).sum()) >= SIDES
+        ]
         return [Candidate(cls, place, [{"moment": float(i)} for i in turning], cls.linear(place))] if turning else []

@@ -1,4 +1,4 @@
-"""A lens has terms that its stated model lacks, or bends the image as no model does."""
+"""Lens distortion beyond the stated model: missing terms, or a smooth warp of the image."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import COUNT, Candidate, Context, Effect, Linear, Parameter
-from rig.effects.framework.random_effects import Drawing, log_uniform
+from rig.effects.framework.parameter import Drawing, log_uniform
 from rig.model.design import Camera
 
 LACKING = {
@@ -40,7 +40,7 @@ class LensDistortion(Effect):
     view: ClassVar = "map"
 
     def problem(self) -> str | None:
-        sizes = [0, *(count(degree) for degree in range(2, 31))]
+        sizes = [0, *(warp_number_count(degree) for degree in range(2, 31))]
         return (
             None
             if len(self.warp) in sizes
@@ -58,13 +58,13 @@ class LensDistortion(Effect):
     def print_(self, camera: Camera, quads: np.ndarray) -> np.ndarray:
         if not self.warp or not self.at(f"camera {camera.name}"):
             return quads
-        return quads + products(camera, quads, _degree(len(self.warp))) @ np.reshape(self.warp, (2, -1)).T
+        return quads + chebyshev_products(camera, quads, _degree(len(self.warp))) @ np.reshape(self.warp, (2, -1)).T
 
     @classmethod
     def bending(cls, camera: Camera, quads: np.ndarray, columns: Sequence[Linear]) -> np.ndarray | None:
         if any(column.name != "warp" for column in columns):
             return None
-        basis = products(camera, quads, _degree(len(columns)))
+        basis = chebyshev_products(camera, quads, _degree(len(columns)))
         out = np.zeros((*quads.shape, len(columns)))
         out[..., 0, : basis.shape[-1]] = basis
         out[..., 1, basis.shape[-1] :] = basis
@@ -78,8 +78,8 @@ class LensDistortion(Effect):
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> "LensDistortion":
         size, which = log_uniform(rng, *SIZES), rng.integers(3)
-        free = range(count(WARPS[0])) if which == 2 else LACKING[("radial", "thin prism")[which]]
-        unit = np.zeros(count(WARPS[0]) if which == 2 else 12)
+        free = range(warp_number_count(WARPS[0])) if which == 2 else LACKING[("radial", "thin prism")[which]]
+        unit = np.zeros(warp_number_count(WARPS[0]) if which == 2 else 12)
         unit[list(free)] = rng.normal(size=len(free)) * 1e-3
         name, camera = "warp" if which == 2 else "terms", drawing.design.camera(place.split(" ")[1])
         moved = drawing.displaced(cls(place, **{name: tuple(unit.tolist())}), camera)
@@ -94,14 +94,19 @@ class LensDistortion(Effect):
             if min(terms) >= have
         ]
         return lacking + [
-            Candidate(cls, place, [{COUNT: count(d)}], [Linear("warp", j, 1e-2) for j in range(count(d))], f"warp {d}")
+            Candidate(
+                cls,
+                place,
+                [{COUNT: warp_number_count(d)}],
+                [Linear("warp", j, 1e-2) for j in range(warp_number_count(d))],
+                f"warp {d}",
+            )
             for d in WARPS
         ]
 
 
-def products(camera: Camera, uv: np.ndarray, degree: int) -> np.ndarray:
-    """(..., m) Chebyshev products of image position (..., 2) px, 1 at the image's left and right edge, from the second
-    degree to `degree`: what is linear is the camera's own pose and lens."""
+def chebyshev_products(camera: Camera, uv: np.ndarray, degree: int) -> np.ndarray:
+    """Chebyshev products (..., m) of image positions uv (..., 2) px, from the second degree up to a degree."""
     x = np.clip((np.asarray(uv) - [camera.width / 2, camera.height / 2]) / (camera.width / 2), -1, 1)
     T = [np.polynomial.chebyshev.chebvander(x[..., c], degree) for c in range(2)]
     return np.stack(
@@ -114,6 +119,6 @@ def _degree(numbers: int) -> int:
     return round((np.sqrt(25 + 4 * numbers) - 3) / 2)
 
 
-def count(degree: int) -> int:
-    """How many numbers a warp of that degree has."""
+def warp_number_count(degree: int) -> int:
+    """Count of the numbers of a warp of a degree."""
     return (degree + 1) * (degree + 2) - 6

@@ -1,4 +1,4 @@
-"""Two faces were exchanged, or one glued on turned."""
+"""Marker swap: two faces' markers are exchanged, or one is glued on turned."""
 
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -6,9 +6,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect, Parameter
-from rig.effects.framework.marker_displacement import displace_markers
-from rig.effects.framework.random_effects import Drawing
-from rig.model.pose import exp
+from rig.effects.framework.parameter import Drawing
+from rig.model.pose import displace_selected_poses, exp
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +53,9 @@ class MarkerSwap(Effect):
         )  # a print of a cube that was put back turned has a row for each seat
         order[a[:both]], order[b[:both]] = b[:both], a[:both]
         spin = exp(np.r_[np.zeros(5), int(self.turn) * np.pi / 2])
-        poses = displace_markers(markers.T_body_marker[order], np.isin(np.arange(len(order)), a), lambda T: T * spin)
+        poses = displace_selected_poses(
+            markers.T_body_marker[order], np.isin(np.arange(len(order)), a), lambda T: T * spin
+        )
         return replace(
             markers,
             T_body_marker=poses,

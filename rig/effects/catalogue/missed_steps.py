@@ -1,11 +1,11 @@
-"""A motor lost steps: from one moment on, an axis is off by whole steps."""
+"""Missed steps: from one moment on, an axis is off by whole motor steps."""
 
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.covariate import Covariate, time_covariate
+from rig.effects.framework.diagnosis_interface import Covariate, time_covariate
 from rig.effects.framework.effect import Effect, Motion, Parameter
 
 

@@ -1,4 +1,4 @@
-"""The markers were printed too large or too small."""
+"""Print scale: the markers were printed too large or too small."""
 
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar

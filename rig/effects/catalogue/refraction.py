@@ -1,4 +1,4 @@
-"""A plane-parallel window stands before a camera."""
+"""Refraction by a plane-parallel window before a camera."""
 
 from dataclasses import dataclass, replace
 from itertools import product
@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from rig.effects.framework.effect import Candidate, Context, Effect, Parameter
-from rig.effects.framework.random_effects import Drawing, draw_number
+from rig.effects.framework.parameter import Drawing, draw_number
 from rig.model.design import Camera
 
 INDEX = 1.5  # of the window's glass against air

@@ -1,4 +1,4 @@
-"""Rows of the image are exposed one after the other."""
+"""Rolling shutter: rows of the image are exposed one after the other."""
 
 from dataclasses import dataclass
 from typing import ClassVar

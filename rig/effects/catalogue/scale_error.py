@@ -1,11 +1,11 @@
-"""An axis' scale is off: s times the stroke from home."""
+"""Scale error of an axis: a share of the stroke from home."""
 
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.covariate import Covariate, travel_covariate
+from rig.effects.framework.diagnosis_interface import Covariate, travel_covariate
 from rig.effects.framework.effect import Effect, Motion, Parameter
 
 

@@ -1,15 +1,15 @@
-"""A nut that turns with the platform's cardan drives its screw: twist of the joints becomes length."""
+"""Screw coupling: the platform's cardan turns the nut, so twist of the joints becomes strut length."""
 
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.cardan_twist import cardan_twist
-from rig.effects.framework.covariate import Covariate
+from rig.effects.framework.diagnosis_interface import Covariate
 from rig.effects.framework.effect import Effect, Motion, Parameter
 from rig.errors import RigError
-from rig.model.mechanism_kinds import hexapod_of
+from rig.model.hexapod_geometry import cardan_twist
+from rig.model.mechanism_kinds import require_hexapod
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,5 +49,5 @@ class ScrewCoupling(Effect):
         reason = self.needs(motion)
         if reason:
             raise RigError(f"{self.name} {reason}")
-        m = hexapod_of(motion.mechanism)
+        m = require_hexapod(motion.mechanism)
         return cardan_twist(motion.posed(), m) - cardan_twist(m.home, m)

@@ -1,4 +1,4 @@
-"""The drive runs behind its command by a first-order lag."""
+"""Servo lag: the drive follows its command with a first-order lag."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.compute.numba_kernels import njit
-from rig.effects.framework.covariate import Covariate, travel_covariate
+from rig.effects.framework.diagnosis_interface import Covariate, travel_covariate
 from rig.effects.framework.effect import Effect, Motion, Parameter, Path
 
 AFTER = np.array([0.25, 0.5, 1, 2, 4, 8])  # time constants after a change of speed at which the path gets a knot
@@ -42,14 +42,12 @@ class ServoLag(Effect):
 
 
 def lagged_path(path: Path, time_constant: float) -> np.ndarray:
-    """(m, axes) m or rad: the `first_order_lag` of a path at its knots."""
+    """Path lagged by a first-order lag of a time constant, (m, axes) m or rad at its knots."""
     return path.walked(lambda t, lengths: first_order_lag(t, lengths, time_constant))
 
 
 def first_order_lag(t: np.ndarray, x: np.ndarray, time_constant: float) -> np.ndarray:
-    """(m, axes) first-order lag of x (m, axes), linear between knots t (m,); it starts at rest, y = x. Exact at the
-    knots.
-    """
+    """First-order lag (m, axes) of x (m, axes), linear between knots t (m,); it starts at rest, y = x."""
     return _lag(np.ascontiguousarray(t, dtype=float), np.ascontiguousarray(x, dtype=float), float(time_constant))
 
 

@@ -1,11 +1,11 @@
-"""An axis is read or photographed before it has arrived: a fixed part of its last step is still to come."""
+"""Settling error: an axis is photographed before it has arrived; a fixed part of its last step is missing."""
 
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.covariate import Covariate, travel_covariate
+from rig.effects.framework.diagnosis_interface import Covariate, travel_covariate
 from rig.effects.framework.effect import Effect, Motion, Parameter
 
 

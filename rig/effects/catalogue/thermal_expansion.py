@@ -1,11 +1,11 @@
-"""Struts, or an arm's links, grow with their temperature, which is logged."""
+"""Thermal expansion: struts, or an arm's links, grow with their logged temperature."""
 
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.covariate import Covariate, temperature_covariate
+from rig.effects.framework.diagnosis_interface import Covariate, temperature_covariate
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Context, Effect, Motion, Parameter
 
 AMBIENT = "ambient_temperature_C"
@@ -41,7 +41,7 @@ class ThermalExpansion(Effect):
         share = np.zeros(motion.lengths.shape)
         for i in np.flatnonzero(self.axes(motion.places)):
             share[:, i] = self.coefficient * (motion.channel(*_channels(motion.places[i])) - REFERENCE_TEMPERATURE)
-        return motion.kind.grown(motion.T, motion.lengths, motion.mechanism, share)
+        return motion.kind.growth_deviation_and_sway(motion.T, motion.lengths, motion.mechanism, share)
 
     def covariate(self, motion: Motion) -> Covariate:
         warm = [

@@ -1,11 +1,11 @@
-"""The cameras' clock is off against the commands': by so much, and if it jumped, from then on."""
+"""Time offset between the cameras' and the commands' clock, from the start or from a moment on."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.covariate import Covariate, travel_covariate
+from rig.effects.framework.diagnosis_interface import Covariate, travel_covariate
 from rig.effects.framework.effect import Candidate, Context, Effect, Motion, Parameter
 
 

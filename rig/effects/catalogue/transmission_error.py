@@ -1,4 +1,4 @@
-"""A repeatable profile of an axis' own position: lead of the screw, gear, encoder."""
+"""Transmission error: a repeatable profile of an axis' own position, by screw lead, gear or encoder."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -6,11 +6,10 @@ from typing import ClassVar, Self
 import numpy as np
 import scipy
 
-from rig.effects.framework.covariate import Covariate, travel_covariate
+from rig.effects.framework.diagnosis_interface import Covariate, travel_covariate
 from rig.effects.framework.effect import COUNT, Candidate, Context, Effect, Linear, Motion, Parameter
-from rig.effects.framework.parameter_grid import derivative_step
+from rig.effects.framework.parameter import Drawing, derivative_step, log_uniform
 from rig.effects.framework.place_names import kind_of
-from rig.effects.framework.random_effects import Drawing, log_uniform
 
 KNOTS = (5, 9, 14)  # of a strut's profile, or a slide's
 SPACINGS = (1.0, 0.5, 0.25, 0.12, 0.07, 0.05, 0.035)  # rad between knots of a joint's profile
@@ -55,7 +54,7 @@ class TransmissionError(Effect):
         out = np.zeros(motion.lengths.shape)
         for i in np.flatnonzero(self.axes(motion.places)):
             span = self.span or motion.kind.travel(motion.mechanism)[i]
-            out[:, i] = basis(motion.lengths[:, i], span, np.asarray(self.profile, float))
+            out[:, i] = cubic_spline_values(motion.lengths[:, i], span, np.asarray(self.profile, float))
         return out
 
     def covariate(self, motion: Motion) -> Covariate:
@@ -100,14 +99,14 @@ class TransmissionError(Effect):
     def columns(cls, candidate: Candidate, node: dict, motion: Motion) -> np.ndarray:
         i = motion.places.index(candidate.place)
         out = np.zeros((*motion.lengths.shape, node[COUNT]))
-        out[:, i] = basis(
+        out[:, i] = cubic_spline_values(
             motion.lengths[:, i], node.get("span") or motion.kind.travel(motion.mechanism)[i], np.eye(node[COUNT])
         )
         return out
 
 
-def basis(q: np.ndarray, span: tuple[float, ...] | np.ndarray, values: np.ndarray) -> np.ndarray:
-    """(n, ...) natural cubic splines through values (knots, ...) at even knots over a span, at q (n,)."""
+def cubic_spline_values(q: np.ndarray, span: tuple[float, ...] | np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values (n, ...) at q (n,) of natural cubic splines through values (knots, ...) at even knots over a span."""
     low, high = span
     return scipy.interpolate.CubicSpline(np.linspace(low, high, len(values)), values, bc_type="natural")(
         np.clip(q, low, high)

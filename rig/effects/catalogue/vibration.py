@@ -1,13 +1,13 @@
-"""The platform shakes: a sinusoid in time, caught at the moment of exposure."""
+"""Vibration of the platform: a sinusoid in time, sampled at the exposures."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
 
-from rig.effects.framework.covariate import Covariate
+from rig.effects.framework.diagnosis_interface import Covariate
 from rig.effects.framework.effect import QUADRATURE, Candidate, Context, Effect, Linear, Motion, Parameter
-from rig.effects.framework.random_effects import Drawing
+from rig.effects.framework.parameter import Drawing
 
 ROUNDS = 30  # of one factor after the other; each brings them nearer
 
@@ -103,9 +103,8 @@ class Vibration(Effect):
         ).written()
 
 
-def one_direction(b: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray]:
-    """(drop, coefficients (12,)) of least squares with normal equations G (12, 12) x = b (12,), x the outer product of
-    a phase (2) and a direction (6): one factor after the other, from the greatest part of what is free."""
+def rank_one_least_squares(b: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray]:
+    """(drop, coefficients (12,)) of rank-one least squares with normal equations G (12, 12) x = b (12,)."""
     scale = np.sqrt(np.maximum(np.diag(G), 1e-300))
     whole = np.linalg.pinv(G / scale[:, None] / scale, rcond=1e-9, hermitian=True) @ (b / scale) / scale
     weight = np.maximum(scale.reshape(2, 6).max(axis=0), 1e-300)

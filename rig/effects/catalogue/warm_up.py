@@ -1,11 +1,11 @@
-"""Axes move while the machine warms up, with no log to say how warm."""
+"""Warm-up: axes move while the machine warms up without a logged temperature."""
 
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.covariate import Covariate, time_covariate
+from rig.effects.framework.diagnosis_interface import Covariate, time_covariate
 from rig.effects.framework.effect import Effect, Motion, Parameter
 
 

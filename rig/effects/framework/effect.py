@@ -1,4 +1,4 @@
-"""What an effect is: a name, a place, parameters with units and bounds, and a hook at the stage where it acts.
+"""Effect, the base class: name, place, parameters with units and bounds, and a hook at the stage where it acts.
 
 Stages, in the order in which a command becomes a corner: `command` (what the axes are told, and when), `struts` (what
 the axes, struts or joints, do beyond that), `structure` (what the frame and platform do), `targets` (where markers
@@ -13,14 +13,18 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from rig.effects.framework.covariate import Covariate
+from rig.effects.framework.diagnosis_interface import (
+    COUNT,
+    QUADRATURE,
+    Candidate,
+    Context,
+    Covariate,
+    Linear,
+    parameter_values,
+)
 from rig.effects.framework.machine_motion import SOON, Motion, Path
-from rig.effects.framework.parameter import Parameter
-from rig.effects.framework.parameter_grid import derivative_step, parameter_grid
+from rig.effects.framework.parameter import Drawing, Parameter, derivative_step, draw_parameter, parameter_grid
 from rig.effects.framework.place_names import AXES, axis_mask, axis_word, includes_place, kind_of
-from rig.effects.framework.random_effects import Drawing, draw_parameter
-from rig.effects.framework.recording_context import Context
-from rig.effects.framework.search_candidate import COUNT, QUADRATURE, Candidate, Linear, parameter_values
 from rig.errors import RigError
 from rig.model.design import Camera
 

@@ -1,4 +1,4 @@
-"""Whether an effect can be: its place, and its parameters within their bounds."""
+"""Validity of an effect: its place must exist for it, its parameters lie within their bounds."""
 
 import re
 
@@ -7,13 +7,13 @@ import numpy as np
 from rig.effects.framework.effect import AXES, Effect
 from rig.effects.framework.place_names import NUMBER, kind_of, split_stage
 from rig.formats.checked_entries import NAME
-from rig.formats.input_files import value_text
+from rig.formats.input_files import short_repr
 
 MOST = 1000  # numbers of a parameter of any length
 
 
 def check_effect(effect: Effect) -> Effect:
-    """The effect itself. Raises ValueError for a place it cannot sit at or a parameter out of bounds."""
+    """The effect, checked. Raises ValueError for a place where it cannot be or a parameter out of bounds."""
     kind = kind_of(effect.place)
     if kind not in effect.places and not ("axis" in effect.places and kind in AXES):
         raise ValueError(f"{effect.name} cannot sit at {effect.place!r}; it takes {', '.join(effect.places)}")
@@ -39,7 +39,7 @@ def check_effect(effect: Effect) -> Effect:
         if not ((value >= low).all() and (value <= high).all()):  # false for what is not a number, too
             raise ValueError(
                 f"{effect.name}: {parameter.name} must lie in {low:g} .. {high:g} {parameter.unit}, got "
-                f"{value_text(value.tolist())}"
+                f"{short_repr(value.tolist())}"
             )
     problem = effect.problem()
     if problem:

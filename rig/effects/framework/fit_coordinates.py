@@ -1,4 +1,4 @@
-"""The continuous parameters of effects as a fit sees them: in which measure, within which bounds, with which priors."""
+"""Coordinates of a fit: the effects' continuous parameters in the measure, bounds and priors that a fit uses."""
 
 from dataclasses import dataclass
 
@@ -87,8 +87,8 @@ def _changed(effect: Effect, name: str, value: float | tuple[float, ...]) -> Eff
     return type(effect)(effect.place, **{**effect.values(), name: value})
 
 
-def coordinates_of(effects: tuple[Effect, ...]) -> list[Coordinate]:
-    """[Coordinate] of what a fit may move of effects, in order."""
+def coordinates_of_effects(effects: tuple[Effect, ...]) -> list[Coordinate]:
+    """[Coordinate] of the effects' parameters that a fit may change, in order."""
     return [
         Coordinate(number, p.name, index, p.role, _step(p), p.bounds, prior_precision(p, index))
         for number, effect in enumerate(effects)
@@ -98,7 +98,7 @@ def coordinates_of(effects: tuple[Effect, ...]) -> list[Coordinate]:
 
 
 def constrained_sums(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> np.ndarray:
-    """(k, c) sums of coordinates that effects ask to be kept."""
+    """(k, c) sums of coordinates that effects constrain to stay as they are in a fit."""
     rows = [
         [row.get((c.name, c.index), 0.0) * (c.effect == number) for c in coordinates]
         for number, effect in enumerate(effects)
@@ -121,16 +121,14 @@ def _step(p: Parameter) -> float:
 
 
 def prior_precision(p: Parameter, index: int | None) -> float:
-    """1 / standard deviation that a parameter is given beforehand: vectors have directions that nothing sees, a number
-    alone is free.
-    """
+    """Prior precision of a parameter, 1 / standard deviation; 0 for a scalar or a direction."""
     if index is None or p.role == "direction":
         return 0.0
     return 1 / ((SWALLOWED if p.name in ("terms", "warp") else LOOSE) * p.usual[1])
 
 
-def priors_cost(effects: tuple[Effect, ...]) -> float:
-    """What the priors on vectors cost."""
+def cost_of_priors(effects: tuple[Effect, ...]) -> float:
+    """Cost of the priors on the effects' vector parameters: sum of squares in prior standard deviations."""
     return float(
         sum(
             np.sum((np.asarray(getattr(e, p.name)) * prior_precision(p, 0)) ** 2)

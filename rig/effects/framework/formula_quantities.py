@@ -1,6 +1,4 @@
-"""What a formula may look at of a machine's motion: each quantity by its name, with its unit, its values and the Python
-that gives them.
-"""
+"""Quantities of a machine's motion that a formula may use: name, unit, values and Python code of each."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -36,13 +34,11 @@ class Quantity:
     lacking: str = ""
 
 
-def quantity(name: str, word: str) -> Quantity:
-    """The Quantity of a name at machines whose axes are called a word: strut, joint or slide; what is none of those
-    known is a sensor's channel.
-    """
-    unit = "rad" if word == "joint" else "m"
+def quantity_by_name(name: str, axis_word: str) -> Quantity:
+    """The Quantity of a name on a machine whose axes are called axis_word (strut, joint, slide), or a channel."""
+    unit = "rad" if axis_word == "joint" else "m"
     if name in OWN:
-        return _own(name, unit, word)
+        return _own(name, unit, axis_word)
     if name in POSE:
         i = POSE.index(name)
         return Quantity(
@@ -145,15 +141,14 @@ def _own(name: str, unit: str, word: str) -> Quantity:
     )
 
 
-def quantities(motion: Motion, own: bool) -> list[Quantity]:
-    """[Quantity] of a Motion at its poses: those that each axis has of its own (own), of a platform its pose, the
-    travel of every axis, time and all that was logged; without own ones the travel of axes is left to the pose."""
+def quantities_of_motion(motion: Motion, per_axis: bool) -> list[Quantity]:
+    """[Quantity] of a Motion: per axis, or of the platform's pose; with time and logged channels."""
     word = motion.kind.AXIS
-    names = [name for name in OWN if name != "own load" or motion.no_loads() is None] if own else []
-    names += [f"travel of {place}" for place in motion.places] if own else []
+    names = [name for name in OWN if name != "own load" or motion.no_loads() is None] if per_axis else []
+    names += [f"travel of {place}" for place in motion.places] if per_axis else []
     names += list(POSE) if word == "strut" else []
     names += ["time", *(motion.sensors.channels if motion.sensors is not None else ())]
-    return [quantity(name, word) for name in names]
+    return [quantity_by_name(name, word) for name in names]
 
 
 def _symbol(name: str) -> str:

@@ -1,4 +1,4 @@
-"""What an effect of the axes may look at: the commanded path through time, and the machine at its exposures."""
+"""Motion of the machine as effects see it: the commanded path through time, and its state at the exposures."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.design import Actuator, Arm, Chain, Hexapod, Planar2, Platform
-from rig.model.mechanisms.kinematics_interface import Kind
+from rig.model.mechanisms.kinematics_by_kind import Kind
 from rig.recording.recording_folder import PAYLOAD, Sensors
 
 SOON = 1e-6  # s; knots that lie closer together are one

@@ -1,9 +1,15 @@
-"""A number (or several) of an effect: its unit, what makes sense, what rigs show, and how the effect depends on it."""
+"""Parameter of an effect: unit, bounds, usual size and role; its grid of values to search; random draws."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
+import numpy as np
+
+from rig.effects.framework.machine_motion import Motion
 from rig.effects.framework.place_names import kind_of
-from rig.formats.number_rounding import quantity_text
+from rig.formats.number_parsing_and_rounding import quantity_text
+from rig.model.design import Camera, Design
 
 MOST_SHOWN = 3  # numbers of several
 
@@ -65,3 +71,66 @@ class Parameter:
         numbers = value if isinstance(value, tuple) else (value,)
         more = f", the first {MOST_SHOWN} of {len(numbers)}" if len(numbers) > MOST_SHOWN else ""
         return f"{self.name.replace('_', ' ')} {quantity_text(numbers[:MOST_SHOWN], self.unit)}{more}"
+
+
+LOG_STEPS, EVEN_STEP = 14, 0.01  # values of a "log" parameter over its usual range; steps of an "even" one
+SIZES = 16  # values of a "size" parameter over its usual range
+EDGE = 4  # frames at either end that a moment leaves
+
+
+def parameter_grid(p: Parameter, t: np.ndarray) -> list[float]:
+    """Grid of values of a parameter to be tried, by its role and usual size; t : (n,) s, the exposures."""
+    low, high = p.usual
+    if p.role in ("size", "log"):
+        return np.geomspace(low, high, SIZES if p.role == "size" else LOG_STEPS).tolist()
+    if p.role == "even":
+        return np.arange(max(low * 0.3, p.bounds[0]), min(high * 2.5, p.bounds[1]), EVEN_STEP).tolist()
+    return ((t[EDGE - 1 : -EDGE] + t[EDGE : len(t) - EDGE + 1]) / 2).tolist()
+
+
+def derivative_step(p: Parameter) -> float:
+    """Step of a parameter for its numerical derivative."""
+    size = np.sqrt(p.usual[0] * p.usual[1]) if p.usual[0] > 0 else 1e-2 * max(map(abs, p.usual))
+    return 1 / size if p.role == "inverse" else 0.1 * size
+
+
+EARLY, LATE = 0.1, 0.9  # shares of the exposures between which moments are drawn
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawing:
+    """design : Design; t : (n,) s, the exposures; motion : Motion of its commands, everything logged that can be
+    displaced : (how a camera is to be looked through : Effect -> px RMS by which corners all over its image move), see
+        synthetic.blind_cases
+    """
+
+    design: Design
+    t: np.ndarray
+    motion: Motion
+    displaced: Callable[[Any, Camera], float]
+
+
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """Log-uniform random number between low and high: every order of magnitude as likely."""
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def draw_parameter(p: Parameter, drawing: Drawing, rng: np.random.Generator) -> float | tuple[float, ...]:
+    """Value of a parameter drawn at random over its usual range."""
+    low, high = p.usual
+    if p.role == "moment":
+        return float(rng.uniform(*np.quantile(drawing.t, [EARLY, LATE])))
+    if p.role in ("phase", "even"):
+        return float(rng.uniform(low, high))
+    size = log_uniform(rng, low, high)
+    if p.size == 1:
+        return float(rng.choice([-1, 1]) * size) if p.signed else size
+    return tuple((size / np.sqrt(p.size) * rng.normal(size=p.size)).tolist())
+
+
+def draw_number(p: Parameter, drawing: Drawing, rng: np.random.Generator) -> float:
+    """Number of a scalar parameter drawn at random over its usual range. Raises ValueError for a vector."""
+    drawn = draw_parameter(p, drawing, rng)
+    if isinstance(drawn, tuple):
+        raise ValueError(f"{p.name} has {len(drawn)} numbers")
+    return float(drawn)

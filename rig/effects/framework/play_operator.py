@@ -1,4 +1,4 @@
-"""The play operator, walked along a whole path: what is left of history in an axis."""
+"""Play operator (backlash with memory) along a whole path, and the deviation it causes."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from rig.effects.framework.machine_motion import Motion
 
 
 def play_operator(lengths: np.ndarray, half: float) -> np.ndarray:
-    """(m, axes) where the output of a play of half width `half` stands after each knot of a path (m, axes), m or rad.
+    """Play operator: output (m, axes) of a play of half width `half` along a path of lengths (m, axes), m or rad.
 
     The output starts in the middle of the gap and is dragged along at its ends. Between knots the input is monotonic,
     so the knots are all that matters. Source: Brokate and Sprekels, Hysteresis and Phase Transitions, 1996, ch. 2
@@ -16,7 +16,7 @@ def play_operator(lengths: np.ndarray, half: float) -> np.ndarray:
 
 
 def play_deviation(motion: Motion, half: float) -> np.ndarray:
-    """(n, axes) m or rad that a play of half width `half` adds to the command at the exposures."""
+    """Deviation (n, axes) m or rad from the command at the exposures by a play of half width `half`."""
     path = motion.path
     return motion.once(
         ("behind", half), lambda: (path.walked(lambda _, lengths: play_operator(lengths, half)) - path.lengths)[path.at]

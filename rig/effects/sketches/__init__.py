@@ -3,6 +3,6 @@ what gives each away.
 """
 
 from rig.effects.sketches.effect_example import Sketch
-from rig.effects.sketches.motion_effect_figures import drawn
+from rig.effects.sketches.motion_effect_figures import draw_sketch
 
-__all__ = ["Sketch", "drawn"]
+__all__ = ["Sketch", "draw_sketch"]

@@ -1,6 +1,4 @@
-"""What a sketch of an effect is made with: one of a size that rigs show, on one rig and one way that bring out what any
-effect does.
-"""
+"""Example of an effect for a sketch: of usual size, on one hexapod and one path that show what it does."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
@@ -12,13 +10,12 @@ import numpy as np
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_validity import check_effect
 from rig.effects.framework.machine_motion import Motion
-from rig.effects.framework.parameter import Parameter
-from rig.effects.framework.random_effects import Drawing
+from rig.effects.framework.parameter import Drawing, Parameter
 from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
 from rig.model.design import Design
-from rig.planning.layout import hexapod_layout
+from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.recording.recording_folder import PAYLOAD, Commands, Sensors
 
 RADIUS, LEAD, PAYLOAD_AT = (
@@ -53,7 +50,7 @@ class Sketch:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Way:
+class ExampleRun:
     """An Effect, and what it is looked at on. t : (n,) s, the exposures; commands : of a hexapod; sensors : all that is
     known to be logged
     motion : of the commands without it, with its poses"""
@@ -70,16 +67,18 @@ def effect_example(
     kind: type[Effect],
     place: str,
     factor: float = 1.0,
-    of: Design | None = None,
+    design: Design | None = None,
     displaced: Callable = lambda effect, camera: 1.0,
-) -> Way:
-    """A Way with an effect of a kind at a place, `factor` times as large as the largest that rigs show.
+) -> ExampleRun:
+    """Example run (ExampleRun) with an effect of a kind at a place, `factor` times its largest usual size.
 
-    of : the Design with the cameras and targets that it may sit at, by default none; displaced : see Drawing. Raises
+    design : the Design with the cameras and targets that it may sit at, by default none; displaced : see Drawing.
+
+        Raises
     RigError for an effect that cannot be shown on this rig
     """
     base = sketch_hexapod()
-    seen = base if of is None else replace(base, cameras=of.cameras, targets=of.targets)
+    seen = base if design is None else replace(base, cameras=design.cameras, targets=design.targets)
     span = _span(kind, place)
     t = np.linspace(0.0, span, COUNT)
     commands, sensors = _commands(base, span), _sensors(span, tuple(camera.name for camera in seen.cameras))
@@ -91,21 +90,23 @@ def effect_example(
     reason = effect.needs(motion)
     if reason:
         raise RigError(f"{effect.name} {reason}")
-    return Way(effect, seen, t, commands, sensors, motion)
+    return ExampleRun(effect, seen, t, commands, sensors, motion)
 
 
 @cache
 def sketch_hexapod() -> Design:
-    """The hexapod of all sketches, with a payload that sits far out."""
-    design = design_file.design_of(
-        design_file.entries_of(hexapod_layout.hexapod_layout(RADIUS, cameras=1, cubes=1), Path("layout"))
+    """Design of the hexapod used in all sketches, with an off-centre payload."""
+    design = design_file.design_of_entries(
+        design_file.entries_of_text(
+            hexapod_and_two_strut_layout.hexapod_layout_rig_toml(RADIUS, cameras=1, cubes=1), Path("layout")
+        )
     )
     platform = replace(design.platform, payload_centre_of_mass=np.array(PAYLOAD_AT))
     return replace(design, platform=platform, actuator=replace(design.actuator, screw_lead=LEAD))
 
 
-def effect_text(effect: Effect) -> str:
-    """Where an effect sits, and its single numbers that are not what they are by default, in words."""
+def place_and_values_text(effect: Effect) -> str:
+    """Text of an effect's place and of its values that differ from the defaults."""
     default = {field.name: field.default for field in fields(effect)}
     shown = [
         (p, getattr(effect, p.name)) for p in effect.parameters_at(effect.place) if p.role not in ("moment", "phase")

@@ -1,12 +1,10 @@
-"""What an effect does to a machine, as figures: a strut's length told and done through time, or the platform; and the
-error over its covariate.
-"""
+"""Figures of effects on motion: a strut's command and travel through time, the displaced platform, covariates."""
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.effects.framework.effect import Effect
-from rig.effects.sketches.effect_example import AXIS, FAR, Sketch, Way, effect_example, effect_text
+from rig.effects.sketches.effect_example import AXIS, FAR, ExampleRun, Sketch, effect_example, place_and_values_text
 from rig.model import motion_simulation
 from rig.model.pose import exp, pose_difference
 from rig.report.pages.plots import Series, plot_panel
@@ -22,18 +20,16 @@ UNITS = {1e-9: "nm", 1e-6: "µm", 1e-3: "mm"}
 TIMES = {1e-3: "ms", 1.0: "s", 60.0: "min", 3600.0: "h"}
 
 
-def drawn(kind: type[Effect], factor: float = 1.0) -> Sketch:
-    """Sketch of an effect of a kind, `factor` times as large as the largest that rigs show. Raises RigError for one
-    that a hexapod cannot have
-    """
+def draw_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
+    """Sketch drawn of an effect of a kind, `factor` times its largest usual size."""
     place = f"strut {AXIS + 1}" if "axis" in kind.places else kind.places[0]
     way = effect_example(kind, place, factor)
-    error = strut_errors(way)
+    error = _strut_errors(way)
     first = _displaced(way) if kind.stage == "structure" or kind.on_pose else _through_time(way, error)
-    return Sketch(effect_text(way.effect), (first, _over_covariate(way, error)))
+    return Sketch(place_and_values_text(way.effect), (first, _over_covariate(way, error)))
 
 
-def strut_errors(way: Way) -> np.ndarray:
+def _strut_errors(way: ExampleRun) -> np.ndarray:
     """(n,) m by which the strut that is looked at stands beyond its command, at the exposures of a Way."""
     T = way.motion.T
     assert T is not None
@@ -41,11 +37,11 @@ def strut_errors(way: Way) -> np.ndarray:
     return found[:, AXIS] - way.motion.lengths[:, AXIS]
 
 
-def _through_time(way: Way, error: np.ndarray) -> str:
+def _through_time(way: ExampleRun, error: np.ndarray) -> str:
     """Where the strut is told to be, and where it is, its error enlarged."""
     told = way.motion.stroke[:, AXIS]
-    much = enlargement(np.abs(error).max(), SHARE * FAR)
-    scale, unit = unit_of(way.t[-1], TIMES)
+    much = enlargement_factor(np.abs(error).max(), SHARE * FAR)
+    scale, unit = largest_suitable_unit(way.t[-1], TIMES)
     series = [
         Series(way.t / scale, told * 1e3, "told", "line", -1),
         Series(way.t / scale, (told + much * error) * 1e3, enlargement_text("done", much), "line", 1),
@@ -53,11 +49,11 @@ def _through_time(way: Way, error: np.ndarray) -> str:
     return plot_panel(f"Strut {AXIS + 1}", (f"time, {unit}", "stroke, mm"), series, high=HIGH)
 
 
-def _over_covariate(way: Way, error: np.ndarray) -> str:
+def _over_covariate(way: ExampleRun, error: np.ndarray) -> str:
     """The error over what gives the effect away."""
     shown = way.effect.covariate(way.motion)
     across = np.asarray(shown.values)
-    scale, unit = unit_of(np.abs(error).max(), UNITS)
+    scale, unit = largest_suitable_unit(np.abs(error).max(), UNITS)
     values = across[:, AXIS] if across.ndim == 2 else across
     return plot_panel(
         "What gives it away",
@@ -67,7 +63,7 @@ def _over_covariate(way: Way, error: np.ndarray) -> str:
     )
 
 
-def _displaced(way: Way) -> str:
+def _displaced(way: ExampleRun) -> str:
     """The platform where it should stand and where it does, at the exposure at which these lie farthest apart,
     enlarged.
     """
@@ -77,7 +73,7 @@ def _displaced(way: Way) -> str:
     shift = pose_difference(T, found)
     far = np.linalg.norm(shift[:, :3], axis=1)
     at = int(np.argmax(far))
-    much = enlargement(float(far[at]), OUT)
+    much = enlargement_factor(float(far[at]), OUT)
     pair = RigidTransform.concatenate([T[at], T[at] * exp(much * shift[at])])
     ends = way.motion.kind.ends(pair, way.motion.mechanism)
     assert ends is not None
@@ -97,7 +93,7 @@ def _displaced(way: Way) -> str:
         parts.append(f'<path class="{style}" d="{struts}{_ring(tips[k])}"/>')
     parts.append(f'<path class="axis" d="{_ring(base[0])}"/>')
     return svg_figure(
-        int(top + scale * (high - low)[1] + 12), f"the platform displaced, {effect_text(way.effect)}", parts
+        int(top + scale * (high - low)[1] + 12), f"the platform displaced, {place_and_values_text(way.effect)}", parts
     )
 
 
@@ -112,22 +108,22 @@ def _seen(points: np.ndarray) -> np.ndarray:
     return np.stack([across, -z * np.cos(RAISED) - away * np.sin(RAISED)], axis=-1)
 
 
-def enlargement(size: float, to: float) -> float:
-    """1, 2 or 5 times a power of ten, by which a size is drawn about as large as `to`; at least 1."""
+def enlargement_factor(size: float, target: float) -> float:
+    """Enlargement factor (1, 2, 5 times a power of ten, at least 1) from a size to about a target size."""
     if size <= FLOOR:
         return 1.0
-    power = 10.0 ** np.floor(np.log10(to / size))
-    return max(1.0, float(next(k * power for k in (5, 2, 1) if k * power <= to / size)))
+    power = 10.0 ** np.floor(np.log10(target / size))
+    return max(1.0, float(next(k * power for k in (5, 2, 1) if k * power <= target / size)))
 
 
-def enlargement_text(words: str, much: float) -> str:
-    """Words about what is drawn with its error so many times as large, which they say."""
-    times = f"{much:,.0f}".replace(",", " ")
-    return words if much == 1 else f"{words}, error {times} times"
+def enlargement_text(words: str, factor: float) -> str:
+    """Text of words with the enlargement factor of the drawn error added."""
+    times = f"{factor:,.0f}".replace(",", " ")
+    return words if factor == 1 else f"{words}, error {times} times"
 
 
-def unit_of(size: float, units: dict[float, str]) -> tuple[float, str]:
-    """(value, name) of the largest unit in which a size is 2 or more."""
+def largest_suitable_unit(size: float, units: dict[float, str]) -> tuple[float, str]:
+    """(value, unit) of a size in the largest of the units in which it is 2 or more."""
     return next(
         ((value, name) for value, name in sorted(units.items(), reverse=True) if size >= 2 * value), min(units.items())
     )

@@ -1,4 +1,4 @@
-"""Effects as text: backlash:strut3:gap=40e-6 on a command line, a dict in a truth file."""
+"""Effects as text (backlash:strut3:gap=40e-6) and as dicts: parsed, written, required to be known or placed."""
 
 import re
 from collections.abc import Mapping
@@ -11,9 +11,9 @@ from rig.effects.framework.effect import AXES, Effect
 from rig.effects.framework.effect_validity import check_effect
 from rig.effects.framework.place_names import parse_stage_place, split_stage
 from rig.errors import RigError
-from rig.formats.checked_entries import NAME, slip
-from rig.formats.input_files import value_text
-from rig.formats.number_parsing import parse_number
+from rig.formats.checked_entries import NAME, nearest_known_word
+from rig.formats.input_files import short_repr
+from rig.formats.number_parsing_and_rounding import parse_number
 from rig.model import mechanisms
 from rig.model.design import Chain, Design
 
@@ -21,8 +21,7 @@ Kinds = Mapping[str, type[Effect]]  # effects by their names
 
 
 def parse_effect(text: str, known: Kinds = BY_NAME) -> Effect:
-    """An effect from NAME:PLACE:PARAMETER=VALUE,.. ; a vector's numbers are parted by slashes. known : all that there
-    are
+    """Effect parsed from the text NAME:PLACE:PARAMETER=VALUE,.. ; a vector's numbers are separated by slashes.
 
     The place may leave out its kind where there is no doubt ("strut3", "3", "cam1", "P2"), or stand alone ("rig",
     "cameras").
@@ -38,20 +37,20 @@ def parse_effect(text: str, known: Kinds = BY_NAME) -> Effect:
         key = key.strip()
         if not equals or key not in own:
             raise RigError(
-                f"effect {value_text(text)}: {value_text(assignment)} is no PARAMETER=VALUE; {name} has "
+                f"effect {short_repr(text)}: {short_repr(assignment)} is no PARAMETER=VALUE; {name} has "
                 f"{', '.join(own)}"
             )
         try:
             numbers = tuple(parse_number(part) for part in value.split("/"))
         except ValueError:
-            raise RigError(f"effect {value_text(text)}: {value_text(value)} is no number") from None
+            raise RigError(f"effect {short_repr(text)}: {short_repr(value)} is no number") from None
         values[key] = numbers if own[key].size != 1 else numbers[0]
         if own[key].size == 1 and len(numbers) > 1:
-            raise RigError(f"effect {value_text(text)}: {key} is one number, got {value_text(value)}")
+            raise RigError(f"effect {short_repr(text)}: {key} is one number, got {short_repr(value)}")
     try:
         return check_effect(kind(_place(place.strip(), kind), **values))
     except (TypeError, ValueError) as error:
-        raise RigError(f"effect {value_text(text)}: {error}") from None
+        raise RigError(f"effect {short_repr(text)}: {error}") from None
 
 
 def _place(text: str, kind: type[Effect]) -> str:
@@ -72,7 +71,7 @@ def _place(text: str, kind: type[Effect]) -> str:
 
 
 def effect_to_dict(effect: Effect) -> dict:
-    """{"effect", "place", "parameters"} of an effect, as truth files and diagnoses write it."""
+    """Dict {"effect", "place", "parameters"} of an effect, as truth files and diagnoses write it."""
     return {
         "effect": effect.name,
         "place": effect.place,
@@ -85,14 +84,14 @@ def effect_to_dict(effect: Effect) -> dict:
 
 
 def effect_from_dict(tree: dict, known: Kinds = BY_NAME) -> Effect:
-    """The effect of such a dict, of those known. Raises RigError for one that is none."""
+    """Effect from a dict as `effect_to_dict` writes it, of known kinds. Raises RigError for anything else."""
     if (
         not isinstance(tree, dict)
         or not isinstance(tree.get("effect"), str)
         or not isinstance(tree.get("place"), str)
         or not isinstance(tree.get("parameters"), dict)
     ):
-        raise RigError(f"{value_text(tree)} is no effect: it takes effect, place and parameters")
+        raise RigError(f"{short_repr(tree)} is no effect: it takes effect, place and parameters")
     kind = _named(tree["effect"], tree["effect"], known)
     own = {parameter.name for parameter in kind.parameters}
     values = {}
@@ -100,27 +99,27 @@ def effect_from_dict(tree: dict, known: Kinds = BY_NAME) -> Effect:
         numbers = value if isinstance(value, list) else [value]
         if key not in own or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers):
             raise RigError(
-                f"{value_text(tree)} is no effect: {value_text(key)} = {value_text(value)}; {kind.name} has "
+                f"{short_repr(tree)} is no effect: {short_repr(key)} = {short_repr(value)}; {kind.name} has "
                 f"{', '.join(sorted(own))}, numbers"
             )
         values[key] = tuple(value) if isinstance(value, list) else value
     try:
         return check_effect(kind(tree["place"], **values))
     except (TypeError, ValueError, OverflowError) as error:
-        raise RigError(f"{value_text(tree)} is no effect: {error}") from None
+        raise RigError(f"{short_repr(tree)} is no effect: {error}") from None
 
 
 def _named(name: str, text: str, known: Kinds) -> type[Effect]:
     if name not in known:
-        near = slip(name, known)
+        near = nearest_known_word(name, known)
         every = f"there are {', '.join(known)}; of your own, those in files that --effects names"
         told = f"is {near!r} meant? `rig effects` lists them" if near else every
-        raise RigError(f"effect {value_text(text)}: there is no effect {value_text(name)}; {told}")
+        raise RigError(f"effect {short_repr(text)}: there is no effect {short_repr(name)}; {told}")
     return known[name]
 
 
-def require_size(effect: Effect) -> Effect:
-    """The effect itself. Raises RigError for one whose parameters are all as where there is none."""
+def require_nonzero_effect(effect: Effect) -> Effect:
+    """The effect, required to be nonzero. Raises RigError where its parameters amount to no effect."""
     if effect.parameters and effect == type(effect)(effect.place):
         p = effect.parameters_at(effect.place)[0]
         usual = (
@@ -136,39 +135,35 @@ def require_size(effect: Effect) -> Effect:
 
 
 def require_known_effect(text: str, design: Design, known: Kinds = BY_NAME) -> str:
-    """The text "EFFECT" or "EFFECT PLACE" itself, as a diagnosis is asked for it, of those known. Raises RigError for
-    what can never be asked.
-    """
+    """The text "EFFECT" or "EFFECT PLACE", required to name a known effect and place. Raises RigError otherwise."""
     name, _, place = text.partition(" ")
     kind = _named(name, name, known)
     if not place:
         return text
     try:
-        require_place(check_effect(kind(place)), design)
+        require_existing_place(check_effect(kind(place)), design)
     except ValueError as error:
-        raise RigError(f"{value_text(text)}: {error}") from None
+        raise RigError(f"{short_repr(text)}: {error}") from None
     return text
 
 
-def parse_place(text: str, design: Design, known: Kinds = BY_NAME) -> tuple[str, str]:
-    """(effect, place) of "EFFECT PLACE", of those known. Raises RigError for what no diagnosis can begin with."""
+def parse_effect_and_place(text: str, design: Design, known: Kinds = BY_NAME) -> tuple[str, str]:
+    """(effect, place) parsed from "EFFECT PLACE", of known effects. Raises RigError otherwise."""
     name, _, place = text.partition(" ")
     kind = _named(name, text, known)
     if kind.discrete:
         raise RigError(
-            f"{value_text(text)}: a {name} is looked for before all else and cannot be assumed; state it in rig.toml"
+            f"{short_repr(text)}: a {name} is looked for before all else and cannot be assumed; state it in rig.toml"
         )
     try:
-        effect = require_place(check_effect(kind(_place(place.strip(), kind))), design)
+        effect = require_existing_place(check_effect(kind(_place(place.strip(), kind))), design)
     except ValueError as error:
-        raise RigError(f"{value_text(text)}: {error}") from None
+        raise RigError(f"{short_repr(text)}: {error}") from None
     return effect.name, effect.place
 
 
-def require_place(effect: Effect, design: Design) -> Effect:
-    """The effect itself; at an arm's slide that is called a joint, at the slide. Raises RigError where a design has no
-    such place.
-    """
+def require_existing_place(effect: Effect, design: Design) -> Effect:
+    """The effect, its place required to exist in the design. Raises RigError otherwise."""
     stage, own = split_stage(effect.place)
     kind, _, name = own.partition(" ")
     places = mechanisms.axis_places(design.mechanism)
@@ -178,7 +173,7 @@ def require_place(effect: Effect, design: Design) -> Effect:
         except ValueError as error:
             raise RigError(str(error)) from None
     if kind in AXES and isinstance(design.mechanism, Chain) and effect.place not in places:
-        near = slip(effect.place, places)
+        near = nearest_known_word(effect.place, places)
         raise RigError(
             f"{effect.name} at {effect.place}: this rig has no such axis"
             + (f"; is {near!r} meant?" if near else "")
@@ -197,9 +192,9 @@ def require_place(effect: Effect, design: Design) -> Effect:
         asked.append(("marker", f"{other:g}"))
     for what, one in asked:
         if one not in there[what]:
-            near = slip(one, there[what])
+            near = nearest_known_word(one, there[what])
             raise RigError(
-                f"{effect.name} at {effect.place}: this rig has no {what} {value_text(one)}"
+                f"{effect.name} at {effect.place}: this rig has no {what} {short_repr(one)}"
                 + (f"; is {near!r} meant?" if near else "")
                 + f"; it has {', '.join(there[what]) or 'none'}"
             )

@@ -1,4 +1,4 @@
-"""A formula as an effect: the file of Python that a person can edit, from its terms."""
+"""Effect file written from a formula: a Python file that a person can edit."""
 
 import re
 import textwrap
@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from rig.effects.framework.effect import AXES, Effect
-from rig.effects.framework.formula_quantities import POSE, Quantity, quantity
-from rig.effects.texts.user_effect_files import of_source
+from rig.effects.framework.formula_quantities import POSE, Quantity, quantity_by_name
+from rig.effects.texts.user_effect_files import effects_of_source
 from rig.formats.checked_entries import Entries
 
 WIDTH = 145  # characters of a line
@@ -84,7 +84,8 @@ class Written:
     def quantities(self) -> tuple[Quantity, ...]:
         """Those that it looks at, in order."""
         return tuple(
-            quantity(name, self.word) for name in dict.fromkeys(name for term in self.terms for name in term.names)
+            quantity_by_name(name, self.word)
+            for name in dict.fromkeys(name for term in self.terms for name in term.names)
         )
 
     @property
@@ -123,7 +124,7 @@ class Written:
         return {way: " + ".join(terms) for way, terms in parts.items()}
 
     def _symbol(self, name: str) -> str:
-        return quantity(name, self.word).symbol
+        return quantity_by_name(name, self.word).symbol
 
     def where(self) -> str:
         """What the symbols stand for, in words."""
@@ -136,7 +137,7 @@ class Written:
 
     def kind(self, name: str) -> type[Effect]:
         """The class of the effect, as its file makes it."""
-        return of_source(self.source(name), Path(f"{name}.py"))[0]
+        return effects_of_source(self.source(name), Path(f"{name}.py"))[0]
 
     def source(self, name: str) -> str:
         """The file of an effect of a name."""
@@ -195,7 +196,7 @@ class Written:
                 )
         for wave, name in self.waves.items():
             turns = max(term.turns for term in self.terms if term.wave == wave)
-            share, unit = min(TURNS, 1 / max(turns, 1.0)), quantity(wave[0], self.word).unit
+            share, unit = min(TURNS, 1 / max(turns, 1.0)), quantity_by_name(wave[0], self.word).unit
             out.append(
                 f'Parameter("{name}", "rad/{unit}", ({_number(wave[1] / 10)}, {_number(wave[1] * 10)}), '
                 f'({_number(wave[1] * (1 - share))}, {_number(wave[1] * (1 + share))}), role="log")'
@@ -203,7 +204,7 @@ class Written:
         return out
 
     def _factors(self, term: Term) -> list[tuple[str, int]]:
-        return [(quantity(name, self.word).unit, power) for name, power in term.powers]
+        return [(quantity_by_name(name, self.word).unit, power) for name, power in term.powers]
 
     def _needs(self) -> list[str]:
         lacking = [q.lacking for q in self.quantities if q.lacking]

@@ -1,5 +1,4 @@
-"""Effects of a user's own, each a file of Python like those of this folder: read, checked, and asked for beside the
-catalogue.
+"""Effect files of a user: Python files loaded, checked, and added to the catalogue.
 
 The file is run: it is a program, to be trusted as one. What is wrong with it, when it is read or while its model is
 worked out, is told with file and line.
@@ -23,7 +22,7 @@ import numpy as np
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import AXES, MOTION_STAGES, Context, Effect, Parameter
 from rig.effects.framework.effect_validity import check_effect
-from rig.effects.texts.catalogue_page import STAGES
+from rig.effects.texts.catalogue_description import STAGES
 from rig.errors import FileError, RigError
 
 KINDS = ("axis", *AXES, "rig", "clock", "camera", "cameras", "marker", "markers", "target")  # of place
@@ -51,9 +50,7 @@ class Plugin:
 
 
 def load_effect_file(path: Path) -> Plugin:
-    """Plugin of a file. Raises FileError, with the line, for one that cannot be read or run, or whose effects are
-    none.
-    """
+    """Plugin loaded from an effect file. Raises FileError, with the line, where it cannot be read, run or used."""
     try:
         raw = path.read_bytes()
         text = raw.decode("utf-8")
@@ -61,13 +58,11 @@ def load_effect_file(path: Path) -> Plugin:
         raise FileError(path, f"cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
         raise FileError(path, f"is no text in UTF-8: {error.reason}", raw[: error.start].count(b"\n") + 1) from None
-    return Plugin(path, sha256(raw).hexdigest(), of_source(text, path))
+    return Plugin(path, sha256(raw).hexdigest(), effects_of_source(text, path))
 
 
 def catalogue_with_files(plugins: Iterable[Plugin]) -> dict[str, type[Effect]]:
-    """{name: class} of the whole catalogue and what files add to it. Raises FileError for a name that two files
-    have.
-    """
+    """{name: class} of the catalogue with the effects of user files (plugins). Raises FileError for a name twice."""
     out: dict[str, type[Effect]] = dict(BY_NAME)
     where: dict[str, Path] = {}
     for plugin in plugins:
@@ -82,10 +77,8 @@ def catalogue_with_files(plugins: Iterable[Plugin]) -> dict[str, type[Effect]]:
     return out
 
 
-def of_source(text: str, path: Path) -> tuple[type[Effect], ...]:
-    """The classes of effects that a source text defines. path : by which it is called. Raises FileError for one that
-    defines none.
-    """
+def effects_of_source(text: str, path: Path) -> tuple[type[Effect], ...]:
+    """Effect classes defined by a source text. path : its name in errors. Raises FileError."""
     module = ModuleType(f"effects_of_{sha256(text.encode()).hexdigest()[:16]}")
     module.__file__ = str(path)
     sys.modules[module.__name__] = module  # dataclasses look their module up by its name
@@ -111,8 +104,8 @@ def of_source(text: str, path: Path) -> tuple[type[Effect], ...]:
     return tuple(found)
 
 
-def unnamed(name: str) -> str | None:
-    """Why a name is none for an effect, in words; None where it is one."""
+def effect_name_problem(name: str) -> str | None:
+    """Problem with the name of an effect, in words; None for a valid name."""
     if not name.isidentifier() or keyword.iskeyword(name) or name != name.lower() or name.startswith("_"):
         return f"takes a name of small letters, digits and underscores, not {name!r}"
     return f"collides with the catalogue's {name}: take another name" if name in BY_NAME else None
@@ -122,8 +115,8 @@ def _problem(kind: type[Effect]) -> str | None:
     """What is wrong with a class, in words that follow its name; None where nothing is."""
     if not is_dataclass(kind) or not kind.__dataclass_params__.frozen:  # type: ignore[attr-defined]
         return "must be a frozen dataclass: @dataclass(frozen=True, slots=True)"
-    if unnamed(kind.name):
-        return unnamed(kind.name)
+    if effect_name_problem(kind.name):
+        return effect_name_problem(kind.name)
     if kind.stage not in STAGES:
         return f"has the stage {kind.stage!r}; there are {', '.join(STAGES)}"
     if not isinstance(kind.places, tuple) or not kind.places or set(kind.places) - set(KINDS):

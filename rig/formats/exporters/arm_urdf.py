@@ -1,4 +1,4 @@
-"""An arm as URDF: a chain of revolute and prismatic joints, every link's transform before its joint.
+"""URDF of an arm: a chain of revolute and prismatic joints.
 
 A = Rz(theta + q) Tz(d) Tx(a) Rx(alpha) Ry(beta) turns about the z of the frame before it, or slides along it, so that
 joint i's origin is what is fixed behind joint i - 1, times Rz(theta). Source: the URDF specification, <joint>; rpy are
@@ -35,7 +35,7 @@ def arm_urdf(arm: Arm, name: str = "arm") -> str:
             f'  <joint name="{axis}" type="{kind}">',
             f'    <parent link="{parent}"/>',
             f'    <child link="{child}"/>',
-            f"    {origin(behind * pose([0, 0, 0], [0, 0, theta]))}",
+            f"    {origin_element(behind * pose([0, 0, 0], [0, 0, theta]))}",
             '    <axis xyz="0 0 1"/>',
             f'    <limit lower="{low:.12g}" upper="{high:.12g}" effort="0" velocity="0"/>',
             "  </joint>",
@@ -45,21 +45,21 @@ def arm_urdf(arm: Arm, name: str = "arm") -> str:
         '  <joint name="tool" type="fixed">',
         f'    <parent link="{links[-2]}"/>',
         '    <child link="platform"/>',
-        f"    {origin(behind * getattr(arm, 'tool', identity))}",
+        f"    {origin_element(behind * getattr(arm, 'tool', identity))}",
         "  </joint>",
         "</robot>",
     ]
     return "\n".join(lines) + "\n"
 
 
-def origin(T: RigidTransform) -> str:
-    """The element <origin> of a RigidTransform, m and rad."""
-    numbers = [" ".join(f"{value:.16g}" for value in values) for values in (T.translation, rpy(T.rotation))]
+def origin_element(T: RigidTransform) -> str:
+    """URDF element <origin> of a RigidTransform T, m and rad."""
+    numbers = [" ".join(f"{value:.16g}" for value in values) for values in (T.translation, roll_pitch_yaw(T.rotation))]
     return f'<origin xyz="{numbers[0]}" rpy="{numbers[1]}"/>'
 
 
-def rpy(rotation: Rotation) -> np.ndarray:
-    """(3,) rad: turns about the fixed axes x, y, z, exact to rounding also where the second is a quarter turn."""
+def roll_pitch_yaw(rotation: Rotation) -> np.ndarray:
+    """Roll, pitch, yaw (3,) rad of a rotation, about the fixed axes x, y, z."""
     R = rotation.as_matrix()
     pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
     if np.hypot(R[0, 0], R[1, 0]) < 1e-9:  # roll and yaw turn about one axis: all of it is given to roll

@@ -1,10 +1,10 @@
-"""A geometry as JSON or CSV: every figure in m and rad, to the last bit (JSON) or to a picometre (CSV)."""
+"""Geometry of a mechanism as JSON or CSV, in m and rad."""
 
 import json
 from collections.abc import Iterable
 
 from rig.model.design import Arm, Hexapod
-from rig.model.pose import pose_entry_text, pose_to_vector
+from rig.model.pose import pose_to_entry, pose_to_vector
 
 HEXAPOD = (
     "strut",
@@ -21,14 +21,14 @@ HEXAPOD = (
 ARM = ("joint", "theta", "d", "a", "alpha", "beta", "lowest", "highest", "slides")
 
 
-def as_json(mechanism: Hexapod | Arm) -> str:
-    """JSON of a Hexapod or an Arm."""
+def geometry_json(mechanism: Hexapod | Arm) -> str:
+    """Geometry of a Hexapod or an Arm as JSON."""
     if mechanism.kind == "hexapod":
         tree = {
             name: getattr(mechanism, name).tolist()
             for name in ("base_joints", "platform_joints", "strut_zeros", "strut_range")
         }
-        tree["home"] = pose_entry_text(mechanism.home)
+        tree["home"] = pose_to_entry(mechanism.home)
     else:
         tree = {
             "joints": mechanism.joints.tolist(),
@@ -43,10 +43,8 @@ def as_json(mechanism: Hexapod | Arm) -> str:
     return json.dumps({"schema": "geometry/1", "kind": mechanism.kind, "units": "m, rad", **tree}, indent=1) + "\n"
 
 
-def as_csv(mechanism: Hexapod | Arm) -> str:
-    """CSV of a Hexapod, a row per strut, or of an Arm, a row per joint; slides : 1 where the joint slides, its limits
-    in m.
-    """
+def geometry_csv(mechanism: Hexapod | Arm) -> str:
+    """Geometry as CSV: a row per strut of a Hexapod, a row per joint of an Arm."""
     header: tuple[str, ...] = HEXAPOD if mechanism.kind == "hexapod" else ARM
     parts: Iterable[tuple]
     if mechanism.kind == "hexapod":

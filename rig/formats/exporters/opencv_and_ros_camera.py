@@ -1,5 +1,4 @@
-"""One camera as ROS' camera_info YAML or as OpenCV's FileStorage reads it: matrix and distortion, in OpenCV's order and
-pixels; no place.
+"""Camera calibration as ROS camera_info YAML or OpenCV FileStorage YAML: matrix and distortion, no pose.
 
 Source: ROS, camera_calibration_parsers, sensor_msgs/CameraInfo and distortion_models.hpp; OpenCV, FileStorage
 """
@@ -15,7 +14,7 @@ ROS = {5: "plumb_bob", 8: "rational_polynomial"}  # models, by their terms
 
 
 def ros_camera_info(camera: Camera) -> str:
-    """YAML of a Camera as camera_info_manager reads it. Raises RigError for a lens that ROS has no model of."""
+    """ROS camera_info YAML of a Camera. Raises RigError for a lens that ROS has no model of."""
     terms = np.append(camera.distortion, 0.0) if len(camera.distortion) == 4 else camera.distortion
     if len(terms) not in ROS:
         raise RigError(
@@ -38,7 +37,7 @@ def ros_camera_info(camera: Camera) -> str:
 
 
 def opencv_camera_yaml(camera: Camera) -> str:
-    """YAML of a Camera as cv2.FileStorage reads it, named as OpenCV's own calibration sample names it."""
+    """OpenCV FileStorage YAML of a Camera."""
     parts = [
         "%YAML:1.0",
         "---",

@@ -2,7 +2,23 @@
 as a recipe.
 """
 
-from rig.formats.importers.import_recipe import Recipe, load, recipe_of_arguments, text
-from rig.formats.importers.recording_import import Imported, assemble, unpacked, with_cameras, write
+from rig.formats.importers.import_recipe import Recipe, load_recipe, recipe_of_options, recipe_toml
+from rig.formats.importers.recording_import import (
+    Imported,
+    assemble_recording,
+    design_with_imported_cameras,
+    unpack_recipe_bags,
+    write_recording,
+)
 
-__all__ = ["Imported", "Recipe", "assemble", "load", "recipe_of_arguments", "text", "unpacked", "with_cameras", "write"]
+__all__ = [
+    "Imported",
+    "Recipe",
+    "assemble_recording",
+    "load_recipe",
+    "recipe_of_options",
+    "recipe_toml",
+    "unpack_recipe_bags",
+    "design_with_imported_cameras",
+    "write_recording",
+]

@@ -1,10 +1,10 @@
-"""Whether the frames and the commands of an import are on one clock; where not, by how much they differ."""
+"""Clock consistency of imported frames and commands: whether both use one clock, else the shift."""
 
 from decimal import Decimal
 
 import numpy as np
 
-from rig.checks.clock_shift import standing_shift
+from rig.checks.clock_mistakes import dwell_clock_shift
 from rig.errors import RigError
 from rig.formats.importers.command_table import Commanded
 from rig.formats.importers.image_file_frames import Exposed
@@ -12,13 +12,13 @@ from rig.recording.recording_folder import LAST_DWELL
 from rig.recording.time_origin import DIGITS
 
 
-def require_one_clock(exposed: Exposed, commanded: Commanded | None) -> None:
-    """Raise RigError where frames and commands are on different clocks."""
-    if commanded is None or commanded.t is None:
+def require_one_clock(exposures: Exposed, commands: Commanded | None) -> None:
+    """Raise RigError unless exposures and commands are on one clock."""
+    if commands is None or commands.t is None:
         return
-    t = sorted(set(exposed.times()))
-    section = "images" if any(exposed.camera) else "poses"
-    first, last = commanded.t[0], commanded.t[-1]
+    t = sorted(set(exposures.times()))
+    section = "images" if any(exposures.camera) else "poses"
+    first, last = commands.t[0], commands.t[-1]
     after = sum(s > last for s in t)
     if t[0] >= first and (after <= 1 or after <= LAST_DWELL * len(t)):
         return
@@ -26,7 +26,9 @@ def require_one_clock(exposed: Exposed, commanded: Commanded | None) -> None:
         f"frames and commands are on different clocks: frames run from {t[0]:f} to {t[-1]:f} s, commands from "
         f"{first:f} to {last:f} s"
     )
-    standing = standing_shift(seconds_from(t, first), seconds_from(commanded.t, first), commanded.values)
+    standing = dwell_clock_shift(
+        seconds_since_origin(t, first), seconds_since_origin(commands.t, first), commands.values
+    )
     if standing is not None:
         raise RigError(
             f"{clash}; --set {section}.shift={standing.shift:.3f} is what puts {standing.frames} of {len(t)} "
@@ -41,6 +43,6 @@ def require_one_clock(exposed: Exposed, commanded: Commanded | None) -> None:
     )
 
 
-def seconds_from(t: list[Decimal], origin: Decimal) -> np.ndarray:
-    """(n,) s from an origin."""
+def seconds_since_origin(t: list[Decimal], origin: Decimal) -> np.ndarray:
+    """Seconds (n,) of times since an origin."""
     return np.array([float(DIGITS.subtract(one, origin)) for one in t])

@@ -1,13 +1,13 @@
-"""Which column of a foreign table is what: by its header, in the usual words, or as stated."""
+"""Column headers of foreign tables: which column holds what, by usual names or as stated."""
 
 import re
 from collections.abc import Iterable
 
 from rig.errors import FileError, RigError
-from rig.formats.importers.column_units import split_header
 from rig.formats.importers.csv_dialect import Cells
 from rig.formats.importers.import_recipe import ForeignTable
-from rig.formats.input_files import value_text
+from rig.formats.importers.units_and_timestamps import split_header
+from rig.formats.input_files import short_repr
 
 TIME = (
     "t",
@@ -32,31 +32,31 @@ LIMB = ("l", "leg", "strut", "length", "actuator", "act", "axis", "limb", "bein"
 JOINT = ("q", "joint", "j", "theta", "axis", "a", "angle")
 
 
-def normalised_header(header: str) -> str:
+def _normalised_header(header: str) -> str:
     """A header's name without its unit, capitals and punctuation: what is compared."""
     return re.sub(r"[^a-z0-9]+", "", split_header(header)[0].lower())
 
 
 def axis_header_names(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
-    """{axis: what its header may be called} of axes l1.. or q1.."""
+    """{axis: accepted header names} for the axes l1.. or q1.."""
     return {name: tuple(f"{word}{name[1:]}" for word in (LIMB if name[0] == "l" else JOINT)) for name in names}
 
 
 def find_columns(
-    cells: Cells, section: str, known: dict[str, tuple[str, ...]], required: Iterable[str]
+    cells: Cells, section: str, header_names: dict[str, tuple[str, ...]], required_names: Iterable[str]
 ) -> dict[str, int]:
-    """{our name: index of the column} of those that are there.
+    """Columns found by their headers: {our name: column index}.
 
-    known : {our name: what a header may be called}; required : that must be there. Raises RigError for what is missing
-        or there twice
+    header_names : {our name: what a header may be called}; required_names : that must be there. Raises RigError for
+        what is missing or there twice
     """
     stated = dict(cells.table.columns)
     found: dict[str, int] = {}
-    for ours, names in known.items():
+    for ours, names in header_names.items():
         if ours in stated:
             if stated[ours] not in cells.header:
                 raise FileError(
-                    cells.path, f"has no column {value_text(stated[ours])}; its header is {', '.join(cells.header)}"
+                    cells.path, f"has no column {short_repr(stated[ours])}; its header is {', '.join(cells.header)}"
                 )
             found[ours] = cells.header.index(stated[ours])
             continue
@@ -64,7 +64,7 @@ def find_columns(
         alike = exact or [
             k
             for k, header in enumerate(cells.header)
-            if normalised_header(header) in names and header not in stated.values()
+            if _normalised_header(header) in names and header not in stated.values()
         ]
         if len(alike) > 1:
             raise RigError(
@@ -77,7 +77,7 @@ def find_columns(
             )
         if alike:
             found[ours] = alike[0]
-    missing = [ours for ours in required if ours not in found]
+    missing = [ours for ours in required_names if ours not in found]
     if missing:
         raise RigError(
             f"{cells.path}: no column is {missing[0]}: the header is {', '.join(cells.header)}; state which "
@@ -88,5 +88,5 @@ def find_columns(
 
 
 def recipe_columns(table: ForeignTable, cells: Cells, found: dict[str, int]) -> tuple[tuple[str, str], ...]:
-    """The columns as a recipe keeps them."""
+    """The columns found, in the form that an import recipe stores."""
     return tuple((ours, cells.header[at]) for ours, at in found.items())

@@ -1,4 +1,4 @@
-"""Commands out of a foreign table: lengths in any unit, from zero or from home; angles in rad or degrees; times."""
+"""Command table of another program: lengths or angles, their units and zeros, times."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -8,13 +8,13 @@ import numpy as np
 
 from rig.checks.clock_mistakes import FASTEST, SLOWEST, USUAL
 from rig.errors import FileError, RigError
-from rig.formats.importers import column_headers, column_units, timestamps
-from rig.formats.importers.ambiguous_input import ambiguity_error
+from rig.formats.importers import column_headers, units_and_timestamps
 from rig.formats.importers.csv_dialect import Cells, read_foreign_table
 from rig.formats.importers.import_recipe import ForeignTable
+from rig.formats.importers.units_and_timestamps import ambiguity_error
 from rig.model import mechanisms
 from rig.model.design import Arm, Design
-from rig.model.mechanism_kinds import arm_of, struts_of
+from rig.model.mechanism_kinds import require_arm, require_struts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +31,9 @@ class Commanded:
 
 
 def read_commands(table: ForeignTable, design: Design) -> Commanded:
-    """Commanded of a table. Raises RigError for what cannot be used and for what reads well in two ways."""
+    """Read the commands of a foreign table. Raises RigError for unusable or ambiguous ones.
+    Raises RigError for what cannot be used and for what reads well in two ways.
+    """
     axes = design.mechanism.axes
     if not axes:
         raise RigError(f'{table.file}: nothing can be commanded of a mechanism of kind "{design.mechanism.kind}"')
@@ -52,7 +54,7 @@ def read_commands(table: ForeignTable, design: Design) -> Commanded:
     t, said = None, (*cells.said, *told)
     if "t" in found:
         stated = table.time_unit or _time_unit(cells.header[found["t"]])
-        read_times = timestamps.read_times(
+        read_times = units_and_timestamps.read_times(
             cells.column(found["t"]),
             "commands",
             table.file.name,
@@ -98,8 +100,8 @@ def _once(commanded: Commanded, cells: Cells) -> Commanded:
 
 
 def _time_unit(header: str) -> str | None:
-    stated = column_units.split_header(header)[1]
-    return stated if stated in column_units.TIMES else None
+    stated = units_and_timestamps.split_header(header)[1]
+    return stated if stated in units_and_timestamps.TIMES else None
 
 
 def _values(
@@ -108,8 +110,10 @@ def _values(
     """((n, axes) m or rad, ForeignTable with the unit, sentences)."""
     values = np.array([cells.numbers(k) for k in at]).T
     if isinstance(design.mechanism, Arm) and design.mechanism.slides.any():
-        return _sliding(values, [column_units.split_header(cells.header[k])[1] for k in at], table, design.mechanism)
-    stated = {table.unit or column_units.split_header(cells.header[k])[1] for k in at}
+        return _sliding(
+            values, [units_and_timestamps.split_header(cells.header[k])[1] for k in at], table, design.mechanism
+        )
+    stated = {table.unit or units_and_timestamps.split_header(cells.header[k])[1] for k in at}
     if len(stated) > 1:
         raise RigError(
             f"{table.file}: its columns are in different units "
@@ -117,21 +121,21 @@ def _values(
             "bring them to one unit, or state it: --set commands.unit=mm"
         )
     unit = stated.pop()
-    kind = column_units.ANGLES if design.mechanism.kind == "arm" else column_units.LENGTHS
+    kind = units_and_timestamps.ANGLES if design.mechanism.kind == "arm" else units_and_timestamps.LENGTHS
     if unit is not None and unit not in (*kind, "steps"):
         raise RigError(
-            f"{table.file}: {unit} is no unit of {'angles' if kind is column_units.ANGLES else 'lengths'}; "
+            f"{table.file}: {unit} is no unit of {'angles' if kind is units_and_timestamps.ANGLES else 'lengths'}; "
             f"there are {', '.join(kind)}, steps"
         )
-    if kind is column_units.ANGLES:
-        return _angles(values, unit, table, arm_of(design.mechanism).limits)
+    if kind is units_and_timestamps.ANGLES:
+        return _angles(values, unit, table, require_arm(design.mechanism).limits)
     if unit == "steps":
         if table.steps_per_mm is None:
             raise RigError(
                 f"{table.file}: lengths are in steps; how many make a millimetre? --set commands.steps_per_mm=N"
             )
         values = values / table.steps_per_mm
-    m = struts_of(design.mechanism)
+    m = require_struts(design.mechanism)
     home = mechanisms.kinematics_of(m).inverse(m.home, m) if m.kind == "hexapod" else m.strut_range.mean(axis=1)
     return _lengths(values, unit, table, m.strut_range, home)
 
@@ -144,14 +148,14 @@ def _sliding(
     """
     q = values.copy()
     for i, (slide, unit) in enumerate(zip(arm.slides, stated)):
-        known, si = (column_units.LENGTHS, "m") if slide else (column_units.ANGLES, "rad")
+        known, si = (units_and_timestamps.LENGTHS, "m") if slide else (units_and_timestamps.ANGLES, "rad")
         if unit is not None and unit not in known:
             raise RigError(
                 f"{table.file}: {unit} is no unit of {arm.axes[i]}, which {'slides' if slide else 'turns'}; "
                 f"there are {', '.join(known)}"
             )
         q[:, i] /= known[unit or si]
-    if table.unit is not None or not column_units.fits_ranges(q, arm.limits):
+    if table.unit is not None or not units_and_timestamps.fits_ranges(q, arm.limits):
         raise RigError(
             f"{table.file}: joints that turn and joints that slide have no unit in common: state each "
             "column's in its header, as in "
@@ -163,13 +167,16 @@ def _sliding(
 def _angles(
     values: np.ndarray, unit: str | None, table: ForeignTable, limits: np.ndarray
 ) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
-    fit = column_units.likely_angle_units(values, limits, ("rad", "deg") if unit is None else (unit,))
+    fit = units_and_timestamps.likely_angle_units(values, limits, ("rad", "deg") if unit is None else (unit,))
     said = f"angles run from {values.min():.6g} to {values.max():.6g}"
     if unit is None and len(fit) > 1:
         raise ambiguity_error(
             f"{table.file}: the unit of its angles is not stated, {said}, and both lie within the limits of rig.toml",
             [
-                (f"up to {np.degrees(np.abs(values).max() / column_units.ANGLES[u]):.4g} degrees", f"commands.unit={u}")
+                (
+                    f"up to {np.degrees(np.abs(values).max() / units_and_timestamps.ANGLES[u]):.4g} degrees",
+                    f"commands.unit={u}",
+                )
                 for u in fit
             ],
         )
@@ -181,17 +188,17 @@ def _angles(
     told = (
         () if unit else (f"{table.file.name}: angles are in {fit[0]}, as they are beyond the joints' limits otherwise",)
     )
-    return values / column_units.ANGLES[unit or fit[0]], replace(table, unit=unit or fit[0]), told
+    return values / units_and_timestamps.ANGLES[unit or fit[0]], replace(table, unit=unit or fit[0]), told
 
 
 def _lengths(
     values: np.ndarray, unit: str | None, table: ForeignTable, ranges: np.ndarray, home: np.ndarray
 ) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
-    asked = ("mm",) if unit == "steps" else tuple(column_units.LENGTHS) if unit is None else (unit,)
-    fit = column_units.likely_length_units(
+    asked = ("mm",) if unit == "steps" else tuple(units_and_timestamps.LENGTHS) if unit is None else (unit,)
+    fit = units_and_timestamps.likely_length_units(
         values, ranges, home, asked, ("zero", "home") if table.relative is None else (table.relative,)
     )
-    better = [(u, r) for u, r in fit if column_units.is_likely_unit(values, ranges, u, r)]
+    better = [(u, r) for u, r in fit if units_and_timestamps.is_likely_length_unit(values, ranges, u, r)]
     fit = better if len(better) == 1 else fit
     said = (
         f"{table.file}: lengths run from {values.min():.6g} to {values.max():.6g}{' mm' if unit == 'steps' else ''}, "
@@ -211,7 +218,7 @@ def _lengths(
             "--set commands.unit=mm --set commands.relative=zero"
         )
     u, r = fit[0] if fit else (asked[0], table.relative or "zero")
-    q = values / column_units.LENGTHS[u] + (home if r == "home" else 0.0)
+    q = values / units_and_timestamps.LENGTHS[u] + (home if r == "home" else 0.0)
     told = (
         ()
         if unit and table.relative

@@ -1,6 +1,4 @@
-"""A foreign table -> header and cells: encoding, separator, decimal sign and comments found out, what can be read two
-ways refused.
-"""
+"""CSV dialect of a foreign table: encoding, separator, decimal sign and comments, detected."""
 
 import csv
 import re
@@ -9,11 +7,11 @@ from pathlib import Path
 
 from rig.errors import FileError
 from rig.formats.checked_entries import LARGEST_NUMBER
-from rig.formats.importers.ambiguous_input import ambiguity_error
 from rig.formats.importers.headerless_tables import add_time_column, lines_with_header
 from rig.formats.importers.import_recipe import DECIMALS, SEPARATORS, ForeignTable
-from rig.formats.input_files import read_bytes, value_text
-from rig.formats.parquet_table import is_parquet, read_cells
+from rig.formats.importers.units_and_timestamps import ambiguity_error
+from rig.formats.input_files import read_bytes, short_repr
+from rig.formats.parquet_table import is_parquet, read_parquet_cells
 
 LARGEST = 1 << 27  # bytes
 COMMENTS = ("#", "%", "//")
@@ -55,7 +53,7 @@ class Cells:
         if len(cell) > LONGEST or not NUMBER["point"].fullmatch(cell) or abs(float(cell)) > LARGEST_NUMBER:
             raise FileError(
                 self.path,
-                f"column {value_text(self.header[at])} is no number that can be meant: {value_text(cell)}",
+                f"column {short_repr(self.header[at])} is no number that can be meant: {short_repr(cell)}",
                 line,
                 at + 1,
                 cell,
@@ -63,16 +61,17 @@ class Cells:
         return float(cell)
 
 
-def read_foreign_table(table: ForeignTable, name: str) -> Cells:
-    """Cells of a table. name : of its section in a recipe, as settings call it
+def read_foreign_table(table: ForeignTable, section: str) -> Cells:
+    """Read the Cells (header and rows) of a foreign table of any CSV dialect.
+    section : of its section in a recipe, as settings call it
 
     Raises FileError for what is no table, RigError for one that reads well in two ways
     """
     if is_parquet(table.file):
-        header, rows = add_time_column(table, *read_cells(table.file))
+        header, rows = add_time_column(table, *read_parquet_cells(table.file))
         return Cells(table.file, header, rows, list(range(1, len(rows) + 1)), table, ())
     content, words = _decoded(table.file)
-    with_header = lines_with_header(table, name, _lines(table.file, content, table.header is None))
+    with_header = lines_with_header(table, section, _lines(table.file, content, table.header is None))
     lines, table, words = with_header.lines, with_header.table, (*words, *with_header.said)
     fits = _fitting(table, lines)
     if not fits:
@@ -82,16 +81,16 @@ def read_foreign_table(table: ForeignTable, name: str) -> Cells:
                 table.file,
                 f"its last line is not like the {len(whole[0].rows)} before it, of {len(whole[0].header)} "
                 "cells each: the "
-                f"file is cut off; mend the line or take it out: {value_text(lines[-1][1])}",
+                f"file is cut off; mend the line or take it out: {short_repr(lines[-1][1])}",
                 lines[-1][0],
             )
-        _no_names(table, name, lines)
+        _no_names(table, section, lines)
         raise FileError(
             table.file,
             "is no table with a header line and rows of as many cells, separated by comma, semicolon, tab or "
             "spaces, with "
             "decimal points or commas; its separator and decimal can be stated: "
-            f"--set {name}.separator=semicolon --set {name}.decimal=comma",
+            f"--set {section}.separator=semicolon --set {section}.decimal=comma",
         )
     first = fits[0]
     others = [other for other in fits[1:] if other.rows != first.rows or other.header != first.header]
@@ -99,7 +98,7 @@ def read_foreign_table(table: ForeignTable, name: str) -> Cells:
 
         def setting(one: Cells) -> str:
             key = "decimal" if one.table.separator == first.table.separator else "separator"
-            return f"{name}.{key}={getattr(one.table, key)}"
+            return f"{section}.{key}={getattr(one.table, key)}"
 
         raise ambiguity_error(
             f"{table.file}: line {first.lines[0]} can be read in {len(others) + 1} ways",
@@ -111,7 +110,7 @@ def read_foreign_table(table: ForeignTable, name: str) -> Cells:
                 for one in (first, *others)
             ],
         )
-    _no_groups(table, first, lines, name)
+    _no_groups(table, first, lines, section)
     header, rows = add_time_column(table, first.header, first.rows)
     return Cells(first.path, header, rows, first.lines, first.table, (*words, *first.said))
 

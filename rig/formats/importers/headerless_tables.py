@@ -1,6 +1,4 @@
-"""Tables that say less than others: no header line (trajectories of TUM, samples of LinuxCNC's halsampler), rows at a
-period in place of times.
-"""
+"""Tables without header or time column: TUM trajectories, halsampler samples, rows at a fixed period."""
 
 import re
 from dataclasses import dataclass, replace
@@ -25,15 +23,15 @@ class Headed:
     said: tuple[str, ...] = ()
 
 
-def lines_with_header(table: ForeignTable, name: str, lines: list[tuple[int, str]]) -> Headed:
-    """Lines with a header: as stated, TUM's where eight figures stand in a table of poses, or as they are. name : of
-    the table's section
+def lines_with_header(table: ForeignTable, section: str, lines: list[tuple[int, str]]) -> Headed:
+    """Lines of a table with a header added where it has none: the stated one, or TUM's.
+    section : of the table's section
 
     Raises FileError where samples were lost and nothing tells when
     """
     if (
         table.header is None
-        and name == "poses"
+        and section == "poses"
         and table.separator in (None, "space")
         and all(FIGURES.fullmatch(text) for _, text in lines[:2])
     ):
@@ -45,7 +43,7 @@ def lines_with_header(table: ForeignTable, name: str, lines: list[tuple[int, str
     if table.header is None:
         return Headed(lines, table)
     lost = [number for number, text in lines if text == LOST]
-    if lost and not sample_column(table.header.replace(",", " ").split()):
+    if lost and not _sample_column(table.header.replace(",", " ").split()):
         raise FileError(
             table.file,
             "samples were lost here and nothing tells how many: log with halsampler -t, and name the first "
@@ -56,7 +54,7 @@ def lines_with_header(table: ForeignTable, name: str, lines: list[tuple[int, str
     return Headed([(0, table.header), *(line for line in lines if line[1] != LOST)], table, said)
 
 
-def sample_column(header: list[str]) -> str | None:
+def _sample_column(header: list[str]) -> str | None:
     """The column that counts samples, or None."""
     return next((word for word in header if re.sub(r"[^a-z]", "", word.lower()) in SAMPLE), None)
 
@@ -64,14 +62,13 @@ def sample_column(header: list[str]) -> str | None:
 def add_time_column(
     table: ForeignTable, header: tuple[str, ...], rows: list[list[str]]
 ) -> tuple[tuple[str, ...], list[list[str]]]:
-    """(header, rows) with a column of times, where a period is stated: its rows, or the samples that they count, are so
-    far apart.
+    """Table (header, rows) with a time column added where a period is stated.
 
     Raises FileError for samples that are no whole numbers
     """
     if table.period is None:
         return header, rows
-    count, by = sample_column(list(header)), Decimal(repr(table.period))
+    count, by = _sample_column(list(header)), Decimal(repr(table.period))
     numbers = [str(k) for k in range(len(rows))] if count is None else [row[header.index(count)] for row in rows]
     for number in numbers:
         if not re.fullmatch(r"\d{1,15}", number):

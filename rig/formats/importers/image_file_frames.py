@@ -1,6 +1,4 @@
-"""Images of folders -> exposures: which camera, which frame, when, told by the names of folders and files; grouped by
-time across cameras.
-"""
+"""Frames from image files: camera, frame number and time from names, grouped into exposures."""
 
 import itertools
 import re
@@ -13,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from rig.errors import FileError, RigError
-from rig.formats.importers import timestamps as times
-from rig.formats.importers.ambiguous_input import ambiguity_error
+from rig.formats.importers import units_and_timestamps as times
 from rig.formats.importers.import_recipe import Images
-from rig.formats.input_files import value_text
+from rig.formats.importers.units_and_timestamps import ambiguity_error
+from rig.formats.input_files import short_repr
 from rig.model.design import Design
 
 KINDS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm")
@@ -61,15 +59,15 @@ class Exposed:
         return self.t
 
 
-def list_pictures(images: Images, design: Design) -> list[Picture]:
-    """Pictures of the folders, in the order of their names. Raises RigError where names do not tell camera and frame or
-    time.
+def list_image_files(images: Images, design: Design) -> list[Picture]:
+    """List the image files of the folders, sorted by name, with camera, frame number or time.
+    Raises RigError where names do not tell camera and frame or time.
     """
     cameras = {c.name.lower(): c.name for c in design.cameras}
     for theirs, ours in images.cameras:
         if ours.lower() not in cameras:
             raise RigError(
-                f"images.cameras: rig.toml has no camera {value_text(ours)}; it has "
+                f"images.cameras: rig.toml has no camera {short_repr(ours)}; it has "
                 f"{', '.join(cameras.values()) or 'none'}"
             )
         cameras[theirs.lower()] = cameras[ours.lower()]
@@ -80,16 +78,18 @@ def list_pictures(images: Images, design: Design) -> list[Picture]:
         files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in KINDS and path.is_file())
         if not files:
             raise FileError(folder, f"holds no images ({', '.join(kind[1:] for kind in KINDS)})")
-        found += pictures_of_folder(files[:MOST], folder, cameras, images.names, [c.name for c in design.cameras])
+        found += image_files_of_folder(files[:MOST], folder, cameras, images.names, [c.name for c in design.cameras])
     return found
 
 
-def pictures_of_folder(
-    files: list[Path], folder: Path, cameras: dict[str, str], names: str | None, ours: list[str]
+def image_files_of_folder(
+    files: list[Path], folder: Path, cameras: dict[str, str], name_pattern: str | None, rig_cameras: list[str]
 ) -> list[Picture]:
-    """Pictures of a folder's files. cameras : {word in lower case: camera}; names : how names are built, None for as
-    they come
-    ours : names of the cameras of rig.toml
+    """Image files of one folder, with camera, frame number or time from their names.
+    cameras : {word in lower case: camera}; name_pattern : how names are built, None for as they come ours : names of
+        the
+    cameras of rig.toml
+    rig_cameras : names of the cameras of rig.toml
 
     Raises FileError that names all words of files that stand for no camera of rig.toml, with the settings that would
     say which, and where a name does not tell frame or time
@@ -97,23 +97,24 @@ def pictures_of_folder(
     unknown: dict[str, Path] = {}
     told = []
     for path in files:
-        word, rest, parts = _camera(path, folder, cameras, names, ours)
+        word, rest, parts = _camera(path, folder, cameras, name_pattern, rig_cameras)
         if word is None or word.lower() not in cameras:
             unknown.setdefault(word or (rest.rsplit("/", 1)[0] if "/" in rest else rest), path)
         else:
             told.append((path, word, rest, parts))
     if unknown:
         settings = " ".join(
-            f"--set 'images.cameras.{theirs}={ours[k % len(ours)] if ours else 'cam0'}'"
-            for k, theirs in enumerate(list(unknown)[: max(len(ours), 1)])
+            f"--set 'images.cameras.{theirs}={rig_cameras[k % len(rig_cameras)] if rig_cameras else 'cam0'}'"
+            for k, theirs in enumerate(list(unknown)[: max(len(rig_cameras), 1)])
         )
         raise FileError(
             next(iter(unknown.values())),
-            f"of which camera is it? rig.toml has {', '.join(ours) or 'none'}; {settings}, or the other "
+            f"of which camera is it? rig.toml has {', '.join(rig_cameras) or 'none'}; {settings}, or the other "
             "way about, says what a word stands for, --set 'images.names={camera}_{frame}' how names are built",
         )
     return [
-        _picture(path, cameras[word.lower()], word, rest, parts if names else None) for path, word, rest, parts in told
+        _picture(path, cameras[word.lower()], word, rest, parts if name_pattern else None)
+        for path, word, rest, parts in told
     ]
 
 
@@ -158,13 +159,13 @@ def _by_pattern(path: Path, name: str, names: str) -> dict[str, str]:
         wanted = wanted.replace(re.escape(f"{{{part}}}"), expression, 1)
     if r"\{" in wanted or not set(re.findall(r"\?P<(\w+)>", wanted)) & {"frame", "time"}:
         raise RigError(
-            f"images.names = {value_text(names)}: a pattern has {{frame}} or {{time}}, {{camera}} where "
+            f"images.names = {short_repr(names)}: a pattern has {{frame}} or {{time}}, {{camera}} where "
             "folders do not say it, and * for "
             "anything"
         )
     found = re.fullmatch(wanted, name if "/" in names else name.rsplit("/", 1)[-1])
     if found is None:
-        raise FileError(path, f"its name is not as images.names = {value_text(names)} has it")
+        raise FileError(path, f"its name is not as images.names = {short_repr(names)} has it")
     return found.groupdict()
 
 
@@ -201,16 +202,18 @@ def _pattern(stem: str, k: int, part: str) -> str:
     return FIGURE.sub(lambda found: part if next(count) == k else "*", stem).replace(CAMERA, "{camera}")
 
 
-def group_exposures(found: list[Picture], images: Images, plausible: Callable[[np.ndarray], bool]) -> Exposed:
-    """Exposed of Pictures: by number where names have one, else grouped by time. plausible : whether times (n,) s from
-    the first can be so.
+def group_images_into_exposures(
+    image_files: list[Picture], images: Images, are_plausible: Callable[[np.ndarray], bool]
+) -> Exposed:
+    """Group image files into exposures: by frame number, else by time.
+    are_plausible : whether times (n,) s from the first can be so.
 
     Raises FileError for names that are not built alike.
     """
-    numbered, timed = [p.frame is not None for p in found], [p.stamp is not None for p in found]
+    numbered, timed = [p.frame is not None for p in image_files], [p.stamp is not None for p in image_files]
     if any(numbered) and not all(numbered) or any(timed) and not all(timed):
-        odd = found[(numbered if any(numbered) and not all(numbered) else timed).index(False)]
-        known = ", ".join(sorted({p.camera for p in found}))
+        odd = image_files[(numbered if any(numbered) and not all(numbered) else timed).index(False)]
+        known = ", ".join(sorted({p.camera for p in image_files}))
         raise FileError(
             odd.path,
             f"its name is not built as the others', read as images of {known}; a camera that rig.toml lacks "
@@ -220,7 +223,7 @@ def group_exposures(found: list[Picture], images: Images, plausible: Callable[[n
     said: tuple[str, ...] = ()
     t = None
     if all(timed):
-        stamps = [p.stamp.replace("_", "T") for p in found if p.stamp is not None]
+        stamps = [p.stamp.replace("_", "T") for p in image_files if p.stamp is not None]
         read = times.read_times(
             stamps,
             "images",
@@ -228,23 +231,28 @@ def group_exposures(found: list[Picture], images: Images, plausible: Callable[[n
             images.time_unit,
             images.zone,
             images.shift,
-            lambda t: plausible(np.sort(t)),
+            lambda t: are_plausible(np.sort(t)),
         )
         t, said, images = read.seconds, read.said, replace(images, time_unit=read.unit, zone=read.zone)
-    numbers = [p.frame for p in found if p.frame is not None]
-    if len(numbers) < len(found):
+    numbers = [p.frame for p in image_files if p.frame is not None]
+    if len(numbers) < len(image_files):
         if t is None:
-            raise FileError(found[0].path, "its name tells neither a frame nor a time")
-        return _grouped(found, t, images, said)
-    order = sorted(range(len(found)), key=lambda k: (numbers[k], found[k].camera))
-    _once([(numbers[k], found[k].camera, found[k].path) for k in order])
+            raise FileError(image_files[0].path, "its name tells neither a frame nor a time")
+        return _grouped(image_files, t, images, said)
+    order = sorted(range(len(image_files)), key=lambda k: (numbers[k], image_files[k].camera))
+    _once([(numbers[k], image_files[k].camera, image_files[k].path) for k in order])
     if t is not None:
         first: dict[int, Decimal] = {}
         for k in order:
             first.setdefault(numbers[k], t[k])
         t = [first[numbers[k]] for k in order]
     return Exposed(
-        [numbers[k] for k in order], t, [found[k].camera for k in order], [found[k].path for k in order], images, said
+        [numbers[k] for k in order],
+        t,
+        [image_files[k].camera for k in order],
+        [image_files[k].path for k in order],
+        images,
+        said,
     )
 
 

@@ -1,6 +1,4 @@
-"""What is stated about foreign files, key by key: from options or from a recipe's TOML, and written back with all that
-was found out.
-"""
+"""Import recipe: what is stated about foreign files, from options or TOML; written back completed."""
 
 import os
 import tomllib
@@ -11,8 +9,8 @@ from typing import Any
 
 from rig.errors import FileError, RigError
 from rig.formats.checked_entries import Entries
-from rig.formats.input_files import read_text, value_text
-from rig.formats.number_parsing import parse_number
+from rig.formats.input_files import read_text, short_repr
+from rig.formats.number_parsing_and_rounding import parse_number
 from rig.formats.toml_positions import value_positions
 
 SCHEMA = "import/1"
@@ -109,9 +107,9 @@ class Recipe:
     said: tuple[str, ...] = field(default=(), compare=False)
 
 
-def load(path: Path, settings: tuple[str, ...] = ()) -> Recipe:
-    """Recipe of a TOML file; its paths count from its folder. settings : "KEY=VALUE" that replace what it says. Raises
-    FileError.
+def load_recipe(path: Path, settings: tuple[str, ...] = ()) -> Recipe:
+    """Load the Recipe of a TOML file, with settings "KEY=VALUE" that override it. Raises FileError.
+    settings : "KEY=VALUE" that replace what it says. Raises FileError.
     """
     content = read_text(path, LARGEST)
     try:
@@ -125,7 +123,7 @@ def load(path: Path, settings: tuple[str, ...] = ()) -> Recipe:
     return _recipe(root, path.parent)
 
 
-def recipe_of_arguments(
+def recipe_of_options(
     rig: Path | None,
     folders: list[Path],
     tables: dict[str, Path | None],
@@ -133,8 +131,8 @@ def recipe_of_arguments(
     cameras: Sequence[Path] = (),
     bags: Sequence[Path] = (),
 ) -> Recipe:
-    """Recipe of what a command line states. tables : {one of TABLES: file or None}; cameras, bags : files of them.
-    Raises RigError.
+    """Recipe of command line options: rig, image folders, tables, settings, cameras, bags.
+    tables : {one of TABLES: file or None}; cameras, bags : files of them. Raises RigError.
     """
     tree: dict = {} if rig is None else {"rig": str(rig)}
     if folders:
@@ -153,18 +151,18 @@ def _set(tree: dict, settings: tuple[str, ...]) -> None:
         key, equals, value = setting.partition("=")
         *above, last = key.strip().split(".", 2)
         if not equals or not above or not last:
-            raise RigError(f"--set takes KEY=VALUE with a key as commands.unit, not {value_text(setting)}")
+            raise RigError(f"--set takes KEY=VALUE with a key as commands.unit, not {short_repr(setting)}")
         inner = tree
         for part in above:
             inner = inner.setdefault(part, {})
             if not isinstance(inner, dict):
-                raise RigError(f"--set {value_text(setting)}: {part} is no table")
+                raise RigError(f"--set {short_repr(setting)}: {part} is no table")
         inner[last] = value
         if last in NUMBERS:
             try:
                 inner[last] = parse_number(value)
             except ValueError:
-                raise RigError(f"--set {key} takes a number, not {value_text(value)}") from None
+                raise RigError(f"--set {key} takes a number, not {short_repr(value)}") from None
 
 
 def _recipe(root: Entries, folder: Path) -> Recipe:
@@ -172,7 +170,7 @@ def _recipe(root: Entries, folder: Path) -> Recipe:
     root.refuse_misspelt(("schema", "said", *known))
     for key in root.tree:
         if key not in ("schema", "said", *known):
-            root.fail(f"unknown key {value_text(key)}; there are {', '.join(known)}", key)
+            root.fail(f"unknown key {short_repr(key)}; there are {', '.join(known)}", key)
     bag = _bag(root.table("bag"), folder) if "bag" in root.tree else None
     stated: dict[str, Any] = {
         name: _foreign_table(root.table(name), folder, bag) for name in TABLES if name in root.tree
@@ -232,7 +230,7 @@ def _cameras(e: Entries, folder: Path) -> Cameras:
 
 
 def _foreign_table(e: Entries, folder: Path, bag: Bag | None) -> ForeignTable:
-    from rig.formats.importers.column_units import ALL
+    from rig.formats.importers.units_and_timestamps import ALL
 
     _known(e, ForeignTable)
     if "file" not in e.tree and bag is None:
@@ -256,8 +254,8 @@ def _foreign_table(e: Entries, folder: Path, bag: Bag | None) -> ForeignTable:
     )
 
 
-def text(recipe: Recipe, folder: Path) -> str:
-    """A Recipe as TOML, its paths as seen from a folder, with what was said as comments."""
+def recipe_toml(recipe: Recipe, folder: Path) -> str:
+    """TOML text of a Recipe, its paths relative to a folder."""
     import tomlkit
 
     def path(given: Path) -> str:

@@ -1,6 +1,4 @@
-"""Poses out of a foreign table: positions in any unit, rotations as vectors, quaternions or Euler angles; what commands
-say decides between them.
-"""
+"""Pose table of another program: units, rotation vectors, quaternions or Euler angles."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,10 +9,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.errors import RigError
 from rig.formats.checked_entries import LARGEST_RIG
-from rig.formats.importers import column_headers, column_units, timestamps
-from rig.formats.importers.ambiguous_input import ambiguity_error
+from rig.formats.importers import column_headers, units_and_timestamps
 from rig.formats.importers.csv_dialect import Cells, read_foreign_table
 from rig.formats.importers.import_recipe import EULER, ForeignTable
+from rig.formats.importers.units_and_timestamps import ambiguity_error
 from rig.model.design import Design, Hexapod
 from rig.model.mechanisms import arm, hexapod
 
@@ -55,11 +53,15 @@ class Posed:
 Asked = Callable[[list[Decimal] | None, np.ndarray | None, int], np.ndarray | None]
 
 
-def read_poses(table: ForeignTable, design: Design, commanded: Asked, plausible: Callable[[np.ndarray], bool]) -> Posed:
-    """Posed of a table. Raises RigError for what reads well in two ways.
+def read_poses(
+    table: ForeignTable, design: Design, commands_of_rows: Asked, are_plausible: Callable[[np.ndarray], bool]
+) -> Posed:
+    """Read the poses of a foreign table. Raises RigError where it is ambiguous.
+    Raises RigError for what reads well in two ways.
 
-    commanded : of n rows' (times, frame numbers, n) what was commanded, (n, 6) m, or None where that is not known
-    plausible : whether times (n,) s from the first can be so
+    commands_of_rows : of n rows' (times, frame numbers, n) what was commanded, (n, 6) m, or None where that is not
+        known
+    are_plausible : whether times (n,) s from the first can be so
     """
     cells = read_foreign_table(table, "poses")
     found = column_headers.find_columns(
@@ -80,15 +82,15 @@ def read_poses(table: ForeignTable, design: Design, commanded: Asked, plausible:
     p, table, said = _positions(cells, found, table, design)
     t = None
     if "t" in found:
-        stated = column_units.split_header(cells.header[found["t"]])[1]
-        read_times = timestamps.read_times(
+        stated = units_and_timestamps.split_header(cells.header[found["t"]])[1]
+        read_times = units_and_timestamps.read_times(
             cells.column(found["t"]),
             "poses",
             table.file.name,
-            table.time_unit or (stated if stated in column_units.TIMES else None),
+            table.time_unit or (stated if stated in units_and_timestamps.TIMES else None),
             table.zone,
             table.shift,
-            plausible,
+            are_plausible,
         )
         t, said, table = (
             read_times.seconds,
@@ -96,7 +98,7 @@ def read_poses(table: ForeignTable, design: Design, commanded: Asked, plausible:
             replace(table, time_unit=read_times.unit, zone=read_times.zone),
         )
     frame = np.array(cells.numbers(found["frame"])) if "frame" in found else None
-    rotations, table, more = _rotations(cells, found, table, design, p, commanded(t, frame, len(p)))
+    rotations, table, more = _rotations(cells, found, table, design, p, commands_of_rows(t, frame, len(p)))
     alone = rotations is None
     T = RigidTransform.from_components(p, Rotation.identity(len(p)) if alone else rotations)
     return Posed(T, alone, frame, t, table, (*cells.said, *said, *more))
@@ -106,17 +108,17 @@ def _positions(
     cells: Cells, found: dict[str, int], table: ForeignTable, design: Design
 ) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
     values = np.array([cells.numbers(found[name]) for name in "xyz"]).T
-    stated = {table.unit or column_units.split_header(cells.header[found[name]])[1] for name in "xyz"}
+    stated = {table.unit or units_and_timestamps.split_header(cells.header[found[name]])[1] for name in "xyz"}
     unit = stated.pop()
-    if stated or (unit is not None and unit not in column_units.LENGTHS):
+    if stated or (unit is not None and unit not in units_and_timestamps.LENGTHS):
         raise RigError(
-            f"{table.file}: x, y, z must be in one unit of {', '.join(column_units.LENGTHS)}; --set "
+            f"{table.file}: x, y, z must be in one unit of {', '.join(units_and_timestamps.LENGTHS)}; --set "
             "poses.unit=mm states it"
         )
     said: tuple[str, ...] = ()
     if unit is None:
         size, far = _size(design), float(np.median(np.linalg.norm(values, axis=1)))
-        fit = [u for u in ("m", "mm") if REACH[0] * size <= far / column_units.LENGTHS[u] <= REACH[1] * size]
+        fit = [u for u in ("m", "mm") if REACH[0] * size <= far / units_and_timestamps.LENGTHS[u] <= REACH[1] * size]
         if len(fit) != 1:
             raise ambiguity_error(
                 f"{table.file}: the unit of its positions is not stated, and they lie {far:.6g} from the "
@@ -124,7 +126,7 @@ def _positions(
                 [(u, f"poses.unit={u}") for u in ("m", "mm")],
             )
         unit, said = fit[0], (f"{table.file.name}: positions are in {fit[0]}, as the rig measures some {size:.2g} m",)
-    p = values / column_units.LENGTHS[unit]
+    p = values / units_and_timestamps.LENGTHS[unit]
     if np.abs(p).max() > LARGEST_RIG:
         raise RigError(
             f"{table.file}: a position of {np.abs(p).max():g} m is implausible; --set poses.unit=mm states another unit"
@@ -154,7 +156,7 @@ def _rotations(
         ways = _angles(
             values,
             names,
-            {column_units.split_header(cells.header[found[name]])[1] for name in names},
+            {units_and_timestamps.split_header(cells.header[found[name]])[1] for name in names},
             group is EULERS,
             table,
         )
@@ -196,7 +198,7 @@ def _angles(
     asked = (table.rotation,) if table.rotation else (*(() if euler else ("rotvec",)), *USUAL)
     found = []
     for u in (unit,) if unit else ("rad", "deg"):
-        v = values / column_units.ANGLES[u]
+        v = values / units_and_timestamps.ANGLES[u]
         if np.abs(v).max() > (7.0 if unit is None else 1e3):
             continue
         for way in asked:

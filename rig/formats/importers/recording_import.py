@@ -1,4 +1,4 @@
-"""All foreign files of a recipe -> one recording: frames, commands, poses and sensors brought together, and written."""
+"""Import of a recording: all foreign files of a recipe assembled and written as one recording."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from rig.errors import RigError
-from rig.formats.importers import column_headers, column_units, image_file_frames, timestamps
+from rig.formats.importers import column_headers, image_file_frames, units_and_timestamps
 from rig.formats.importers.camera_calibrations import rig_toml_with_cameras
-from rig.formats.importers.clock_consistency import require_one_clock, seconds_from
+from rig.formats.importers.clock_consistency import require_one_clock, seconds_since_origin
 from rig.formats.importers.command_table import Commanded, read_commands
 from rig.formats.importers.csv_dialect import read_foreign_table
 from rig.formats.importers.image_file_frames import Exposed
@@ -23,7 +23,7 @@ from rig.formats.output_files import write_bytes
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design
 from rig.recording.corner_and_pose_tables import Poses
-from rig.recording.image_file_check import check_image
+from rig.recording.image_file_check import image_file_problem
 from rig.recording.recording_tables import write_poses, write_table
 from rig.recording.time_origin import DIGITS
 
@@ -50,34 +50,35 @@ class Imported:
     rig: str | None = None  # rig.toml with the cameras of another program; None: as its owner has it
 
 
-def with_cameras(recipe: Recipe) -> tuple[Design, str | None, tuple[str, ...]]:
-    """(Design, text of its rig.toml where cameras of another program came into it, sentences). Raises RigError for what
-    cannot be used.
+def design_with_imported_cameras(recipe: Recipe) -> tuple[Design, str | None, tuple[str, ...]]:
+    """Design with the imported cameras of a recipe: (Design, its rig.toml text, sentences).
+    Raises RigError for what cannot be used.
     """
-    design = design_file.load(recipe.rig)
+    design = design_file.load_design(recipe.rig)
     if recipe.cameras is None:
         return design, None, ()
     text, said = rig_toml_with_cameras(recipe.cameras, read_text(recipe.rig, design_file.LARGEST), design.cameras)
-    return design_file.design_of(design_file.entries_of(text, recipe.rig)), text, said
+    return design_file.design_of_entries(design_file.entries_of_text(text, recipe.rig)), text, said
 
 
-def unpacked(recipe: Recipe, folder: Path) -> Recipe:
-    """The Recipe with what its bags hold as files in a folder, which must last until all is written; without bags as it
-    is. Raises RigError.
+def unpack_recipe_bags(recipe: Recipe, folder: Path) -> Recipe:
+    """Unpack the bags of a recipe into a folder; returns the Recipe of the unpacked files.
+    Raises RigError.
     """
     if recipe.bag is None:
         return recipe
     from rig.formats.importers import ros_bag
 
-    return ros_bag.unpacked(recipe, with_cameras(recipe)[0], folder)
+    return ros_bag.unpack_bags(recipe, design_with_imported_cameras(recipe)[0], folder)
 
 
-def assemble(recipe: Recipe, skip_unreadable: bool = False) -> Imported:
-    """Imported of a Recipe. skip_unreadable : whether images that cannot be used are left out, and said
+def assemble_recording(recipe: Recipe, skip_unreadable: bool = False) -> Imported:
+    """Assemble a recording (Imported) from a Recipe, unreadable images skipped if requested.
+    skip_unreadable : whether images that cannot be used are left out, and said
 
     Raises RigError for what cannot be used, for what is missing and for what reads well in two ways.
     """
-    design, rig, of_cameras = with_cameras(recipe)
+    design, rig, of_cameras = design_with_imported_cameras(recipe)
     if recipe.bag is not None:
         of_cameras = (*of_cameras, *recipe.bag.said)
     if recipe.images is None and recipe.poses is None:
@@ -85,7 +86,9 @@ def assemble(recipe: Recipe, skip_unreadable: bool = False) -> Imported:
     commanded = read_commands(recipe.commands, design) if recipe.commands else None
     like = _like(commanded.t if commanded else None)
     exposed = (
-        image_file_frames.group_exposures(image_file_frames.list_pictures(recipe.images, design), recipe.images, like)
+        image_file_frames.group_images_into_exposures(
+            image_file_frames.list_image_files(recipe.images, design), recipe.images, like
+        )
         if recipe.images
         else None
     )
@@ -187,7 +190,7 @@ def _by_table(exposed: Exposed, recipe: Recipe, table: ForeignTable, like: Like)
         Path(cell).suffix.lower() in image_file_frames.KINDS for cell in cells.column(found["frame"])
     ):
         found["image"] = found.pop("frame")  # a column such as Bild may number images or name their files
-    unit = column_units.split_header(cells.header[found["t"]])[1]
+    unit = units_and_timestamps.split_header(cells.header[found["t"]])[1]
     of_images = recipe.images
     if table.shift and of_images is not None and of_images.shift:
         raise RigError(
@@ -195,11 +198,11 @@ def _by_table(exposed: Exposed, recipe: Recipe, table: ForeignTable, like: Like)
             f"{table.file.name}; state one"
         )
     shift = table.shift or (of_images.shift if of_images is not None else 0.0)
-    t = timestamps.read_times(
+    t = units_and_timestamps.read_times(
         cells.column(found["t"]),
         "frames",
         table.file.name,
-        table.time_unit or (unit if unit in column_units.TIMES else None),
+        table.time_unit or (unit if unit in units_and_timestamps.TIMES else None),
         table.zone or (of_images.zone if of_images is not None else None),
         shift,
         like,
@@ -242,7 +245,7 @@ def _usable(exposed: Exposed, design: Design, skip: bool) -> Exposed:
     """The exposures without images that cannot be used. Raises RigError that names all of these where they are not to
     be skipped, or are all.
     """
-    problems = [check_image(path, design.camera(name)) for path, name in zip(exposed.path, exposed.camera)]
+    problems = [image_file_problem(path, design.camera(name)) for path, name in zip(exposed.path, exposed.camera)]
     bad = [f"{path}: {problem}" for path, problem in zip(exposed.path, problems) if problem]
     if bad and (not skip or len(bad) == len(problems)):
         more = f"; {len(bad)} images cannot be used" if len(bad) > 1 else ""
@@ -277,7 +280,7 @@ def _commanded(
         return commanded.values if len(commanded.values) == n else None
     if min(t) < commanded.t[0] or max(t) > commanded.t[-1] + (commanded.t[-1] - commanded.t[0]) / 2:
         return None
-    at, rows = (seconds_from(times_of, commanded.t[0]) for times_of in (t, commanded.t))
+    at, rows = (seconds_since_origin(times_of, commanded.t[0]) for times_of in (t, commanded.t))
     return np.stack([np.interp(at, rows, column) for column in commanded.values.T], axis=1)
 
 
@@ -354,31 +357,33 @@ def _clocked(exposed: Exposed, commanded: Commanded | None) -> Commanded | None:
     )
 
 
-def write(imported: Imported, out: Path) -> None:
-    """Write the recording into a folder. out : empty"""
+def write_recording(imported: Imported, folder: Path) -> None:
+    """Write the imported recording into an empty folder.
+    folder : empty
+    """
     e = imported.exposed
-    write_bytes(out / "rig.toml", read_bytes(imported.recipe.rig) if imported.rig is None else imported.rig.encode())
+    write_bytes(folder / "rig.toml", read_bytes(imported.recipe.rig) if imported.rig is None else imported.rig.encode())
     rows = []
     for frame, t, camera, path in zip(e.frame, e.times(), e.camera, e.path):
         name = f"images/{camera}/{frame:05d}{path.suffix.lower()}" if camera else ""
         if name:
-            (out / name).parent.mkdir(parents=True, exist_ok=True)
-            write_bytes(out / name, read_bytes(path, LARGEST_IMAGE_FILE))
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            write_bytes(folder / name, read_bytes(path, LARGEST_IMAGE_FILE))
         rows.append(f"{frame},{_text(t)},{camera},{name}")
-    write_table(out / "frames.csv", ("frame", "t", "camera", "image"), rows)
+    write_table(folder / "frames.csv", ("frame", "t", "camera", "image"), rows)
     c, posed = imported.commanded, imported.posed
     if c is not None and c.t is not None:
         write_table(
-            out / "commands.csv",
+            folder / "commands.csv",
             ("t", *imported.design.mechanism.axes),
             [",".join([_text(t), *(_figure(v) for v in values)]) for t, values in zip(c.t, c.values)],
         )
     if posed is not None and posed.frame is not None:
-        write_poses(out / "poses.csv", Poses(posed.frame, posed.T, None))
+        write_poses(folder / "poses.csv", Poses(posed.frame, posed.T, None))
     if imported.logged is not None:
         names, columns_of = zip(*imported.logged.channels)
         write_table(
-            out / "sensors.csv",
+            folder / "sensors.csv",
             ("t", *names),
             [
                 ",".join([_text(t), *(_figure(v) for v in values)])

@@ -1,5 +1,4 @@
-"""ROS 1 and 2 bags and MCAP files -> the images and tables that an import takes: topics by their types, times as
-messages are stamped.
+"""ROS 1 and 2 bags and MCAP files unpacked into images and tables, topics selected by type.
 
 Source: ROS, common_interfaces (sensor_msgs, geometry_msgs, nav_msgs) and REP 103: m, rad, quaternions x y z w; read by
     the package rosbags
@@ -15,10 +14,10 @@ import numpy as np
 
 from rig.errors import FileError, MissingLibrary, RigError
 from rig.formats.checked_entries import name_problem
-from rig.formats.importers.ambiguous_input import ambiguity_error
 from rig.formats.importers.import_recipe import FROM_BAG, TABLES, Bag, ForeignTable, Images, Recipe
 from rig.formats.importers.ros_image_messages import encode_image_message
-from rig.formats.input_files import value_text
+from rig.formats.importers.units_and_timestamps import ambiguity_error
+from rig.formats.input_files import short_repr
 from rig.formats.output_files import write_bytes
 from rig.model.design import Design
 
@@ -50,8 +49,8 @@ class Topic:
     stamped: bool | None = None
 
 
-def unpacked(recipe: Recipe, design: Design, folder: Path) -> Recipe:
-    """The Recipe of what its bags hold, written into a folder; what the recipe takes from files of their own stays.
+def unpack_bags(recipe: Recipe, design: Design, folder: Path) -> Recipe:
+    """Unpack the bags of a recipe into a folder; returns the Recipe of the unpacked files.
 
     Raises MissingLibrary without rosbags, FileError for what cannot be read, RigError where several topics can be meant
     """
@@ -107,7 +106,7 @@ def _opened(files: tuple[Path, ...]) -> Iterator[Any]:
         Exception
     ) as error:  # a damaged file makes the reader fail in ways of its own, none of them the user's concern
         raise FileError(
-            files[0], f"is no bag that can be read, or it is damaged: {type(error).__name__}: {value_text(str(error))}"
+            files[0], f"is no bag that can be read, or it is damaged: {type(error).__name__}: {short_repr(str(error))}"
         ) from error
 
 
@@ -134,7 +133,7 @@ def _resolved(bag: Bag, kinds: dict[str, str], design: Design, recipe: Recipe) -
         if topic not in kinds:
             raise FileError(
                 bag.files[0],
-                f"has no topic {value_text(topic)} for {part}; it has {', '.join(sorted(kinds)) or 'none'}",
+                f"has no topic {short_repr(topic)} for {part}; it has {', '.join(sorted(kinds)) or 'none'}",
             )
     for stated, taken in (
         (bag.cameras, IMAGES),
@@ -221,8 +220,8 @@ def _row(topic: Topic, message: Any, file: Path) -> None:
             raise FileError(
                 file,
                 f"topic {topic.name}, message {len(topic.t)}: {len(message.position)} positions of "
-                f"{value_text(', '.join(names))}; the "
-                f"first message has those of {value_text(', '.join(topic.header))}",
+                f"{short_repr(', '.join(names))}; the "
+                f"first message has those of {short_repr(', '.join(topic.header))}",
             )
         at = dict(zip(names, message.position))
         topic.rows.append([float(at[name]) for name in topic.header])

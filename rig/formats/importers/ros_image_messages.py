@@ -1,4 +1,4 @@
-"""A ROS image message -> an image file: raw ones as PNG without loss, compressed ones as they are.
+"""ROS image messages encoded as image files: raw ones as PNG, compressed ones unchanged.
 
 Source: ROS, sensor_msgs/Image, CompressedImage and image_encodings.hpp
 """
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rig.errors import RigError
-from rig.formats.input_files import value_text
+from rig.formats.input_files import short_repr
 from rig.recording.image_file_check import JPEG, PNG
 
 CHANNELS = {
@@ -39,22 +39,22 @@ CONVERTED = {
 
 
 def encode_image_message(message: Any, compressed: bool, place: str) -> tuple[str, bytes]:
-    """(suffix, content of a file) of a message. place : of it, for complaints. Raises RigError for what is not taken,
-    and for half an image.
+    """Encode a ROS image message as an image file: (suffix, bytes).
+    place : of it, for complaints. Raises RigError for what is not taken, and for half an image.
     """
     if compressed:
         whole = bytes(message.data)
         suffix = next((suffix for mark, suffix in ((PNG, ".png"), (JPEG, ".jpg")) if whole.startswith(mark)), None)
         if suffix is None:
             raise RigError(
-                f"{place}: a compressed image of format {value_text(message.format)}; JPEG and PNG are taken"
+                f"{place}: a compressed image of format {short_repr(message.format)}; JPEG and PNG are taken"
             )
         return suffix, whole
     import cv2
 
     channels, deep = CHANNELS.get(message.encoding), "16" in message.encoding
     if channels is None:
-        raise RigError(f"{place}: an image of encoding {value_text(message.encoding)}; {', '.join(CHANNELS)} are taken")
+        raise RigError(f"{place}: an image of encoding {short_repr(message.encoding)}; {', '.join(CHANNELS)} are taken")
     wide = message.width * channels * (2 if deep else 1)
     data = np.frombuffer(bytes(message.data), np.uint8)
     if message.step < wide or len(data) < message.step * message.height or not message.height or not wide:

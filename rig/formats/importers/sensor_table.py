@@ -1,6 +1,4 @@
-"""A log of sensors out of a foreign table: channels named as a recording names them, temperatures in C, masses in
-kg.
-"""
+"""Sensor table of another program: channel names, temperatures in C, masses in kg."""
 
 import re
 from collections.abc import Callable
@@ -12,7 +10,7 @@ import numpy as np
 
 from rig.errors import RigError
 from rig.formats.checked_entries import name_problem
-from rig.formats.importers import column_headers, column_units, timestamps
+from rig.formats.importers import column_headers, units_and_timestamps
 from rig.formats.importers.csv_dialect import read_foreign_table
 from rig.formats.importers.import_recipe import ForeignTable
 
@@ -27,7 +25,7 @@ TO_SI: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "F": lambda v: (v - 32) / 1.8,
     "kg": lambda v: v,
     "g": lambda v: v / 1000,
-    **{unit: partial(_over, per) for unit, per in column_units.LENGTHS.items()},
+    **{unit: partial(_over, per) for unit, per in units_and_timestamps.LENGTHS.items()},
 }
 SI = {"C": "C", "K": "C", "F": "C", "kg": "kg", "g": "kg"}
 
@@ -42,29 +40,29 @@ class Logged:
     said: tuple[str, ...]
 
 
-def read_sensors(table: ForeignTable, plausible: Callable[[np.ndarray], bool]) -> Logged:
-    """Logged of a table. plausible : whether times (n,) s from the first can be so. Raises RigError for what cannot be
-    used
+def read_sensors(table: ForeignTable, are_plausible: Callable[[np.ndarray], bool]) -> Logged:
+    """Read the sensor channels of a foreign table. Raises RigError for unusable ones.
+    are_plausible : whether times (n,) s from the first can be so. Raises RigError for what cannot be used
     """
     cells = read_foreign_table(table, "sensors")
     stated = {header: ours for ours, header in table.columns if ours != "t"}
     found = column_headers.find_columns(cells, "sensors", {"t": column_headers.TIME}, ("t",))
-    unit = column_units.split_header(cells.header[found["t"]])[1]
-    read_times = timestamps.read_times(
+    unit = units_and_timestamps.split_header(cells.header[found["t"]])[1]
+    read_times = units_and_timestamps.read_times(
         cells.column(found["t"]),
         "sensors",
         table.file.name,
-        table.time_unit or (unit if unit in column_units.TIMES else None),
+        table.time_unit or (unit if unit in units_and_timestamps.TIMES else None),
         table.zone,
         table.shift,
-        plausible,
+        are_plausible,
     )
     kept, renamed = [("t", cells.header[found["t"]])], []
     channels: list[tuple[str, np.ndarray]] = []
     for at, header in enumerate(cells.header):
         if at == found["t"]:
             continue
-        unit = column_units.split_header(header)[1]
+        unit = units_and_timestamps.split_header(header)[1]
         name = stated.get(header) or _name(header, unit)
         if name_problem(name):
             raise RigError(f"{table.file}: column {name_problem(name)}; --set 'sensors.columns.NAME={header}' names it")
@@ -88,7 +86,7 @@ def read_sensors(table: ForeignTable, plausible: Callable[[np.ndarray], bool]) -
 
 def _name(header: str, unit: str | None) -> str:
     """A channel's name out of a header: words joined, its unit as a recording has it behind it."""
-    bare = column_units.split_header(header)[0] if unit else header
+    bare = units_and_timestamps.split_header(header)[0] if unit else header
     name = re.sub(r"[^A-Za-z0-9.-]+", "_", bare).strip("_.-")
     if unit in SI:
         known = re.fullmatch(r"(?i)(ambient|strut_?[1-6]|camera_.+)_temp(erature)?", name)

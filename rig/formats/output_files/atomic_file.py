@@ -1,6 +1,4 @@
-"""One file, written whole or not at all: to a temporary beside it, from there to the disk, then renamed into its
-place.
-"""
+"""Atomic file write: temporary file, flush to disk, rename."""
 
 import errno
 import os
@@ -19,7 +17,7 @@ PART = ".rig-{}.part"  # name of a temporary; its length does not depend on the 
 
 
 def write_text(path: str | PathLike[str], text: str) -> None:
-    """Write a text file (UTF-8), whole or not at all; raises as `write_bytes` does."""
+    """Write a UTF-8 text file atomically; raises as `write_bytes` does."""
     try:
         data = text.encode("utf-8")
     except UnicodeEncodeError as error:
@@ -33,7 +31,7 @@ def write_text(path: str | PathLike[str], text: str) -> None:
 
 
 def write_bytes(path: str | PathLike[str], data: bytes) -> None:
-    """Write a file, whole or not at all, and have it on the disk before returning.
+    """Write a file atomically and flush it to disk.
 
     Links are followed, a file that is there keeps its mode and owner. What is no regular file (a device, a FIFO) and
     what this process's standard output or error goes to is written straight to. Raises FileError with path and reason
@@ -60,8 +58,8 @@ def write_bytes(path: str | PathLike[str], data: bytes) -> None:
 
 
 def path_status(path: str | PathLike[str]) -> os.stat_result | None:
-    """What stands at a path, links followed, or None for nothing (or a link to nothing). Raises OSError for what cannot
-    be asked.
+    """Status (stat) of what is at a path, links followed, or None for nothing.
+    Raises OSError for what cannot be asked.
     """
     try:
         return os.stat(path)
@@ -70,9 +68,7 @@ def path_status(path: str | PathLike[str]) -> os.stat_result | None:
 
 
 def is_written_directly(path: str | PathLike[str]) -> bool:
-    """Whether a path is written straight to, being no regular file and no folder, or this process's own standard output
-    or error.
-    """
+    """Whether a path is written directly, not atomically: a device, a pipe, or this process's standard output."""
     try:
         there = path_status(path)
     except OSError:
@@ -138,10 +134,10 @@ def _alike(descriptor: int, there: os.stat_result) -> None:
     os.fchmod(descriptor, stat.S_IMODE(there.st_mode))
 
 
-def sync_folder(folder: int) -> None:
-    """Have an open folder's entries on the disk, where its file system can do that for folders."""
+def sync_folder(folder_descriptor: int) -> None:
+    """Sync an open folder's entries to disk, where its file system supports that."""
     try:
-        os.fsync(folder)
+        os.fsync(folder_descriptor)
     except OSError as error:
         if error.errno not in (errno.EINVAL, errno.EROFS):
             raise

@@ -1,4 +1,4 @@
-"""What one command makes: staged beside its places, and put there when all of it is there."""
+"""Outputs of one command: files staged first, moved to their places when all are complete."""
 
 import os
 from collections.abc import Iterable
@@ -9,7 +9,7 @@ from rig.errors import FileError, RigError
 from rig.formats import remote_folders
 from rig.formats.output_files.atomic_file import is_written_directly, path_status, write_text
 from rig.formats.output_files.folder_manifest import MANIFEST, FolderManifest, Origin, is_recording_table, load_manifest
-from rig.formats.output_files.staged_folder import GROWING, Staged, folder_lock, remove_stale_files
+from rig.formats.output_files.staged_folder import GROWING, Staged, lock_folder, remove_stale_staged_files
 
 
 class Outputs:
@@ -165,9 +165,9 @@ class Outputs:
         except OSError as error:
             raise RigError(f"{path} cannot be made: {error.strerror}") from None
         self.in_use = True
-        remove_stale_files(path)
+        remove_stale_staged_files(path)
         (path / GROWING).mkdir(exist_ok=True)
-        self._growing.append((path, folder_lock(path / GROWING, wait=False)))
+        self._growing.append((path, lock_folder(path / GROWING, wait=False)))
         write_text(path / MANIFEST, FolderManifest(self._origin(False), load_manifest(path).files).text())
         return path
 

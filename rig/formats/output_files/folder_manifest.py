@@ -1,4 +1,4 @@
-"""The manifest of a folder: which files in it which command made, and whether what it was making is complete."""
+"""Manifest of a folder: which command wrote which file, its digest, whether the folder is complete."""
 
 import json
 from dataclasses import dataclass, field
@@ -27,7 +27,7 @@ RECORDED = (
 
 
 def is_recording_table(name: str) -> bool:
-    """Whether a folder is read from a file of that name."""
+    """Whether a file name is that of a recording's table (commands.csv, frames.csv ..)."""
     return any(fnmatchcase(name, pattern) for pattern in RECORDED)
 
 
@@ -36,7 +36,7 @@ class Origin:
     """command : that makes a folder whole; arguments : as they were given, but for what a recording must not tell about
     its truth
     complete : whether it came to its end; data : marks of the exposures that what is in the folder was computed from
-    (see rig.recording.data_provenance)"""
+    (see rig.recording.frame_content_hashes)"""
 
     command: str
     arguments: tuple[str, ...] = ()
@@ -90,8 +90,8 @@ class FolderManifest:
 
 
 def load_manifest(folder: Path) -> FolderManifest:
-    """FolderManifest of a folder; of one without a manifest nothing is known. Raises FileError for a manifest that is
-    none.
+    """Load the FolderManifest of a folder, empty where there is none. Raises FileError for an invalid manifest.
+    Raises FileError for a manifest that is none.
     """
     path = folder / MANIFEST
     try:
@@ -125,9 +125,9 @@ def load_manifest(folder: Path) -> FolderManifest:
         ) from None
 
 
-def require_complete(folder: Path) -> None:
-    """Raise FileError for a folder that a command was interrupted in making. A folder that nobody has marked is taken
-    as it is.
+def require_complete_folder(folder: Path) -> None:
+    """Raise FileError unless a folder is complete, that is, no command was interrupted while writing it.
+    A folder that nobody has marked is taken as it is.
     """
     origin = load_manifest(Path(folder)).origin
     if origin is not None and not origin.complete:
@@ -135,7 +135,7 @@ def require_complete(folder: Path) -> None:
 
 
 def file_digest(path: Path) -> str:
-    """sha256 of a file, in hexadecimal digits; of what is no file that can be read, an empty text."""
+    """Digest (sha256, hexadecimal) of a file, "" for one that cannot be read."""
     whole = sha256()
     try:
         if remote_folders.is_remote(path):

@@ -1,6 +1,4 @@
-"""Files on their way into one folder: written apart within it, then moved to their places together, the manifest first
-and last.
-"""
+"""Staged folder: files written aside, then moved into the folder together with its manifest."""
 
 import errno
 import fcntl
@@ -27,8 +25,8 @@ GROWING = f"{NEW}growing"  # stands in a folder, locked, while a command writes 
 UNLOCKED = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)  # file systems that know no locks
 
 
-def folder_lock(folder: Path, wait: bool) -> int:
-    """An open descriptor of a folder that holds its lock until it is closed, be it by the process's death.
+def lock_folder(folder: Path, wait: bool) -> int:
+    """Lock a folder: an open descriptor that holds the lock until it is closed.
 
     Raises RigError where another process holds it and `wait` is false, OSError where the folder cannot be opened
     """
@@ -60,12 +58,12 @@ class Staged:
         try:
             place.mkdir(parents=True, exist_ok=True)
             self.known = load_manifest(place)
-            lock = folder_lock(place, wait=True)
+            lock = lock_folder(place, wait=True)
             try:
-                remove_stale_files(place)
+                remove_stale_staged_files(place)
                 self.folder = place / f"{NEW}{secrets.token_hex(6)}"
                 self.folder.mkdir()
-                self.lock = folder_lock(self.folder, wait=True)
+                self.lock = lock_folder(self.folder, wait=True)
             finally:
                 os.close(lock)
         except BaseException:
@@ -77,7 +75,7 @@ class Staged:
         in place.
         """
         if (self.place / GROWING).exists():
-            os.close(folder_lock(self.place / GROWING, wait=False))
+            os.close(lock_folder(self.place / GROWING, wait=False))
         if self.known.origin is None and not any(entry != self.folder for entry in self.place.iterdir()):
             write_text(self.place / MANIFEST, FolderManifest(origin).text())
             self.marked = True
@@ -86,7 +84,7 @@ class Staged:
         """Move what was staged to its place, and what the command left there before away. Raises RigError, and moves
         nothing, where that would write over what it did not make (unless forced) or over an input; FileError where the
         disk refuses."""
-        lock = folder_lock(self.place, wait=True)
+        lock = lock_folder(self.place, wait=True)
         try:
             known = load_manifest(self.place)
             new = sorted(str(path.relative_to(self.folder)) for path in self.folder.rglob("*") if not path.is_dir())
@@ -183,11 +181,11 @@ class Staged:
                 folder.rmdir()
 
 
-def remove_stale_files(place: Path) -> None:
-    """Take away what commands that were killed had staged in a folder."""
-    for left in place.glob(f"{NEW}*"):
+def remove_stale_staged_files(folder: Path) -> None:
+    """Remove stale staged files of killed commands from a folder."""
+    for left in folder.glob(f"{NEW}*"):
         try:
-            lock = folder_lock(left, wait=False)
+            lock = lock_folder(left, wait=False)
         except (RigError, OSError):
             continue  # whose it is lives, or it is no folder of ours
         shutil.rmtree(left, ignore_errors=True)

@@ -1,13 +1,11 @@
-"""Joints and limits of an arm out of a table of outside data: rows of figures, those of slides told by a word, or a
-table for each joint.
-"""
+"""Joints and limits of an arm in rig.toml: Denavit-Hartenberg rows, or a table per joint."""
 
 from dataclasses import dataclass, fields
 
 import numpy as np
 
-from rig.formats.checked_entries import LARGEST_RIG, Entries, slip
-from rig.formats.input_files import value_text
+from rig.formats.checked_entries import LARGEST_RIG, Entries, nearest_known_word
+from rig.formats.input_files import short_repr
 
 KINDS = {"revolute": False, "prismatic": True}
 
@@ -34,9 +32,8 @@ class Joint:
         return self.theta, self.d, self.a, self.alpha, self.beta
 
 
-def joints(table: Entries) -> tuple[np.ndarray, np.ndarray]:
-    """((n, 4 or 5) rows of theta (rad), d (m), a (m), alpha (rad), beta (rad); (n,) bool, which joints slide) of the
-    key "joints".
+def joint_rows_and_kinds(table: Entries) -> tuple[np.ndarray, np.ndarray]:
+    """Joint rows (n, 4 or 5) of theta, d, a, alpha, beta (rad, m), and joint kinds (n,), true where prismatic.
 
     A row may begin with "revolute", the default, or "prismatic"; or each joint is a table with these figures by name,
     `joint` its kind and perhaps `limits`. Raises FileError for anything else, no rows, or lengths beyond any rig
@@ -100,10 +97,10 @@ def _slides(table: Entries, i: int, row: list) -> bool:
     if not isinstance(word, str):
         return False
     if word not in KINDS:
-        near = slip(word, KINDS)
+        near = nearest_known_word(word, KINDS)
         table.fail(
             f"{table.name('joints')}[{i + 1}] is of a joint "
-            f"{value_text(word)}{f'; is {near!r} meant?' if near else ''}; there are "
+            f"{short_repr(word)}{f'; is {near!r} meant?' if near else ''}; there are "
             f"{', '.join(map(repr, KINDS))}",
             "joints",
             i,
@@ -113,9 +110,12 @@ def _slides(table: Entries, i: int, row: list) -> bool:
     return KINDS[word]
 
 
-def limits(table: Entries, slides: np.ndarray) -> np.ndarray:
-    """(n, 2) rad, of slides m, of the key "limits", or of each joint's own. slides : (n,) bool. Raises FileError where
-    they do not run from small to large, or a slide's are beyond any rig."""
+def joint_limits(table: Entries, is_prismatic: np.ndarray) -> np.ndarray:
+    """Joint limits (n, 2) rad, m for prismatic joints. Raises FileError where they are invalid.
+    is_prismatic : (n,) bool. Raises FileError where they do not run from small to large, or a slide's are beyond any
+        rig.
+    to large, or a slide's are beyond any rig.
+    """
     rows = table.get("joints")
     twice = [i for i, row in enumerate(rows) if isinstance(row, dict) and "limits" in row and "limits" in table.tree]
     if twice:
@@ -133,13 +133,13 @@ def limits(table: Entries, slides: np.ndarray) -> np.ndarray:
                     f"{table.name('joints')}.{i + 1}.limits is missing, and so is {table.name('limits')}", "joints", i
                 )
         return np.array(own, float)
-    found = table.array("limits", (len(slides), 2))
+    found = table.array("limits", (len(is_prismatic), 2))
     for i, (low, high) in enumerate(found):
         if not low < high:
             table.fail(
                 f"{table.name('limits')}[{i + 1}] must run from small to large, not {low:g} .. {high:g}", "limits", i
             )
-        if slides[i]:
+        if is_prismatic[i]:
             for j in range(2):
                 table.numbers(float(found[i, j]), (), "limits", (i, j), LARGEST_RIG)
     return found

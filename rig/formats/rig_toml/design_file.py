@@ -1,4 +1,4 @@
-"""rig.toml -> Design: every value checked, every complaint with file, line and column."""
+"""Design file (rig.toml) read into a Design: every value checked, errors with file, line and column."""
 
 import re
 import tomllib
@@ -10,8 +10,8 @@ import numpy as np
 from rig.errors import FileError
 from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries
 from rig.formats.input_files import read_text
-from rig.formats.rig_toml import arm_joint_entries, camera_entries, cube_turn_entries
-from rig.formats.rig_toml.instrument_entries import instrument
+from rig.formats.rig_toml import arm_joint_entries, camera_instrument_and_cube_entries
+from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table
 from rig.formats.toml_positions import value_positions
 from rig.model.controller_settings import PROTOCOLS, Controller, port_problem
 from rig.model.design import (
@@ -31,8 +31,8 @@ from rig.model.design import (
     SensorPort,
     Target,
 )
-from rig.model.hexapod_singularity import singularity_text
-from rig.model.mechanism_kinds import bodies_of
+from rig.model.hexapod_geometry import singularity_description
+from rig.model.mechanism_kinds import target_bodies
 
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
@@ -41,24 +41,22 @@ LARGEST_MARKER = 5.0  # m
 LARGEST = 1 << 22  # bytes of a rig.toml
 
 
-def load(path: str | Path) -> Design:
-    """Design read from a rig.toml. Raises FileError with line and column for anything missing, malformed or
-    implausible.
+def load_design(path: str | Path) -> Design:
+    """Load the Design of a rig.toml. Raises FileError with line and column.
+    Raises FileError with line and column for anything missing, malformed or implausible.
     """
-    return design_of(entries(path))
+    return design_of_entries(load_entries(path))
 
 
-def entries(path: str | Path) -> Entries:
-    """The whole table that a rig.toml holds, its figures not yet looked at. Raises FileError where it cannot be read or
-    is no TOML.
-    """
+def load_entries(path: str | Path) -> Entries:
+    """Load the unchecked Entries of a rig.toml. Raises FileError where it cannot be read or is no TOML."""
     path = Path(path)
-    return entries_of(read_text(path, LARGEST, "no such file; every recording has a rig.toml"), path)
+    return entries_of_text(read_text(path, LARGEST, "no such file; every recording has a rig.toml"), path)
 
 
-def entries_of(text: str, path: Path) -> Entries:
-    """The whole table of a rig.toml's text. path : of the file, as complaints name it. Raises FileError where it is no
-    TOML.
+def entries_of_text(text: str, path: Path) -> Entries:
+    """Unchecked Entries of a rig.toml's text. path : for messages. Raises FileError where it is no TOML.
+    path : of the file, as complaints name it. Raises FileError where it is no TOML.
     """
     try:
         tree = tomllib.loads(text)
@@ -74,8 +72,10 @@ def entries_of(text: str, path: Path) -> Entries:
     return Entries(tree, (), path, places)
 
 
-def design_of(root: Entries) -> Design:
-    """Design of a whole rig.toml's Entries, lengths in m, angles in rad. Raises FileError as `load` does."""
+def design_of_entries(root: Entries) -> Design:
+    """Design of the Entries of a rig.toml, lengths in m, angles in rad. Raises FileError.
+    Raises FileError as `load` does.
+    """
     root.schema("rig.toml", SCHEMA)
     root.refuse_misspelt(
         (
@@ -103,17 +103,17 @@ def design_of(root: Entries) -> Design:
     gravity = environment.array("gravity", (3,), default=list(STANDARD_GRAVITY))
     mechanism, actuator = _mechanism(root.table("mechanism")), _actuator(root.table("actuator", optional=True))
     cameras, targets = (
-        camera_entries.cameras(root.tables("camera")),
-        _targets(root.tables("target"), bodies_of(mechanism)),
+        camera_instrument_and_cube_entries.cameras_of_tables(root.tables("camera")),
+        _targets(root.tables("target"), target_bodies(mechanism)),
     )
-    targets = cube_turn_entries.turned_targets(root.table("turned", optional=True), targets)
-    camera_entries.check_in_hand(root, cameras, targets, mechanism)
-    camera_entries.check_of_stages(root, cameras, targets)
+    targets = camera_instrument_and_cube_entries.turned_targets(root.table("turned", optional=True), targets)
+    camera_instrument_and_cube_entries.check_hand_mounted_cameras(root, cameras, targets, mechanism)
+    camera_instrument_and_cube_entries.check_stage_targets(root, cameras, targets)
     return Design(
         name=root.text("name", default="rig"),
         gravity=gravity,
         mechanism=mechanism,
-        instrument=instrument(root.table("instrument")) if "instrument" in root.tree else None,
+        instrument=instrument_of_table(root.table("instrument")) if "instrument" in root.tree else None,
         actuator=actuator,
         platform=_platform(root.table("platform", optional=True)),
         cameras=cameras,
@@ -122,7 +122,9 @@ def design_of(root: Entries) -> Design:
         insitu=_limbs(root.table("insitu")) if "insitu" in root.tree else None,
         controller=_controller(root.table("controller"), mechanism, actuator) if "controller" in root.tree else None,
         sensors=_sensors(root.table("sensors")) if "sensors" in root.tree else None,
-        experiment=cube_turn_entries.experiment_permission(root.table("experiment", optional=True), targets),
+        experiment=camera_instrument_and_cube_entries.experiment_permission(
+            root.table("experiment", optional=True), targets
+        ),
     )
 
 
@@ -148,8 +150,8 @@ def _stage(table: Entries) -> Hexapod | Planar2 | Arm:
     kind = table.text("kind", ("hexapod", "planar2", "arm"))
     if kind == "arm":
         table.refuse_misspelt(("kind", "joints", "limits"))
-        joints, slides = arm_joint_entries.joints(table)
-        return Arm(joints, arm_joint_entries.limits(table, slides), slides=slides)
+        joints, slides = arm_joint_entries.joint_rows_and_kinds(table)
+        return Arm(joints, arm_joint_entries.joint_limits(table, slides), slides=slides)
     if kind == "planar2":
         table.refuse_misspelt(("kind", "base_joints", "strut_range"))
         return Planar2(
@@ -167,8 +169,8 @@ def _stage(table: Entries) -> Hexapod | Planar2 | Arm:
                 f"{low:g} .. {high:g} m",
                 "home",
             )
-    if singularity_text(hexapod):
-        table.fail(f"{table.name('home')} {singularity_text(hexapod)}", "home")
+    if singularity_description(hexapod):
+        table.fail(f"{table.name('home')} {singularity_description(hexapod)}", "home")
     return hexapod
 
 

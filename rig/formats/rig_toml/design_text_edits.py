@@ -1,6 +1,4 @@
-"""A rig.toml's text with cameras and markers written into it: what was measured replaces what stood there, all else
-stays as it was.
-"""
+"""Edits of a rig.toml's text: cameras and target markers replaced, everything else unchanged."""
 
 from collections.abc import Iterable
 
@@ -10,8 +8,8 @@ from rig.model.design import Camera, Marker
 from rig.model.pose import pose_to_vector
 
 
-def with_cameras(text: str, cameras: Iterable[Camera]) -> str:
-    """The rig.toml text with each camera's matrix, distortion and pose replaced; all else, comments too, as it was.
+def replace_cameras(text: str, cameras: Iterable[Camera]) -> str:
+    """The rig.toml text with the matrix, distortion and pose of each camera replaced.
 
     text : a valid rig.toml; cameras : Camera objects, matched by name. Raises KeyError for one that is not in the text.
     """
@@ -30,12 +28,12 @@ def with_cameras(text: str, cameras: Iterable[Camera]) -> str:
     return tomlkit.dumps(document)
 
 
-def camera_block(camera: Camera, placed: bool = False) -> str:
-    """Text of a [[camera]] table as rig.toml takes it. placed : whether its pose is known; else it is a place to fill
-    in
+def camera_toml(camera: Camera, has_pose: bool = False) -> str:
+    """TOML text of a [[camera]] table, with its pose or a blank to fill in.
+    has_pose : whether its pose is known; else it is a place to fill in
     """
-    place = np.round(pose_to_vector(camera.pose), 10) if placed else np.zeros(6)
-    remark = "" if placed else "   # camera in base: put in where it stands"
+    place = np.round(pose_to_vector(camera.pose), 10) if has_pose else np.zeros(6)
+    remark = "" if has_pose else "   # camera in base: put in where it stands"
     matrix, distortion = np.round(camera.matrix, 6).tolist(), np.round(camera.distortion, 9).tolist()
     return (
         f'[[camera]]\nname = "{camera.name}"\nwidth = {camera.width}\nheight = {camera.height}\nmatrix = {matrix}\n'
@@ -45,19 +43,19 @@ def camera_block(camera: Camera, placed: bool = False) -> str:
     )
 
 
-def with_places(text: str, places: dict[str, tuple[Marker, ...]]) -> str:
-    """The rig.toml text with every target's markers listed at their places; a cube becomes a target of listed markers.
+def replace_target_markers(text: str, markers: dict[str, tuple[Marker, ...]]) -> str:
+    """The rig.toml text with the markers of each target replaced; cubes become lists of markers.
 
-    text : a valid rig.toml; places : {target name: (Marker, ...)}
+    text : a valid rig.toml; markers : {target name: (Marker, ...)}
     """
     import tomlkit
 
     document = tomlkit.parse(text)
-    for table in (table for table in document["target"] if table["name"] in places):
+    for table in (table for table in document["target"] if table["name"] in markers):
         for key in ("edge", "marker", "faces", "pose"):
             table.pop(key, None)
         rows = tomlkit.aot()
-        for marker in places[table["name"]]:
+        for marker in markers[table["name"]]:
             position, rotvec = np.split(np.round(pose_to_vector(marker.pose), 10), 2)
             row, entry = tomlkit.table(), tomlkit.inline_table()
             entry.update({"position": position.tolist(), "rotvec": rotvec.tolist()})

@@ -1,5 +1,4 @@
-"""Serial arm of any number of joints that turn or slide: pose of joint values, geometric Jacobian, and joint values of
-a pose, numerically.
+"""Arm of any number of turning or sliding joints: forward and inverse kinematics, Jacobian, limits, loads.
 
 Distal Denavit-Hartenberg with Hayati's extra turn: A_i = Rz(theta + q) Tz(d) Tx(a) Rx(alpha) Ry(beta), of a slide
 Rz(theta) Tz(d + q) ..
@@ -24,7 +23,7 @@ REACH = 1.0  # m; a radian counts like so much
 
 
 def frames(q: np.ndarray, arm: Arm) -> np.ndarray:
-    """(..., n + 2, 4, 4) homogeneous frames in the frame of poses: the arm's frames 0..n, then the platform.
+    """Frames (..., n + 2, 4, 4) of the arm's links at joint values, frames 0..n and the platform's.
 
     q : (..., n) rad, of slides m. Frame i - 1 carries axis i (its z). Raises ValueError for another number of joints or
         values not finite
@@ -47,14 +46,12 @@ def frames(q: np.ndarray, arm: Arm) -> np.ndarray:
 
 
 def joint_rotations(q: np.ndarray, arm: Arm) -> np.ndarray:
-    """(..., n) rad by which joint values q (..., n) turn the joints: a slide's not at all."""
+    """Rotations (..., n) rad of the joints at joint values q (..., n): 0 for slides."""
     return np.where(arm.slides, 0.0, q) if arm.slides.any() else np.asarray(q, float)
 
 
 def link_transform(q: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """(..., 4, 4) transforms A of links: q (...,) rad, row = theta, d, a, alpha, beta, figures or arrays that broadcast
-    with q.
-    """
+    """Transform (..., 4, 4) of a link by its Denavit-Hartenberg row (theta, d, a, alpha, beta) at q (...,)."""
     theta, d, a, alpha, beta = row
     ct, st = np.cos(q + theta), np.sin(q + theta)
     ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
@@ -77,15 +74,12 @@ def link_transform(q: np.ndarray, row: np.ndarray) -> np.ndarray:
 
 
 def forward(q: np.ndarray, arm: Arm, guess: RigidTransform | None = None) -> RigidTransform:
-    """T_base_platform : RigidTransform (...) of joint values q (..., n) rad or m. guess : unused. Raises ValueError as
-    `frames`.
-    """
+    """Forward kinematics: T_base_platform (...) of joint values q (..., n) rad or m. guess : unused."""
     return RigidTransform.from_matrix(frames(q, arm)[..., -1, :, :])
 
 
 def jacobian(q: np.ndarray, arm: Arm, axes: str = "platform") -> np.ndarray:
-    """(..., 6, n) geometric Jacobian: velocity of the platform's origin (m/rad) over its turning rate (rad/rad), per
-    joint, of slides per m.
+    """Jacobian (..., 6, n) of the platform's velocity over its turning rate with the joint values.
 
     q : (..., n) rad or m; axes : "platform", the tangent on the right, or "base", the axes in which poses are given
     Source: Whitney 1972; the columns are z x (p - o) over z, of a slide z over 0
@@ -97,7 +91,7 @@ def jacobian(q: np.ndarray, arm: Arm, axes: str = "platform") -> np.ndarray:
 
 
 def geometric_jacobian(matrices: np.ndarray, axes: str = "platform", slides: np.ndarray | None = None) -> np.ndarray:
-    """(..., 6, n) Jacobian of frames (..., n + 2, 4, 4) as `frames` gives them; slides : (n,) bool, none by default."""
+    """Geometric Jacobian (..., 6, n) of link frames (..., n + 2, 4, 4); slides : (n,) bool, none by default."""
     z, o = matrices[..., :-2, :3, 2], matrices[..., :-2, :3, 3]
     J = np.concatenate([np.cross(z, matrices[..., -1:, :3, 3] - o), z], axis=-1)
     if slides is not None and slides.any():
@@ -109,38 +103,33 @@ def geometric_jacobian(matrices: np.ndarray, axes: str = "platform", slides: np.
 
 
 def limits(q: np.ndarray, arm: Arm) -> np.ndarray:
-    """How far joint values (..., n) lie outside the limits: (..., n) rad or m, negative below, positive above, 0
-    inside.
-    """
+    """Excess of joint values over their limits, (..., n) rad or m: negative below, positive above, 0 inside."""
     low, high = arm.limits.T
     return np.minimum(q - low, 0) + np.maximum(q - high, 0)
 
 
 def travel(arm: Arm) -> np.ndarray:
-    """(n, 2) rad or m, the joint limits."""
+    """Travel (n, 2) rad or m of the joints: their limits."""
     return arm.limits
 
 
 def home(arm: Arm) -> np.ndarray:
-    """(n,) rad or m, all joints at zero: from there an encoder counts."""
+    """Home joint values (n,) rad or m: all zero."""
     return np.zeros(len(arm.joints))
 
 
 def reach(arm: Arm) -> float:
-    """m, how far links and slides reach at the most."""
+    """Greatest reach of the arm, m: of all links and slides."""
     return float(np.abs(arm.joints[:, 1:3]).sum() + np.abs(arm.limits[arm.slides]).max(axis=1).sum())
 
 
 def loads(T: RigidTransform, q: np.ndarray, arm: Arm, wrench: np.ndarray) -> np.ndarray:
-    """(m, n) N m, of slides N, with which the joints hold a wrench (m, 6) N, N m on the platform at joint values q (m,
-    n) rad or m.
-    """
+    """Loads (m, n) N m (slides: N) of the joints that hold a wrench (m, 6) on the platform."""
     return -np.einsum("mij,mi->mj", jacobian(q, arm), wrench)
 
 
 def links(T: RigidTransform, q: np.ndarray, arm: Arm, gravity: np.ndarray) -> np.ndarray:
-    """(m, n, 4 n) N m, of slides N, with which the joints hold each link, per kg at its frame and per kg m along that
-    frame's x, y and z.
+    """Loads (m, n, 4 n) N m of the links' own weight on the joints, per kg and kg m of each link.
 
     gravity : (3,) m/s^2 in the frame of poses. Source: Luh, Walker and Paul's recursion at rest, as a regressor:
         Gautier and Khalil 1990
@@ -158,9 +147,12 @@ def links(T: RigidTransform, q: np.ndarray, arm: Arm, gravity: np.ndarray) -> np
     return out.reshape(len(chain), n, 4 * n)
 
 
-def grown(T: RigidTransform, q: np.ndarray, arm: Arm, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(deviation (m, n) rad or m, sway (m, 6)) of links whose offsets d and lengths a have grown by shares (m, n): the
-    hand moves, no joint does. A slide's scale is its travel with it."""
+def growth_deviation_and_sway(
+    T: RigidTransform, q: np.ndarray, arm: Arm, share: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Deviation (m, n) and sway (m, 6) by the growth of links, lengths d and a by shares (m, n).
+    A slide's scale is its travel with it.
+    """
     chain, rows = frames(q, arm), arm.rows
     before, turn = chain[:, : len(rows), :3], (joint_rotations(q, arm) + rows[:, 0])[..., None]
     along = np.cos(turn) * before[..., 0] + np.sin(turn) * before[..., 1]  # the common normal
@@ -170,18 +162,17 @@ def grown(T: RigidTransform, q: np.ndarray, arm: Arm, share: np.ndarray) -> tupl
 
 
 def ends(T: RigidTransform, arm: Arm) -> None:
-    """An arm has no struts."""
+    """Strut ends: None, since an arm has no struts."""
     return None
 
 
 def inverse(T_base_platform: RigidTransform, arm: Arm, guess: np.ndarray | None = None) -> np.ndarray:
-    """Joint values (..., n) rad or m of a pose, within the limits where such are found, near the guess where that leads
-    there.
+    """Inverse kinematics: joint values (..., n) rad or m of a pose, within limits if possible, near the guess.
 
     T_base_platform : RigidTransform (...); guess : (n,) or (..., n) rad or m, the middle of the limits by default
     Raises Unreachable with the index of poses to which no start leads, and how near (m, rad) the arm comes
     """
-    q, left = solve(T_base_platform, arm, guess)
+    q, left = solve_inverse(T_base_platform, arm, guess)
     failed = np.flatnonzero(np.ravel(left) > GOOD)
     if len(failed):
         lines = [f"pose {i}: the arm comes no nearer than {np.ravel(left)[i]:.3g} m or rad" for i in failed]
@@ -189,10 +180,10 @@ def inverse(T_base_platform: RigidTransform, arm: Arm, guess: np.ndarray | None 
     return q
 
 
-def solve(
+def solve_inverse(
     T_base_platform: RigidTransform, arm: Arm, guess: np.ndarray | None = None, starts: int = STARTS, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(q (..., n) rad or m, left (...) m or rad): damped least squares from the guess, then from random starts.
+    """Inverse kinematics solved by damped least squares from a guess, then random starts: (q, error left).
 
     left : greater of the position's (m) and rotation's (rad) remaining error; above GOOD means no solution was found
     A solution outside the limits is only given where no start leads to one inside.
@@ -213,7 +204,7 @@ def solve(
         if not len(todo):
             break
         q, error = _descend(trying[todo], target[todo], arm)
-        q = nearest_turn(q, arm, guess[todo])
+        q = nearest_equivalent_angles(q, arm, guess[todo])
         out = (np.abs(limits(q, arm)) > 0).any(axis=1)
         solved, had = error <= GOOD, left[todo] <= GOOD
         better = np.where(solved & had, outside[todo] & ~out, np.where(solved | had, solved, error < left[todo]))
@@ -222,25 +213,27 @@ def solve(
     return best.reshape(*shape, n), left.reshape(shape)
 
 
-def nearest_turn(q: np.ndarray, arm: Arm, near: np.ndarray) -> np.ndarray:
-    """Angles (..., n) shifted by whole turns to the nearest of near (..., n) that the limits allow; slides stay."""
+def nearest_equivalent_angles(q: np.ndarray, arm: Arm, reference: np.ndarray) -> np.ndarray:
+    """Equivalent angles (..., n), by whole turns within the limits, nearest to a reference; slides unchanged."""
     low, high = arm.limits.T
     if arm.slides.any():
         out, turning = np.array(q, float), ~arm.slides
         only = replace(
             arm, joints=arm.joints[turning], limits=arm.limits[turning], slides=np.zeros(int(turning.sum()), bool)
         )
-        out[..., turning] = nearest_turn(out[..., turning], only, np.broadcast_to(near, out.shape)[..., turning])
+        out[..., turning] = nearest_equivalent_angles(
+            out[..., turning], only, np.broadcast_to(reference, out.shape)[..., turning]
+        )
         return out
     turn = 2 * np.pi
-    q = q - turn * np.round((q - near) / turn)
+    q = q - turn * np.round((q - reference) / turn)
     q = np.where(q > high, q - turn * np.ceil((q - high) / turn), q)
     q = np.where(q < low, q + turn * np.ceil((low - q) / turn), q)
-    return np.where(q > high, q - turn * np.round((q - near) / turn), q)
+    return np.where(q > high, q - turn * np.round((q - reference) / turn), q)
 
 
 def joint_difference(q: np.ndarray, other: np.ndarray, arm: Arm) -> np.ndarray:
-    """(..., n) rad, of slides m, by which joint values q (..., n) differ from other ones, whole turns aside."""
+    """Difference (..., n) rad (slides: m) of joint values q from others, whole turns removed."""
     away = np.asarray(q, float) - other
     return away - np.where(arm.slides, 0.0, 2 * np.pi * np.round(away / (2 * np.pi)))
 

@@ -1,9 +1,4 @@
-"""Joint torques, and forces of slides, of an arm's own weight and motion: recursive Newton-Euler, in the axes of poses,
-batched.
-
-Source: Luh, Walker and Paul, On-line computational scheme for mechanical manipulators, 1980 (sliding joints: there
-    too).
-"""
+"""Dynamics of an arm: joint torques of weight and motion (Newton-Euler), mass matrix, change of momentum."""
 
 from dataclasses import dataclass
 
@@ -36,7 +31,7 @@ class Links:
 def joint_torques(
     q: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, arm: Arm, links: Links, gravity: np.ndarray
 ) -> np.ndarray:
-    """(..., n) Nm, of slides N, that the joints bear for weight and motion alone: nothing touches the hand.
+    """(..., n) N m (slides: N) joint torques for an arm's weight and motion alone, with nothing at the hand.
 
     q : (..., n) rad, of slides m; speed, acceleration : (..., n) of these per s and s^2; gravity : (3,) m/s^2 in the
         axes of poses
@@ -73,3 +68,29 @@ def joint_torques(
         force = force + push[k]
         out[..., k] = np.einsum("...i,...i->...", z[..., k, :], force if arm.slides[k] else moment)
     return out
+
+
+STEP = 1e-5  # rad or m, along the motion, for the mass matrix's rate: its error is of the square, below 1e-10
+NO_GRAVITY = np.zeros(3)
+
+
+def mass_matrix(q: np.ndarray, arm: Arm, links: Links) -> np.ndarray:
+    """Mass matrix (..., n, n) kg m^2 at joint values q (..., n) rad (slides: m, and kg)."""
+    columns = [
+        joint_torques(q, np.zeros(np.shape(q)), np.broadcast_to(e, np.shape(q)), arm, links, NO_GRAVITY)
+        for e in np.eye(np.shape(q)[-1])
+    ]
+    return np.stack(columns, axis=-1)
+
+
+def torque_free_momentum_rate(
+    q: np.ndarray, speed: np.ndarray, arm: Arm, links: Links, gravity: np.ndarray
+) -> np.ndarray:
+    """Rate (..., n) N m of an arm's momentum without joint torques and hand wrench: C^T v - g.
+
+    q, speed : (..., n) rad and rad/s; gravity : (3,) m/s^2 in the axes of poses
+    """
+    still, ahead = np.zeros(np.shape(q)), STEP * np.asarray(speed, float)
+    pull = joint_torques(q, speed, still, arm, links, gravity)  # C v + g
+    momentum = [joint_torques(q + way * ahead, still, speed, arm, links, NO_GRAVITY) for way in (1, -1)]
+    return (momentum[0] - momentum[1]) / (2 * STEP) - pull  # C^T v = (dM/dt) v - C v

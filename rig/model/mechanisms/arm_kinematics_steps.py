@@ -1,4 +1,4 @@
-"""Kinematics in one global frame, step by step as a reader follows it: points and space vectors after each joint.
+"""Kinematics of an arm step by step, for a reader: points and vectors in one global frame after each joint.
 
 Forward, the hand's points A, B, C (AB along z and AC along y at zero, 1 m each) turn about the axes where these stand
 at zero, or move along them, the last joint first. Inverse, joint 1 to joint 6: each is read from a point or a direction
@@ -10,7 +10,7 @@ Where our order of reading differs. The source reads joint 5 after 2, 3 and 4, a
 5, which its arms allow:
 there axis 5 is square to its neighbours, so that D and the turn of 4 can be seen in a front view. With axes that are
 not square, how far AB has turned about the parallel axes, or about axis 4, depends on joint 5: so joint 5's two values
-are read first (rig.model.mechanisms.wrist_branches has
+are read first (rig.model.mechanisms.six_joint_inverse_kernels has
 them at once for all branches), from the angle between AB and axis 2, or 4, which joints 2 to 4, or 4, do not change.
 Points are returned in the source's order all the same, and every joint is read from them, joint 5 once more.
 Source: patent CN111488654A, claims 1 to 5
@@ -23,8 +23,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms.joint_angle_kernels import FREE
 from rig.model.mechanisms.six_joint_inverse import SixR, global_frame
-from rig.model.mechanisms.successive_regression import FREE
 
 
 class Step(NamedTuple):
@@ -40,14 +40,14 @@ class Step(NamedTuple):
 
 
 def hand_points(arm: Arm) -> np.ndarray:
-    """(3, 3) m, points A, B, C of an Arm's hand at zero, in its global frame."""
+    """Points A, B, C (3, 3) m of an arm's hand at zero, in its global frame."""
     F = global_frame(arm)
     a = F.inv().apply(mechanism.forward(np.zeros(len(arm.joints)), arm).translation)
     return np.array([a, a + [0, 0, 1], a + [0, 1, 0]])
 
 
-def forward(q: np.ndarray, arm: Arm) -> list[Step]:
-    """Steps of joint values q (n,) rad or m of any Arm: its points at zero, then after each joint, the last first."""
+def forward_steps(q: np.ndarray, arm: Arm) -> list[Step]:
+    """[Step] of the forward kinematics of any Arm: points at zero, then after each joint, the last first."""
     to_global = global_frame(arm).inv()
     chain = (to_global * RigidTransform.from_matrix(mechanism.frames(np.zeros(len(q)), arm))).as_matrix()
     abc = hand_points(arm)
@@ -59,9 +59,8 @@ def forward(q: np.ndarray, arm: Arm) -> list[Step]:
     return steps
 
 
-def inverse(T_base_platform: RigidTransform, six: SixR, q: np.ndarray) -> list[Step]:
-    """Steps by which a solution q (6,) rad of a pose is read, joint 1 to 6; the last leaves A, B, C as at zero, A at
-    the crossing of 5 and 6.
+def inverse_steps(T_base_platform: RigidTransform, six: SixR, q: np.ndarray) -> list[Step]:
+    """[Step] of the closed-form inverse of a pose for a solution q (6,) rad, from joint 1 to 6.
 
     q : of rig.model.mechanisms.six_joint_inverse.inverse: of two readings the one near it is taken, and what a singular
         pose leaves free
@@ -70,28 +69,27 @@ def inverse(T_base_platform: RigidTransform, six: SixR, q: np.ndarray) -> list[S
     way.back(0, way.shoulder())
     if six.kind == "spherical":
         way.elbow(way.abc[0])
-        way.back(1, angle(six.points[2] - six.points[1], way.extra["E"] - six.points[1], six.axes[1]))
-        way.back(2, angle(six.key - six.points[2], way.abc[0] - six.points[2], six.axes[2]))
+        way.back(1, _angle(six.points[2] - six.points[1], way.extra["E"] - six.points[1], six.axes[1]))
+        way.back(2, _angle(six.key - six.points[2], way.abc[0] - six.points[2], six.axes[2]))
         fifth = way.fifth(six.axes[3])
-        way.back(3, way.about(3, rotate_vectors(six.axes[5], six.axes[4], fifth), way.carried(six.axes[5])))
+        way.back(3, way.about(3, _rotate_vectors(six.axes[5], six.axes[4], fifth), way.carried(six.axes[5])))
     else:
         fifth = way.fifth(six.axes[1])
-        turn = way.about(None, rotate_vectors(six.axes[5], six.axes[4], fifth), way.carried(six.axes[5]))
+        turn = way.about(None, _rotate_vectors(six.axes[5], six.axes[4], fifth), way.carried(six.axes[5]))
         last = six.key - six.points[3]
-        way.extra["D"] = way.abc[0] - rotate_vectors(last, six.axes[1], turn)
+        way.extra["D"] = way.abc[0] - _rotate_vectors(last, six.axes[1], turn)
         way.elbow(way.extra["D"])
-        way.back(1, angle(six.points[2] - six.points[1], way.extra["E"] - six.points[1], six.axes[1]))
-        way.back(2, angle(six.points[3] - six.points[2], way.extra["D"] - six.points[2], six.axes[2]))
-        way.back(3, way.about(3, rotate_vectors(six.axes[5], six.axes[4], fifth), way.carried(six.axes[5])))
-    way.back(4, angle(six.axes[5], way.carried(six.axes[5]), six.axes[4]))
+        way.back(1, _angle(six.points[2] - six.points[1], way.extra["E"] - six.points[1], six.axes[1]))
+        way.back(2, _angle(six.points[3] - six.points[2], way.extra["D"] - six.points[2], six.axes[2]))
+        way.back(3, way.about(3, _rotate_vectors(six.axes[5], six.axes[4], fifth), way.carried(six.axes[5])))
+    way.back(4, _angle(six.axes[5], way.carried(six.axes[5]), six.axes[4]))
     mark = np.cross(six.axes[5], six.axes[4])
-    way.back(5, angle(mark, way.carried(mark), six.axes[5]))
+    way.back(5, _angle(mark, way.carried(mark), six.axes[5]))
     return way.steps
 
 
-def inverse_steps_of_solution(T_base_platform: RigidTransform, arm: Arm, q: np.ndarray) -> list[Step]:
-    """Steps by which the points of a pose () are returned by a solution q (n,) rad or m that was found otherwise, joint
-    1 to n, of any Arm.
+def inverse_steps_of_numerical_solution(T_base_platform: RigidTransform, arm: Arm, q: np.ndarray) -> list[Step]:
+    """[Step] of the inverse of a pose () for a numerical solution q (n,), from joint 1 to n.
 
     The last leaves A, B, C where they are at zero, but for what the solution leaves of the pose.
     """
@@ -165,14 +163,14 @@ class _Way:
         o, u = self.six.points[1:3], self.six.axes[1]
         far = self.six.key if self.six.kind == "spherical" else self.six.points[3]
         arm, fore, d = (v - (u @ v) * u for v in (o[1] - o[0], far - o[1], point - o[0]))
-        there = [o[0] + rotate_vectors(o[1] - o[0], u, self.q[1])]  # where joint 2 is free
+        there = [o[0] + _rotate_vectors(o[1] - o[0], u, self.q[1])]  # where joint 2 is free
         reach = np.linalg.norm(d)
         if reach > FREE:
             x = (arm @ arm - fore @ fore + reach**2) / (2 * reach)
             h = np.sqrt(max(arm @ arm - x * x, 0.0))
             foot, side = o[0] + u * (u @ (o[1] - o[0])) + x * d / reach, np.cross(u, d / reach)
             there = [foot + h * side, foot - h * side]
-        self.extra["E"] = min(there, key=lambda e: abs(wrap_angle(angle(arm, e - o[0], u) - self.q[1])))
+        self.extra["E"] = min(there, key=lambda e: abs(_wrap_angle(_angle(arm, e - o[0], u) - self.q[1])))
         self.steps[-1] = self.steps[-1]._replace(**self.seen())
 
     def about(self, i: int | None, start: np.ndarray, end: np.ndarray) -> float:
@@ -182,7 +180,7 @@ class _Way:
         u = self.six.axes[1 if i is None else i]
         free = self.q[i] if i is not None else sum(self.q[k] * (self.six.axes[k] @ u) for k in (1, 2, 3))
         return (
-            angle(start, end, u)
+            _angle(start, end, u)
             if np.linalg.norm(np.cross(u, start)) > FREE and np.linalg.norm(np.cross(u, end)) > FREE
             else float(free)
         )
@@ -196,26 +194,26 @@ class _Way:
             return float(self.q[i])
         middle, half = np.arctan2(b, a), np.arctan2(np.sqrt(max(r - c, 0.0) * max(r + c, 0.0)), c)
         return float(
-            min((wrap_angle(middle + half), wrap_angle(middle - half)), key=lambda t: abs(wrap_angle(t - self.q[i])))
+            min((_wrap_angle(middle + half), _wrap_angle(middle - half)), key=lambda t: abs(_wrap_angle(t - self.q[i])))
         )
 
 
-def angle(a: np.ndarray, b: np.ndarray, u: np.ndarray) -> float:
+def _angle(a: np.ndarray, b: np.ndarray, u: np.ndarray) -> float:
     """rad from vector a (3,) to b (3,) about the unit vector u (3,)."""
     a, b = a - (u @ a) * u, b - (u @ b) * u
     return float(np.arctan2(u @ np.cross(a, b), a @ b))
 
 
-def rotate_vectors(v: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
+def _rotate_vectors(v: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
     """Vectors v (..., 3) turned about the unit vector u (3,) by t rad, right-handed."""
     return Rotation.from_rotvec(t * u).apply(v)
 
 
 def rotate_points(points: np.ndarray, o: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
-    """Points (..., 3) m turned about the axis through o (3,) m along u (3,) by t rad."""
-    return o + rotate_vectors(points - o, u, t)
+    """Points (..., 3) m rotated about the axis through o (3,) m along u (3,) by t rad."""
+    return o + _rotate_vectors(points - o, u, t)
 
 
-def wrap_angle(t: float) -> float:
+def _wrap_angle(t: float) -> float:
     """An angle (rad) brought to -pi .. pi."""
     return float(t - 2 * np.pi * np.round(t / (2 * np.pi)))

@@ -1,4 +1,4 @@
-"""Mechanisms one upon the other, each moving the base of the next: a hexapod on a gantry.
+"""Chain of mechanisms, each on the platform of the one before: forward and inverse kinematics, Jacobian.
 
 T_base_platform = T_1(x_1) T_2(x_2) .. T_n(x_n): the platform of each stage is the base of the next. More axes than six
 leave the inverse a choice: the configuration nearest to the middle of all travels, each axis in shares of its own.
@@ -24,10 +24,8 @@ CENTRED = 0.5  # of the way to the middle that one step goes within what leaves 
 LONGEST = 0.25  # of a travel, of one step
 
 
-def stages(values: np.ndarray, chain: Chain) -> Iterator[tuple[Stage, np.ndarray]]:
-    """(stage, its values (..., axes)) of commanded values (..., axes of all). Raises ValueError for another number of
-    axes.
-    """
+def stages_and_values(values: np.ndarray, chain: Chain) -> Iterator[tuple[Stage, np.ndarray]]:
+    """(stage, its values (..., axes)) of each stage, from commanded values (..., axes of all)."""
     values = np.asarray(values, float)
     if values.shape[-1:] != (len(chain.axes),):
         raise ValueError(f"expected values (..., {len(chain.axes)}) m or rad, got shape {values.shape}")
@@ -38,14 +36,12 @@ def stages(values: np.ndarray, chain: Chain) -> Iterator[tuple[Stage, np.ndarray
 
 
 def stage_transforms(values: np.ndarray, chain: Chain) -> list[RigidTransform]:
-    """[T (...)] of every stage's platform in its own base. Raises what a stage's own forward kinematics raises."""
-    return [KINDS[stage.kind].forward(own, stage) for stage, own in stages(values, chain)]
+    """[Transform (...)] of every stage's platform in the stage's own base at commanded values."""
+    return [KINDS[stage.kind].forward(own, stage) for stage, own in stages_and_values(values, chain)]
 
 
 def stage_poses(values: np.ndarray, chain: Chain) -> list[RigidTransform]:
-    """[T_base_stage (...)] where every stage's platform stands in the chain's base, the last the chain's own. Raises
-    what a stage's own raises.
-    """
+    """[Pose T_base_stage (...)] of every stage's platform in the chain's base at commanded values."""
     out: list[RigidTransform] = []
     for T in stage_transforms(values, chain):
         out.append(out[-1] * T if out else T)
@@ -53,18 +49,14 @@ def stage_poses(values: np.ndarray, chain: Chain) -> list[RigidTransform]:
 
 
 def forward(values: np.ndarray, chain: Chain, guess: RigidTransform | None = None) -> RigidTransform:
-    """T_base_platform (...) of commanded values (..., axes of all) m or rad. guess : unused; raises what a stage's own
-    raises.
-    """
+    """Forward kinematics: T_base_platform (...) of commanded values (..., axes of all). guess : unused."""
     return stage_poses(values, chain)[-1]
 
 
-def tangent_maps(parts: list[RigidTransform]) -> list[np.ndarray]:
-    """[(..., 6, 6)] of every stage: change of the whole chain's tangent with that of its own platform, both on the
-    right.
-    """
-    after, out = np.broadcast_to(np.eye(4), parts[0].as_matrix().shape), []
-    for T in reversed(parts):
+def stage_tangent_maps(transforms: list[RigidTransform]) -> list[np.ndarray]:
+    """[Map (..., 6, 6)] of each stage's tangent to the whole chain's tangent, from the stages' transforms."""
+    after, out = np.broadcast_to(np.eye(4), transforms[0].as_matrix().shape), []
+    for T in reversed(transforms):
         R, t = after[..., :3, :3], after[..., :3, 3]
         back = np.zeros((*R.shape[:-2], 6, 6))
         back[..., :3, :3] = back[..., 3:, 3:] = np.swapaxes(R, -1, -2)
@@ -75,11 +67,11 @@ def tangent_maps(parts: list[RigidTransform]) -> list[np.ndarray]:
 
 
 def jacobian(values: np.ndarray, chain: Chain) -> np.ndarray:
-    """(..., 6, axes of all) change of the pose's tangent on the right (m, rad) with the commanded values (m or rad)."""
+    """Jacobian (..., 6, axes of all) of the pose's tangent with the commanded values."""
     parts = stage_transforms(values, chain)
     columns = [
         back @ _stage_jacobian(own, T, stage)
-        for (stage, own), T, back in zip(stages(values, chain), parts, tangent_maps(parts))
+        for (stage, own), T, back in zip(stages_and_values(values, chain), parts, stage_tangent_maps(parts))
     ]
     return np.concatenate(columns, axis=-1)
 
@@ -93,8 +85,7 @@ def _stage_jacobian(values: np.ndarray, T: RigidTransform, stage: Stage) -> np.n
 
 
 def inverse(T_base_platform: RigidTransform, chain: Chain, guess: np.ndarray | None = None) -> np.ndarray:
-    """Commanded values (..., axes of all) of poses, the nearest to the middle of all travels that gives them.
-    guess : where the search begins.
+    """Inverse kinematics: commanded values (..., axes of all) of poses, nearest to the middle of all travels.
 
     Damped steps, what leaves the pose as it is spent on the way to the middle (Liegeois 1977)
     Raises Unreachable with the index of poses to which none leads
@@ -138,39 +129,41 @@ def _misses(x: np.ndarray, target: RigidTransform, going: np.ndarray, chain: Cha
 
 
 def limits(values: np.ndarray, chain: Chain) -> np.ndarray:
-    """How far commanded values (..., axes of all) lie outside the travels: negative below, positive above, 0 inside."""
-    return np.concatenate([KINDS[stage.kind].limits(own, stage) for stage, own in stages(values, chain)], axis=-1)
+    """Excess of commanded values over their limits: negative below, positive above, 0 inside."""
+    return np.concatenate(
+        [KINDS[stage.kind].limits(own, stage) for stage, own in stages_and_values(values, chain)], axis=-1
+    )
 
 
 def travel(chain: Chain) -> np.ndarray:
-    """(axes of all, 2) m or rad, least and greatest value that can be commanded."""
+    """Travel (axes of all, 2) m or rad of the axes: least and greatest commanded value."""
     return np.concatenate([KINDS[stage.kind].travel(stage) for stage in chain.stages])
 
 
 def home(chain: Chain) -> np.ndarray:
-    """(axes of all,) m or rad, every stage's own home."""
+    """Home values (axes of all,) m or rad: the home of every stage."""
     return np.concatenate([KINDS[stage.kind].home(stage) for stage in chain.stages])
 
 
 def loads(T: RigidTransform, values: np.ndarray, chain: Chain, wrench: np.ndarray) -> np.ndarray:
-    """(n, axes of all) N or N m with which the axes hold a wrench (n, 6) on the platform, each alone: what power they
-    would do.
-    """
+    """Loads (n, axes of all) N or N m of the axes that hold a wrench (n, 6) on the platform, each alone."""
     return -np.einsum("nij,ni->nj", jacobian(values, chain), wrench)
 
 
 def links(T: RigidTransform, values: np.ndarray, chain: Chain, gravity: np.ndarray) -> np.ndarray:
-    """(n, axes of all, 0): what the stages themselves weigh is not followed along a chain."""
+    """Loads of the links' own weight: none (n, axes of all, 0), stages' weight is not modelled."""
     return np.zeros((*np.shape(values), 0))
 
 
-def grown(T: RigidTransform, values: np.ndarray, chain: Chain, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(deviation (n, axes of all), sway (n, 6)) of stages whose axes' members have grown by shares (n, axes of all) of
-    their length.
-    """
+def growth_deviation_and_sway(
+    T: RigidTransform, values: np.ndarray, chain: Chain, share: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Deviation (n, axes of all) and sway (n, 6) by the growth of the stages' members by shares (n, axes of all)."""
     parts, at, deviations, sway = stage_transforms(values, chain), 0, [], np.zeros((len(share), 6))
-    for (stage, own), part, back in zip(stages(values, chain), parts, tangent_maps(parts)):
-        longer, moved = KINDS[stage.kind].grown(part, own, stage, share[:, at : at + len(stage.axes)])
+    for (stage, own), part, back in zip(stages_and_values(values, chain), parts, stage_tangent_maps(parts)):
+        longer, moved = KINDS[stage.kind].growth_deviation_and_sway(
+            part, own, stage, share[:, at : at + len(stage.axes)]
+        )
         deviations.append(longer)
         sway = sway + (back @ moved[..., None])[..., 0]
         at += len(stage.axes)
@@ -178,5 +171,5 @@ def grown(T: RigidTransform, values: np.ndarray, chain: Chain, share: np.ndarray
 
 
 def ends(T: RigidTransform, chain: Chain) -> None:
-    """A chain is drawn as no struts."""
+    """Strut ends: None, since a chain is drawn without struts."""
     return None

@@ -1,4 +1,4 @@
-"""Gough-Stewart platform: strut lengths of a pose, the pose of strut lengths, and the Jacobian between them."""
+"""Hexapod (Gough-Stewart platform): forward and inverse kinematics, Jacobian, strut limits and loads."""
 
 from functools import lru_cache
 
@@ -19,7 +19,7 @@ CHUNK = 4096  # poses at a time, so that the work stays in the cache
 
 
 def inverse(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarray:
-    """Commanded strut lengths of a pose: joint centre to joint centre, less the strut's zero.
+    """Inverse kinematics: commanded strut lengths of a pose, joint centre to joint centre less strut zeros.
 
     T_base_platform : RigidTransform (...); hexapod : Hexapod
     Returns (..., 6) m; whether they are within the strut range is for `limits` to say
@@ -28,7 +28,7 @@ def inverse(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarray:
     matrix = np.ascontiguousarray(T_base_platform.as_matrix())
     flat, out = matrix.reshape(-1, 4, 4), np.empty((matrix.size // 16, 6))
     hexapod_kernels.run_in_threads(
-        lambda part: hexapod_kernels.lengths(
+        lambda part: hexapod_kernels.compute_strut_lengths(
             flat[part], hexapod.base_joints, hexapod.platform_joints, hexapod.strut_zeros, out[part]
         ),
         len(flat),
@@ -37,7 +37,7 @@ def inverse(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarray:
 
 
 def jacobian(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarray:
-    """Change of the strut lengths with the pose's tangent on the right.
+    """Jacobian of the strut lengths with the pose's tangent on the right.
 
     T_base_platform : RigidTransform (...)
     Returns (..., 6, 6), rows struts, columns x y z (m/m) and rx ry rz (m/rad) in the platform frame
@@ -48,7 +48,7 @@ def jacobian(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarray:
 
 
 def forward(lengths: np.ndarray, hexapod: Hexapod, guess: RigidTransform | None = None) -> RigidTransform:
-    """Platform pose that gives these commanded strut lengths: Newton on SE(3), the whole batch at once.
+    """Forward kinematics: the platform pose of commanded strut lengths, by Newton on SE(3) in batches.
 
     lengths : (..., 6) m, as commanded (the strut zeros are added here)
     guess : RigidTransform () or (...), the home pose by default; decides which assembly is meant
@@ -83,25 +83,23 @@ def forward(lengths: np.ndarray, hexapod: Hexapod, guess: RigidTransform | None 
 
 
 def limits(lengths: np.ndarray, hexapod: Hexapod) -> np.ndarray:
-    """How far commanded lengths (..., 6) lie outside the strut range: (..., 6) m, negative below, positive above, 0
-    inside.
-    """
+    """Excess of commanded lengths over their limits, (..., 6) m: negative below, positive above, 0 inside."""
     low, high = hexapod.strut_range.T
     return np.minimum(lengths - low, 0) + np.maximum(lengths - high, 0)
 
 
 def travel(hexapod: Hexapod) -> np.ndarray:
-    """(6, 2) m, shortest and longest commanded length."""
+    """Travel (6, 2) m of the struts: shortest and longest commanded length."""
     return hexapod.strut_range
 
 
 def home(hexapod: Hexapod) -> np.ndarray:
-    """(6,) m, commanded lengths at the home pose."""
+    """Home lengths (6,) m: commanded lengths at the home pose."""
     return inverse(hexapod.home, hexapod)
 
 
 def loads(T: RigidTransform, lengths: np.ndarray, hexapod: Hexapod, wrench: np.ndarray) -> np.ndarray:
-    """(n, 6) N with which each strut pushes the platform to hold a wrench (n, 6) N, N m: J^T f + w = 0.
+    """Loads (n, 6) N of the struts, pushing, that hold a wrench (n, 6) on the platform: J^T f + w = 0.
 
     Source: Merlet, Parallel Robots, 2nd ed., ch. 9
     """
@@ -109,19 +107,19 @@ def loads(T: RigidTransform, lengths: np.ndarray, hexapod: Hexapod, wrench: np.n
 
 
 def links(T: RigidTransform, lengths: np.ndarray, hexapod: Hexapod, gravity: np.ndarray) -> np.ndarray:
-    """(n, 6, 0): struts' own weight rests on the base."""
+    """Loads of the links' own weight: none (n, 6, 0), the base carries the struts."""
     return np.zeros((*np.shape(lengths), 0))
 
 
-def grown(T: RigidTransform, lengths: np.ndarray, hexapod: Hexapod, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(deviation (n, 6) m, sway (n, 6)) of struts grown by shares (n, 6) of their length: each is longer, nothing else
-    moves.
-    """
+def growth_deviation_and_sway(
+    T: RigidTransform, lengths: np.ndarray, hexapod: Hexapod, share: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Deviation (n, 6) m and sway (n, 6) by the growth of struts by shares (n, 6) of their length: no sway."""
     return share * lengths, np.zeros((len(share), 6))
 
 
 def ends(T: RigidTransform, hexapod: Hexapod) -> tuple[np.ndarray, np.ndarray]:
-    """(base joints (6, 3), platform joints (n, 6, 3)) m in the base frame at poses T (n,)."""
+    """Ends of the struts: base joints (6, 3) and platform joints (n, 6, 3) m, base frame, at poses T (n,)."""
     return hexapod.base_joints, transform_points(T, hexapod.platform_joints)
 
 
@@ -143,7 +141,7 @@ def _side_by_side(
 
     def solve(part: slice) -> None:
         begin = (q, t) if len(q) == 1 else (q[part], t[part])
-        hexapod_kernels.poses(lengths[part], struts, begin, TOLERANCE, *(one[part] for one in out))
+        hexapod_kernels.solve_poses(lengths[part], struts, begin, TOLERANCE, *(one[part] for one in out))
 
     hexapod_kernels.run_in_threads(solve, len(lengths))
 

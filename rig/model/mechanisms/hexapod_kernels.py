@@ -1,5 +1,4 @@
-"""A hexapod's kinematics compiled: strut lengths of poses, and the poses of strut lengths eight at a time, side by side
-in the processor's lanes.
+"""Compiled kernels of hexapod kinematics: strut lengths of poses, and poses of strut lengths by Newton.
 
 Newton on the pose as in `hexapod`, with a unit quaternion for the turn and the rows eliminated in one order for all,
 chosen at the start:
@@ -34,11 +33,9 @@ class Struts(NamedTuple):
     turn: float
 
 
-def run_in_threads(kernel: Callable[[slice], None], count: int, each: int = EACH) -> None:
-    """kernel(slice) over `count` things in stretches side by side on all cores (OMP_NUM_THREADS at most); what it runs
-    must let go of the lock.
-    """
-    threads = min(worker_count(), count // each)
+def run_in_threads(kernel: Callable[[slice], None], count: int, items_per_thread: int = EACH) -> None:
+    """Run kernel(slice) over `count` items in slices, in threads on all cores (OMP_NUM_THREADS at most)."""
+    threads = min(worker_count(), count // items_per_thread)
     if threads < 2:
         kernel(slice(0, count))
         return
@@ -52,8 +49,10 @@ def run_in_threads(kernel: Callable[[slice], None], count: int, each: int = EACH
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def lengths(matrices: np.ndarray, base: np.ndarray, platform: np.ndarray, zeros: np.ndarray, out: np.ndarray) -> None:
-    """Commanded lengths into out (n, 6) m of poses (n, 4, 4); base, platform : (6, 3) m; zeros : (6,) m."""
+def compute_strut_lengths(
+    matrices: np.ndarray, base: np.ndarray, platform: np.ndarray, zeros: np.ndarray, out: np.ndarray
+) -> None:
+    """Compute commanded strut lengths, out (n, 6) m, of poses, matrices (n, 4, 4)."""
     for n in range(len(matrices)):
         for i in range(6):
             total = 0.0
@@ -151,7 +150,7 @@ def _step(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def poses(
+def solve_poses(
     wanted: np.ndarray,
     struts: Struts,
     start: tuple[np.ndarray, np.ndarray],
@@ -160,7 +159,7 @@ def poses(
     residual: np.ndarray,
     crossed: np.ndarray,
 ) -> None:
-    """Poses into matrices (n, 4, 4) of strut lengths wanted (n, 6) m, zeros included, by Newton from where they start.
+    """Solve poses, matrices (n, 4, 4), for strut lengths (n, 6) m, zeros included, by Newton from a start.
 
     start : quaternions (n or 1, 4), real part first, and positions (n or 1, 3) m; tolerance : m, of a strut
     residual : (n,) m, filled with what is left; crossed : (n,) bool, whether the Jacobian's determinant changed its

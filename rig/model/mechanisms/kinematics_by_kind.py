@@ -1,28 +1,89 @@
-"""The kinematics of a mechanism by its kind, and the names and units of its axes."""
+"""Kinematics by kind of mechanism: their common interface, the module of each kind, axis names and units."""
 
 from functools import cache
-from typing import Any
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from rig.errors import RigError
 from rig.model.design import Arm, Chain, Free, Hexapod, Planar2
 from rig.model.mechanisms import arm, chain, hexapod, two_strut_plane
-from rig.model.mechanisms.kinematics_interface import Kind
+
+M = TypeVar("M", contravariant=True)  # the geometry of rig.model.design that a kind moves
+
+
+class Kind(Protocol[M]):
+    """A kind of machine: n axes that are commanded (m or rad) move one body, the platform.
+
+    AXIS : what an axis is called in a place ("strut", "joint"); UNIT : of its travel, "m" or "rad"
+    An arm's prismatic joint is a "slide", its travel in m and its load in N: `rig.model.mechanisms.axis_places` and
+    `units` tell them axis by axis.
+    A wrench is (force, moment) in N and N m on the platform's origin, in its axes; a tangent stands on the right (m,
+    rad).
+    """
+
+    AXIS: str
+    UNIT: str
+
+    def forward(self, values: np.ndarray, mechanism: M, guess: RigidTransform | None = None, /) -> RigidTransform:
+        """T_base_platform (...) of commanded values (..., axes)."""
+        ...
+
+    def inverse(self, T_base_platform: RigidTransform, mechanism: M, /) -> np.ndarray:
+        """Commanded values (..., axes) that give poses T_base_platform (...)."""
+        ...
+
+    def limits(self, values: np.ndarray, mechanism: M, /) -> np.ndarray:
+        """How far commanded values (..., axes) lie outside the travel: negative below, positive above, 0 inside."""
+        ...
+
+    def travel(self, mechanism: M, /) -> np.ndarray:
+        """(axes, 2) least and greatest value that can be commanded."""
+        ...
+
+    def home(self, mechanism: M, /) -> np.ndarray:
+        """(axes,) commanded values from which strokes count."""
+        ...
+
+    def loads(self, T: RigidTransform, values: np.ndarray, mechanism: M, wrench: np.ndarray, /) -> np.ndarray:
+        """(n, axes) force or torque that the axes exert, in the direction of growing values, to hold a wrench (n, 6) on
+        the platform.
+        """
+        ...
+
+    def links(self, T: RigidTransform, values: np.ndarray, mechanism: M, gravity: np.ndarray, /) -> np.ndarray:
+        """(n, axes, c) the same per unit of what the machine's own moving members weigh, c numbers of mass (kg) and
+        mass moment (kg m); c = 0 where their weight is not borne by the axes."""
+        ...
+
+    def growth_deviation_and_sway(
+        self, T: RigidTransform, values: np.ndarray, mechanism: M, share: np.ndarray, /
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(deviation (n, axes), sway (n, 6)) of the machine whose axes' members have grown by shares (n, axes) of their
+        length.
+        """
+        ...
+
+    def ends(self, T: RigidTransform, mechanism: M, /) -> tuple[np.ndarray, np.ndarray] | None:
+        """(base joints (axes, 3), platform joints (n, axes, 3)) m in the base frame; None for a machine that has no
+        struts.
+        """
+        ...
+
 
 ALL: dict[str, Kind[Any]] = {"hexapod": hexapod, "planar2": two_strut_plane, "arm": arm, "chain": chain}
 
 
 def kinematics_of(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> Kind[Any]:
-    """The module that moves a mechanism (Hexapod, Planar2, Arm, Chain). Raises RigError for a kind that has no
-    kinematics here.
-    """
+    """The kinematics module of a mechanism by its kind. Raises RigError for a kind without kinematics."""
     if mechanism.kind not in ALL:
         raise RigError(f"no kinematics for a mechanism of kind {mechanism.kind!r}; there are {', '.join(ALL)}")
     return ALL[mechanism.kind]
 
 
 def axis_places(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> tuple[str, ...]:
-    """The places of a mechanism's axes: "strut 1" .. or "joint 1" .., an arm's prismatic joint "slide 3", a chain's
-    "stage 2 strut 1"; none for what nobody commands."""
+    """Places of a mechanism's axes: "strut 1" .., "joint 1" .., "slide 3", a chain's "stage 2 strut 1"."""
     if not mechanism.axes:
         return ()
     if isinstance(mechanism, Chain):
@@ -43,12 +104,12 @@ def _numbered(words: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def travel_unit(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> str:
-    """Unit of the axes' travel, "m" or "rad", of an arm that has both "rad or m"."""
+    """Unit of the axes' travel, "m" or "rad"; "rad or m" for an arm with both."""
     return " or ".join(dict.fromkeys(sorted(axis_units(mechanism), reverse=True)))
 
 
 def axis_units(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> tuple[str, ...]:
-    """Unit of each axis' travel, "m" or "rad"; none for what nobody commands."""
+    """Unit of each axis of a mechanism, "m" or "rad"; none for a free body."""
     if not mechanism.axes:
         return ()
     if isinstance(mechanism, Chain):

@@ -1,5 +1,4 @@
-"""A platform on more legs than six: which six tell its pose, and by how much the others, whose lengths are known as
-well, do not close.
+"""Redundant legs of a platform (more than six): best six for the pose, closure errors of the others.
 
 Legs are driven struts and measuring limbs alike. What a closure is expected to be follows from every leg's own error
 and from how well its geometry is known; one leg that is off by the same all along shows in all closures that depend on
@@ -69,8 +68,7 @@ class Closures:
 def combine_legs(
     parts: list[tuple[str, Hexapod | MeasuringLimbs, np.ndarray, np.ndarray]], home: RigidTransform
 ) -> Legs:
-    """Legs of sets of n: (letter of their names, geometry, sigma (n,) m, covariance (7 n, 7 n) m^2 of its base joints,
-    platform joints and zeros).
+    """Legs combined from sets of legs, each (letter, geometry, sigma, covariance), about one home pose.
 
     home : T_base_platform, about which they are looked for
     """
@@ -97,24 +95,20 @@ def combine_legs(
     )
 
 
-def leg_length_jacobians(of: Legs, T: RigidTransform) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(read (n, k) m, Jacobian (n, k, 6) of these with the tangent on the right, to_base (n, k, 3) their slope with a
-    base joint) at poses (n,).
-    """
+def leg_length_jacobians(legs: Legs, T: RigidTransform) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Leg lengths (n, k) m, their Jacobians (n, k, 6) with the pose, and with the base joints (n, k, 3)."""
     matrix = T.as_matrix()
     R, place = matrix[:, :3, :3], matrix[:, :3, 3]
-    along = np.einsum("nij,kj->nki", R, of.platform) + place[:, None] - of.base
+    along = np.einsum("nij,kj->nki", R, legs.platform) + place[:, None] - legs.base
     length = np.linalg.norm(along, axis=2)
     unit = along / length[..., None]
     own = np.einsum("nki,nij->nkj", unit, R)
-    return length - of.zeros, np.concatenate([own, np.cross(of.platform, own)], axis=2), -unit
+    return length - legs.zeros, np.concatenate([own, np.cross(legs.platform, own)], axis=2), -unit
 
 
-def leg_parameter_jacobians(of: Legs, T: RigidTransform) -> np.ndarray:
-    """(n, k, 7 k) of what k legs read at poses (n,) with their base joints, platform joints and zeros, leg by leg,
-    m/m.
-    """
-    own = _slope(leg_length_jacobians(of, T)[2], T)
+def leg_parameter_jacobians(legs: Legs, T: RigidTransform) -> np.ndarray:
+    """Jacobians (n, k, 7 k) of leg lengths with each leg's parameters: base joint, platform joint, zero."""
+    own = _slope(leg_length_jacobians(legs, T)[2], T)
     return (np.eye(own.shape[1])[:, :, None] * own[:, :, None]).reshape(*own.shape[:2], -1)
 
 
@@ -128,44 +122,44 @@ def _slope(to_base: np.ndarray, T: RigidTransform) -> np.ndarray:
     )
 
 
-def best_six(of: Legs, T: RigidTransform) -> np.ndarray:
-    """(6,) indices of the legs that tell poses (n,) best: of all sixes the one whose worst-told direction, at the worst
-    pose, is told best, each leg counting by its reading's error and rotations by the platform's size. Raises RigError
-    where none of them holds the platform"""
-    size = float(np.linalg.norm(of.platform - of.platform.mean(axis=0), axis=1).mean())
-    J = leg_length_jacobians(of, T[np.unique(np.linspace(0, len(T) - 1, min(len(T), LOOKED_AT)).round().astype(int))])[
-        1
-    ]
-    J = J / np.repeat([1.0, size], 3) / of.sigma[:, None]
-    sets = np.array(list(combinations(range(len(of.names)), SIX)))
+def best_six_legs(legs: Legs, T: RigidTransform) -> np.ndarray:
+    """(6,) indices of the six legs that determine poses T (n,) best in the worst direction and pose.
+    Raises RigError
+    where none of them holds the platform
+    """
+    size = float(np.linalg.norm(legs.platform - legs.platform.mean(axis=0), axis=1).mean())
+    J = leg_length_jacobians(
+        legs, T[np.unique(np.linspace(0, len(T) - 1, min(len(T), LOOKED_AT)).round().astype(int))]
+    )[1]
+    J = J / np.repeat([1.0, size], 3) / legs.sigma[:, None]
+    sets = np.array(list(combinations(range(len(legs.names)), SIX)))
     values = np.linalg.svd(J[:, sets], compute_uv=False)  # (poses, sets, 6)
     least = values[..., -1].min(axis=0)
     if (values[..., -1] / values[..., 0]).min(axis=0).max() < SINGULAR:
-        raise RigError(f"no six of the {len(of.names)} legs hold the platform")
+        raise RigError(f"no six of the {len(legs.names)} legs hold the platform")
     return sets[int(least.argmax())]
 
 
-def leg_closures(of: Legs, read: np.ndarray, chosen: np.ndarray) -> Closures:
-    """Closures of lengths read (n, k) m, poses by the legs chosen (6,). Raises NotConverged where these close on no
-    pose, RigError for a choice that leaves the platform loose"""
-    checks = np.setdiff1d(np.arange(len(of.names)), chosen)
-    T = mechanism.forward(read[:, chosen], of.six(chosen))
-    told, J, to_base = leg_length_jacobians(of, T)
-    values = np.linalg.svd(J[:, chosen], compute_uv=False)
+def leg_closures(legs: Legs, lengths: np.ndarray, six: np.ndarray) -> Closures:
+    """Closures of leg lengths (n, k) m: errors of the other legs at poses from the chosen six (6,)."""
+    checks = np.setdiff1d(np.arange(len(legs.names)), six)
+    T = mechanism.forward(lengths[:, six], legs.six(six))
+    told, J, to_base = leg_length_jacobians(legs, T)
+    values = np.linalg.svd(J[:, six], compute_uv=False)
     if (values[:, -1] < SINGULAR * values[:, 0]).any():
         raise RigError(
-            f"{', '.join(of.names[i] for i in chosen)} leave the platform loose at pose "
+            f"{', '.join(legs.names[i] for i in six)} leave the platform loose at pose "
             f"{int((values[:, -1] / values[:, 0]).argmin())}"
         )
-    back = np.linalg.solve(np.swapaxes(J[:, chosen], 1, 2), np.swapaxes(J[:, checks], 1, 2))
-    by = np.zeros((len(read), len(checks), len(of.names)))  # closure per leg's reading
+    back = np.linalg.solve(np.swapaxes(J[:, six], 1, 2), np.swapaxes(J[:, checks], 1, 2))
+    by = np.zeros((len(lengths), len(checks), len(legs.names)))  # closure per leg's reading
     by[:, np.arange(len(checks)), checks] = 1.0
-    by[:, :, chosen] = -np.swapaxes(back, 1, 2)
+    by[:, :, six] = -np.swapaxes(back, 1, 2)
     slope = _slope(to_base, T)
     G = by[:, :, :, None] * slope[:, None]  # with base joint, platform joint and zero of every leg
-    G = G.reshape(len(read), len(checks), -1)
-    covariance = (by * of.sigma**2) @ np.swapaxes(by, 1, 2) + G @ of.covariance @ np.swapaxes(G, 1, 2)
-    error = read[:, checks] - told[:, checks]
+    G = G.reshape(len(lengths), len(checks), -1)
+    covariance = (by * legs.sigma**2) @ np.swapaxes(by, 1, 2) + G @ legs.covariance @ np.swapaxes(G, 1, 2)
+    error = lengths[:, checks] - told[:, checks]
     return Closures(T, checks, error, covariance, *_off(by, error, covariance))
 
 

@@ -1,5 +1,4 @@
-"""Six joints in one global frame: forward by turning the hand's three points, inverse in closed form with all eight
-branches.
+"""Inverse kinematics of six-joint arms in closed form, all eight branches, and forward by hand points.
 
 The frame stands at the crossing of axes 1 and 2 (or where 1 comes nearest to 2), z along axis 1, y along axis 2. It
 serves arms whose axes 4, 5, 6 cross (spherical wrist) with 2 parallel to 3, and arms with 2, 3, 4 parallel and 5
@@ -15,19 +14,19 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.errors import RigError, Unreachable
 from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
-from rig.model.mechanisms import successive_regression, wrist_branches
+from rig.model.mechanisms import joint_angle_kernels, six_joint_inverse_kernels
 
 EXACT = 1e-9  # m and rad; by so much axes may miss what the closed form takes for granted
 REASONS = {
-    successive_regression.OFF_AXIS: "the wrist would stand nearer to axis 1 than the arm's offset allows, by",
-    successive_regression.TOO_FAR: "too far, by",
-    successive_regression.TOO_NEAR: "too near the shoulder, by",
-    successive_regression.TURNED_AWAY: "the wrist cannot point there, by",
+    joint_angle_kernels.OFF_AXIS: "the wrist would stand nearer to axis 1 than the arm's offset allows, by",
+    joint_angle_kernels.TOO_FAR: "too far, by",
+    joint_angle_kernels.TOO_NEAR: "too near the shoulder, by",
+    joint_angle_kernels.TURNED_AWAY: "the wrist cannot point there, by",
 }
 SINGULAR = {
-    successive_regression.SHOULDER: "shoulder",
-    successive_regression.ELBOW: "elbow",
-    successive_regression.WRIST: "wrist",
+    joint_angle_kernels.SHOULDER: "shoulder",
+    joint_angle_kernels.ELBOW: "elbow",
+    joint_angle_kernels.WRIST: "wrist",
 }
 
 
@@ -75,7 +74,7 @@ class Branches:
 
 
 def six_joint_arm(arm: Arm) -> SixR:
-    """SixR of an Arm. Raises RigError, with what misses by how much, for one that has no closed form here."""
+    """Six-joint arm (SixR) of an Arm with a closed form. Raises RigError, with the misfit, for any other."""
     if len(arm.joints) != 6:
         raise RigError(f"the closed form is for six joints, not {len(arm.joints)}")
     if arm.slides.any():
@@ -94,9 +93,7 @@ def six_joint_arm(arm: Arm) -> SixR:
 
 
 def global_frame(arm: Arm) -> RigidTransform:
-    """T_base_global of an Arm: where axes 1 and 2 cross or come nearest, z along 1, y along 2; its frame 0 where these
-    are parallel.
-    """
+    """Global frame T_base_global of an Arm: at the crossing of axes 1 and 2, z along axis 1, y along axis 2."""
     chain = mechanism.frames(np.zeros(len(arm.joints)), arm)
     o, u = chain[:2, :3, 3], chain[:2, :3, 2]
     y = u[1] - (u[1] @ u[0]) * u[0]
@@ -143,11 +140,11 @@ def _hand(matrix: np.ndarray, six: SixR) -> np.ndarray:
 
 
 def forward(q: np.ndarray, six: SixR) -> RigidTransform:
-    """T_base_platform : RigidTransform (...) of joint angles q (..., 6) rad, by turning A, B, C from the last joint to
-    the first.
-    """
+    """Forward kinematics: T_base_platform (...) of joint angles q (..., 6) rad, by the hand's points."""
     q = np.asarray(q, float)
-    abc = successive_regression.forward(np.ascontiguousarray(q.reshape(-1, 6)), six.points, six.axes, six.hand)
+    abc = joint_angle_kernels.forward_hand_points(
+        np.ascontiguousarray(q.reshape(-1, 6)), six.points, six.axes, six.hand
+    )
     y, z = abc[:, 2] - abc[:, 0], abc[:, 1] - abc[:, 0]
     turn = np.stack([np.cross(y, z), y, z], axis=-1)
     F, start = six.frame.as_matrix(), mechanism.frames(np.zeros(6), six.arm)[-1]
@@ -159,13 +156,17 @@ def forward(q: np.ndarray, six: SixR) -> RigidTransform:
 
 
 def inverse(T_base_platform: RigidTransform, six: SixR, near: np.ndarray | None = None) -> Branches:
-    """Branches of poses T_base_platform (...): every joint solution, singular and unreachable cases named.
+    """Inverse kinematics in closed form: Branches of poses (...), singular and unreachable ones marked.
 
     near : (6,) rad, zero by default: what a joint takes that a singular pose leaves free
     """
     matrix = T_base_platform.as_matrix()
     shape = matrix.shape[:-2]
-    kernel = wrist_branches.spherical if six.kind == "spherical" else wrist_branches.parallel
+    kernel = (
+        six_joint_inverse_kernels.spherical_wrist_inverse
+        if six.kind == "spherical"
+        else six_joint_inverse_kernels.parallel_axes_inverse
+    )
     near = np.zeros(6) if near is None else np.asarray(near, float)
     q, flags, reason, gap = kernel(_hand(matrix.reshape(-1, 4, 4), six), six.points, six.axes, six.hand, six.key, near)
     there = flags >= 0
@@ -179,14 +180,13 @@ def inverse(T_base_platform: RigidTransform, six: SixR, near: np.ndarray | None 
 
 
 def nearest_solution(T_base_platform: RigidTransform, six: SixR, guess: np.ndarray) -> np.ndarray:
-    """(..., 6) rad, of all branches and whole turns the solution within the limits that is nearest to guess (..., 6) or
-    (6,) rad.
+    """Nearest inverse solution (..., 6) rad to a guess, of all branches and turns within the limits.
 
     Raises Unreachable with the index of poses out of reach, or whose solutions all leave the limits
     """
     found = inverse(T_base_platform, six)
     guess = np.broadcast_to(guess, found.q.shape[:-2] + (6,))
-    q = mechanism.nearest_turn(found.q, six.arm, guess[..., None, :])
+    q = mechanism.nearest_equivalent_angles(found.q, six.arm, guess[..., None, :])
     allowed = found.there & (mechanism.limits(q, six.arm) == 0).all(axis=-1)
     far = np.where(allowed, np.abs(q - guess[..., None, :]).max(axis=-1), np.inf)
     failed = np.flatnonzero(np.isinf(far.min(axis=-1)))

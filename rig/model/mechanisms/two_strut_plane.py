@@ -1,4 +1,4 @@
-"""Two struts to one hinge in the plane z = 0, the worked example of the configuration-space patent (fig. 1)."""
+"""Two struts to one hinge in the plane z = 0: kinematics of the configuration-space patent's example."""
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -10,13 +10,13 @@ AXIS, UNIT = "strut", "m"
 
 
 def inverse(T_base_platform: RigidTransform, planar: Planar2) -> np.ndarray:
-    """Commanded strut lengths (..., 2) m of a pose : RigidTransform (...); only its x and y are looked at."""
+    """Inverse kinematics: commanded strut lengths (..., 2) m of a pose (...), from its x and y."""
     position = T_base_platform.translation[..., None, :2]
     return np.linalg.norm(position - planar.base_joints, axis=-1) - planar.strut_zeros
 
 
 def jacobian(T_base_platform: RigidTransform, planar: Planar2) -> np.ndarray:
-    """(..., 2, 6) change of the strut lengths with the pose's tangent on the right, platform frame."""
+    """Jacobian (..., 2, 6) of the strut lengths with the pose's tangent on the right."""
     matrix = T_base_platform.as_matrix()
     struts = matrix[..., None, :2, 3] - planar.base_joints
     u = np.zeros((*struts.shape[:-1], 3))
@@ -27,8 +27,7 @@ def jacobian(T_base_platform: RigidTransform, planar: Planar2) -> np.ndarray:
 
 
 def forward(lengths: np.ndarray, planar: Planar2, guess: RigidTransform | None = None) -> RigidTransform:
-    """Hinge position, as an unrotated RigidTransform (...), of commanded lengths (..., 2) m: the crossing of two
-    circles.
+    """Forward kinematics: hinge position, unrotated RigidTransform (...), of commanded lengths (..., 2) m.
 
     guess : unused; the hinge is on the left of the line from base joint 1 to base joint 2
     Raises NotConverged with index, lengths and residual (m) where the circles do not meet
@@ -58,42 +57,38 @@ def forward(lengths: np.ndarray, planar: Planar2, guess: RigidTransform | None =
 
 
 def limits(lengths: np.ndarray, planar: Planar2) -> np.ndarray:
-    """How far commanded lengths (..., 2) lie outside the strut range: (..., 2) m, negative below, positive above, 0
-    inside.
-    """
+    """Excess of commanded lengths over their limits, (..., 2) m: negative below, positive above, 0 inside."""
     low, high = planar.strut_range.T
     return np.minimum(lengths - low, 0) + np.maximum(lengths - high, 0)
 
 
 def travel(planar: Planar2) -> np.ndarray:
-    """(2, 2) m, shortest and longest commanded length."""
+    """Travel (2, 2) m of the struts: shortest and longest commanded length."""
     return planar.strut_range
 
 
 def home(planar: Planar2) -> np.ndarray:
-    """(2,) m, the middle of the strut ranges."""
+    """Home lengths (2,) m: the middle of the strut ranges."""
     return planar.strut_range.mean(axis=1)
 
 
 def loads(T: RigidTransform, lengths: np.ndarray, planar: Planar2, wrench: np.ndarray) -> np.ndarray:
-    """(n, 2) N with which the struts push the hinge to hold a wrench (n, 6); what lies across the plane its guide
-    bears.
-    """
+    """Loads (n, 2) N of the struts, pushing, that hold a wrench (n, 6) on the hinge; a guide takes the rest."""
     return np.linalg.solve(np.swapaxes(jacobian(T, planar)[..., :2], 1, 2), -wrench[..., :2, None])[..., 0]
 
 
 def links(T: RigidTransform, lengths: np.ndarray, planar: Planar2, gravity: np.ndarray) -> np.ndarray:
-    """(n, 2, 0): struts' own weight rests on the base."""
+    """Loads of the links' own weight: none (n, 2, 0), the base carries the struts."""
     return np.zeros((*np.shape(lengths), 0))
 
 
-def grown(T: RigidTransform, lengths: np.ndarray, planar: Planar2, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(deviation (n, 2) m, sway (n, 6)) of struts grown by shares (n, 2) of their length: each is longer, nothing else
-    moves.
-    """
+def growth_deviation_and_sway(
+    T: RigidTransform, lengths: np.ndarray, planar: Planar2, share: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Deviation (n, 2) m and sway (n, 6) by the growth of struts by shares (n, 2) of their length: no sway."""
     return share * lengths, np.zeros((len(share), 6))
 
 
 def ends(T: RigidTransform, planar: Planar2) -> tuple[np.ndarray, np.ndarray]:
-    """(base joints (2, 3), hinge once for each strut (n, 2, 3)) m in the base frame at poses T (n,)."""
+    """Ends of the struts: base joints (2, 3) and the hinge (n, 2, 3) m, base frame, at poses T (n,)."""
     return np.pad(planar.base_joints, ((0, 0), (0, 1))), np.repeat(T.translation[:, None], 2, axis=1)

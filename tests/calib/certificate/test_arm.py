@@ -40,7 +40,7 @@ def test_an_arm_is_certified(tmp_path):
     rig("certify", tmp_path / "cal.json", tmp_path / "b", "--out", tmp_path / "made", "--tolerance", "300um")
     made = json.loads((tmp_path / "made" / "certificate.json").read_text())
     jsonschema.validate(made, certificate_json.certificate_schema())
-    seen = recording_folder.load(tmp_path / "b")
+    seen = recording_folder.load_recording(tmp_path / "b")
     true = RigidTransform.from_matrix(np.reshape(json.loads((tmp_path / "b.json").read_text())["poses"], (-1, 4, 4)))
     lengths = np.linalg.norm(
         pose_difference(calibration_file.load(tmp_path / "cal.json").correction.predict(seen.commanded()[2]), true)[

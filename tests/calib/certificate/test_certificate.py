@@ -26,11 +26,11 @@ from calib.correct.physics_compensation import Physics
 from calib.files import calibration_file
 from calib.samples.recording_samples import sample_recording
 from rig.cli.command_line import main
-from rig.effects.framework.fit_coordinates import coordinates_of
+from rig.effects.framework.fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text import parse_effect
 from rig.model import motion_simulation
 from rig.model.pose import exp, pose_difference
-from rig.planning import plan
+from rig.planning import configuration_sets, plan
 from rig.recording import recording_folder, recording_tables
 from rig.recording.corner_and_pose_tables import Poses
 from rig.recording.recording_folder import Sensors
@@ -159,8 +159,10 @@ def test_a_folder_of_all_lacks_the_pdf_where_nothing_draws_it_and_says_so(held, 
 def test_the_promise_is_so(held, design):
     """Against thousands of poses of the machine as it is, come to from everywhere."""
     correction = calibration_file.load(held.folder / "cal.json").correction
-    goals = plan.low_discrepancy(design.mechanism.strut_range, 2000, seed=8)[np.random.default_rng(1).permutation(2000)]
-    route = plan.settled_plan(goals, goals[0], plan.plan_speed(design))
+    goals = configuration_sets.sobol_configurations(design.mechanism.strut_range, 2000, seed=8)[
+        np.random.default_rng(1).permutation(2000)
+    ]
+    route = plan.plan_of_configurations(goals, goals[0], plan.planned_axis_speeds(design))
     true = motion_simulation.run_machine(held.secret.true, route.commands, route.t, held.secret.effects).T_base_platform
     lengths = np.linalg.norm(pose_difference(correction.predict(goals), true)[:, :3], axis=1)
     promise = held.tree["promise"]
@@ -226,7 +228,7 @@ def test_physics_that_is_undone_is_part_of_what_is_certified(held):
     what they correct.
     """
     known = calibration_file.load(held.folder / "cal.json")
-    other = recording_folder.load(held.folder / "other")
+    other = recording_folder.load_recording(held.folder / "other")
     warm = replace(
         other,
         sensors=Sensors(
@@ -241,7 +243,7 @@ def test_physics_that_is_undone_is_part_of_what_is_certified(held):
         held.secret.true,
         tuple(map(parse_effect, (f"backlash:strut3:gap={GAP}", "base_expansion:rig:coefficient=12e-6"))),
     )
-    count = len(coordinates_of(effects))
+    count = len(coordinates_of_effects(effects))
     physics = Physics(
         effects,
         np.zeros((count, count)),
@@ -251,7 +253,7 @@ def test_physics_that_is_undone_is_part_of_what_is_certified(held):
         design.platform,
         {"ambient_temperature_C": (20.0, 0.1)},
     )
-    wiser, fit = replace(known, physics=physics), recording_folder.load(held.folder / "fit")
+    wiser, fit = replace(known, physics=physics), recording_folder.load_recording(held.folder / "fit")
     refined, _ = calibrate_correction(
         wiser.with_physics(fit, sample_recording(fit).samples), known.correction.nominal, "none"
     )
@@ -277,7 +279,7 @@ def test_physics_that_is_undone_is_part_of_what_is_certified(held):
 
 def test_what_was_fitted_is_no_evidence(held, tmp_path):
     done = rig("certify", held.folder / "cal.json", held.folder / "fit", "--out", held.folder / "no.json", ok=False)
-    frames = len(recording_folder.load(held.folder / "fit").exposures.times()[0])
+    frames = len(recording_folder.load_recording(held.folder / "fit").exposures.times()[0])
     assert f"{frames} of {frames} frames" in done and not (held.folder / "no.json").exists()
     copy = tmp_path / "copy"
     shutil.copytree(held.folder / "fit", copy)

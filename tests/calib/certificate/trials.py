@@ -27,11 +27,11 @@ from calib.certify.tolerance_limits import least_sample_size
 from calib.correct.correction import calibrate_correction
 from calib.samples.pose_samples import Samples
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.framework.random_effects import Drawing
+from rig.effects.framework.parameter import Drawing
 from rig.errors import NotConverged
 from rig.model import mechanisms, motion_simulation
 from rig.model.pose import exp, pose_difference
-from rig.planning import plan
+from rig.planning import configuration_sets, plan
 from synthetic import secret_machine
 
 KINDS = (
@@ -91,11 +91,11 @@ def trial(design, seed, level=(0.95, 0.95), sizes=SIZES, kinds=None, noise=1.0):
     strokes = design.mechanism.strut_range
     goals = np.concatenate(
         [
-            plan.low_discrepancy(strokes, FITTED, seed=seed),
+            configuration_sets.sobol_configurations(strokes, FITTED, seed=seed),
             plan.scale_to_strokes(strokes, rng.uniform(-1, 1, (POSES, 6)), plan.FILL),
         ]
     )
-    route = plan.settled_plan(goals, strokes.mean(axis=1), plan.plan_speed(design))
+    route = plan.plan_of_configurations(goals, strokes.mean(axis=1), plan.planned_axis_speeds(design))
     warmth, _ = secret_machine.draw_temperatures(float(route.commands.t[-1]), rng)
     sensors = plan.add_payload_channel(route, warmth)
     while True:

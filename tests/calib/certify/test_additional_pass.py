@@ -20,7 +20,7 @@ from calib.samples.pose_samples import Samples
 from rig.errors import FileError, NotEnoughData
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference
-from rig.planning.configuration_sets import low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
 from synthetic import secret_machine
 from tests.calib.worlds import rms
 from tests.numeric import jacobian
@@ -48,7 +48,7 @@ def machine(design):
         None,
         {"recording": "first", "created": "then", "data": ["1"]},
     )
-    return before, seen(before, low_discrepancy(design.mechanism.strut_range, 200, 0.8, 5))
+    return before, seen(before, sobol_configurations(design.mechanism.strut_range, 200, 0.8, 5))
 
 
 def seen(before, commands):
@@ -74,7 +74,7 @@ def test_a_map_over_poses_takes_what_depends_on_the_pose(machine, design, space)
         and (done.correction.extension is not None) == (space == "both")
     )
     assert done.held_out.after.position[0] < 0.1 * tried[0].held_out.after.position[0]
-    wanted = hexapod.forward(low_discrepancy(design.mechanism.strut_range, 50, 0.7, 9), design.mechanism)
+    wanted = hexapod.forward(sobol_configurations(design.mechanism.strut_range, 50, 0.7, 9), design.mechanism)
     assert np.abs(pose_difference(done.correction.predict(done.correction.inverse(wanted)), wanted)).max() < 1e-11
     assert left(done.correction, before, wanted) < 0.05 * left(before.correction, before, wanted)
     made = Calibration(done.correction, done.found.covariance, done.found.scatter, (), (), None, {})
@@ -100,7 +100,7 @@ def test_a_pass_in_a_part_leaves_the_rest_as_it_was_and_knows_it_no_better(machi
     )
     x = before.correction.predict(samples.commanded).translation[:, 0]
     assert count == (x <= 0.02).sum() < 200
-    commands = low_discrepancy(design.mechanism.strut_range, 300, 0.8, 11)
+    commands = sobol_configurations(design.mechanism.strut_range, 300, 0.8, 11)
     T, now = before.correction.predict(commands), done.correction.predict(commands)
     moved, off = (np.linalg.norm(pose_difference(T, other)[:, :3], axis=1) for other in (now, leaning(T)))
     inside, far = T.translation[:, 0] <= 0.02, T.translation[:, 0] > 0.05

@@ -11,7 +11,7 @@ from calib.certify.held_out_errors import errors_before_and_after_correction
 from calib.certify.platform_certification import certify_platform, platform_workspace_claim
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import sample_recording
-from rig.effects.texts.effect_text import parse_effect, require_place, require_size
+from rig.effects.texts.effect_text import parse_effect, require_existing_place, require_nonzero_effect
 from rig.formats.rig_toml import design_file
 from rig.planning import plan
 from rig.recording import recording_folder
@@ -25,14 +25,14 @@ INSTRUMENT = '\n[instrument]\nkind = "pose"\nbase = "rig"\ntool = "rig"\npositio
 def test_random_play_stands_out_on_a_balanced_plan(tmp_path: Path, seed: int) -> None:
     text = (BENCH / "fit" / "rig.toml").read_text() + INSTRUMENT
     (tmp_path / "rig.toml").write_text(text)
-    design = design_file.load(tmp_path / "rig.toml")
+    design = design_file.load_design(tmp_path / "rig.toml")
     gaps = np.random.default_rng(seed).uniform(20e-6, 80e-6, 6)
     secret = secret_machine.draw_machine(
         design,
         np.random.default_rng(100 + seed),
         1.0,
         [
-            require_size(require_place(parse_effect(f"backlash:strut{i + 1}:gap={gap}"), design))
+            require_nonzero_effect(require_existing_place(parse_effect(f"backlash:strut{i + 1}:gap={gap}"), design))
             for i, gap in enumerate(gaps)
         ],
     )
@@ -42,7 +42,7 @@ def test_random_play_stands_out_on_a_balanced_plan(tmp_path: Path, seed: int) ->
         recording_simulation.write_recording(
             recording_simulation.simulate(secret, route, rng), tmp_path / name, text, rng
         )
-        return sample_recording(recording_folder.load(tmp_path / name)).samples
+        return sample_recording(recording_folder.load_recording(tmp_path / name)).samples
 
     done = certify_platform(
         fitted := recorded(plan.build_plan(design, "sobol:40", seed), "fit"), design.mechanism, np.random.default_rng(0)

@@ -16,7 +16,7 @@ from calib.files import calibration_file
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import grid_division, low_discrepancy
+from rig.planning.configuration_sets import divided_grid_configurations, sobol_configurations
 from tests.calib.worlds import real, rms, sampled, workspace
 
 OWN = np.array([1e-7, 1e-7, 1e-7, 1e-6, 1e-6, 1e-6])  # m, rad; so little that what is left is the way's own
@@ -32,7 +32,9 @@ def coupled(commands):
 def gridded(design):
     """(Samples on the grid 2x1x1x1x1x2 and at 30 configurations beside it, true Hexapod)."""
     strokes = design.mechanism.strut_range
-    commands = np.concatenate([grid_division(strokes, "2x1x1x1x1x2@0.6"), low_discrepancy(strokes, 30, 0.5, 8)])
+    commands = np.concatenate(
+        [divided_grid_configurations(strokes, "2x1x1x1x1x2@0.6"), sobol_configurations(strokes, 30, 0.5, 8)]
+    )
     return sampled(design, 4, len(commands), coupled, commands=commands, own=OWN)
 
 
@@ -99,7 +101,7 @@ def test_an_extended_calibration_is_kept_and_says_how_sure_it_is(gridded, design
     )
     calibration_file.save(tmp_path / "c.json", kept)
     again = calibration_file.load(tmp_path / "c.json")
-    inner = low_discrepancy(design.mechanism.strut_range, 80, 0.55, 3)
+    inner = sobol_configurations(design.mechanism.strut_range, 80, 0.55, 3)
     np.testing.assert_allclose(again.correction.rho(inner), done.correction.rho(inner), atol=1e-18)
     T = real(inner, true, coupled)
     error = pose_difference(again.correction.predict(inner), T)
@@ -139,7 +141,7 @@ def test_readings_become_the_poses_that_they_stand_for(gridded, design, tmp_path
         tmp_path / "c.json",
         Calibration(done.correction, done.found.covariance, done.found.scatter, (1,), (), None, {"seed": 0}, None),
     )
-    read = low_discrepancy(design.mechanism.strut_range, 40, 0.55, 6)
+    read = sobol_configurations(design.mechanism.strut_range, 40, 0.55, 6)
     lines = [f"{k}," + ",".join(f"{v:.9f}" for v in row) for k, row in enumerate(read)]
     (tmp_path / "r.csv").write_text("\n".join(["frame,l1,l2,l3,l4,l5,l6", *lines]) + "\n")
     assert main(
@@ -178,7 +180,7 @@ def test_a_second_pass_takes_what_the_first_one_left(gridded, design, tmp_path):
     assert count == len(samples)
     figures = {one.kind: one.held_out.after.position[0] for one in tried}
     assert figures["simplex"] < 0.7 * figures["none"]
-    inner = low_discrepancy(design.mechanism.strut_range, 60, 0.5, 3)
+    inner = sobol_configurations(design.mechanism.strut_range, 60, 0.5, 3)
     left = [
         rms(pose_difference(done.correction.predict(inner), real(inner, true, coupled)))[0] for done in (first, second)
     ]

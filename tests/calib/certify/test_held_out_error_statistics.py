@@ -17,7 +17,7 @@ from calib.models.arm import error_model
 from calib.models.arm.certification import arm_workspace_claim as promised_arm
 from calib.models.arm.certification import certify_arm as certify_arm
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
 from tests.calib import arm_worlds as worlds
 from tests.calib.worlds import real, rms, sampled
 from tests.rig.arms import UR10
@@ -78,7 +78,7 @@ def test_a_claim_of_a_field_or_of_a_pass_holds_what_play_leaves(design, way):
             before = Calibration(Correction(m, true, (None,) * 6), np.zeros((42, 42)), np.zeros(6), (), (), None, {})
             done, _, _ = certify_additional_pass(samples, before, Pass("radial"), rng)
         _, low, high = claim_without_geometry(samples, done, rng).after[0]
-        commands, T = commands_with_pose(low_discrepancy(m.strut_range, 200, 0.8, 77), done.correction)
+        commands, T = commands_with_pose(sobol_configurations(m.strut_range, 200, 0.8, 77), done.correction)
         inside += low <= rms(pose_difference(T, real(commands, true, play)))[0] <= high
         wide.append(high / low)
     assert inside >= 7 and 1.2 < min(wide) < max(wide) < 4
@@ -114,7 +114,7 @@ def test_an_arms_claim_is_never_better_than_poses_held_out_allow(gears):
         done = certify_arm(samples, UR10, worlds.TRACKER, rng)
         claim = promised_arm(samples, done, rng)
         seen = np.stack([samples.commanded.min(axis=0), samples.commanded.max(axis=0)], axis=1)
-        q = low_discrepancy(seen, PLACES, 0.8)
+        q = sobol_configurations(seen, PLACES, 0.8)
         off = pose_difference(done.correction.predict(q), error_model.predicted_target_poses(q + deviation(q), true))
         inside += claim.after[0][1] <= rms(off)[0] <= claim.after[0][2]
     assert inside >= 5

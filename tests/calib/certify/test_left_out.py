@@ -22,7 +22,7 @@ def calibrated(folder, *case, **more):
     """(Case, Calibration, Claim, Recording) of a case of the independent truth, by its own recording."""
     of = truth.draw(*case, **more)
     truth.record(of, folder)
-    rec = recording_folder.load(folder)
+    rec = recording_folder.load_recording(folder)
     measured = sample_recording(rec)
     rng = np.random.default_rng(0)
     done = certify_platform(measured.samples, rec.design.mechanism, rng)

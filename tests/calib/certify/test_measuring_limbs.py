@@ -12,8 +12,8 @@ from rig.errors import FileError, NotEnoughData, RigError
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference
-from rig.planning import plan
-from rig.planning.layout import hexapod_layout
+from rig.planning import configuration_sets
+from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.recording.recording_folder import Sensors
 from tests.calib.worlds import rms
 
@@ -106,7 +106,7 @@ def test_struts_are_learnt_from_the_limbs_alone(limbed, measured):
     updates = [learner.update(*each) for each in zip(commands, T, own, common)]
     assert not any(update.changes or update.dropped for update in updates)
     true = done.world.true.mechanism
-    lengths = plan.low_discrepancy(true.strut_range, 100, 0.8)
+    lengths = configuration_sets.sobol_configurations(true.strut_range, 100, 0.8)
     error = rms(pose_difference(hexapod.forward(lengths, true), hexapod.forward(lengths, learner.hexapod)))
     before = rms(pose_difference(hexapod.forward(lengths, true), hexapod.forward(lengths, read.design.mechanism)))
     assert error[0] < before[0] / 20
@@ -140,10 +140,12 @@ def test_what_is_missing_is_said(limbed, design, tmp_path):
     with pytest.raises(NotEnoughData, match="within 0.5 s"):
         measuring_limbs.limb_readings(replace(read, sensors=sparse))
     (tmp_path / "rig.toml").write_text(
-        hexapod_layout.hexapod_layout(0.3, limbs=6).replace("length_sigma = 1e-6", "length_sigma = -1")
+        hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, limbs=6).replace(
+            "length_sigma = 1e-6", "length_sigma = -1"
+        )
     )
     with pytest.raises(FileError, match="insitu.length_sigma must be > 0"):
-        design_file.load(tmp_path / "rig.toml")
+        design_file.load_design(tmp_path / "rig.toml")
 
 
 def test_too_few_poses_for_limits(measured):

@@ -16,8 +16,8 @@ from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod
 from rig.model.pose import transform_points
-from rig.planning.layout import hexapod_layout
-from rig.planning.plan import low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.recording import recording_folder
 from synthetic import secret_machine
 from tests.loops import rig
@@ -29,10 +29,10 @@ EIGHT = 8
 def machine(tmp_path_factory):
     """(Design with eight limbs, as it truly is, what these read at 60 poses (60, 8) m, with noise)"""
     folder = tmp_path_factory.mktemp("eight")
-    (folder / "rig.toml").write_text(hexapod_layout.hexapod_layout(0.3, limbs=EIGHT))
-    design = design_file.load(folder / "rig.toml")
+    (folder / "rig.toml").write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, limbs=EIGHT))
+    design = design_file.load_design(folder / "rig.toml")
     true = secret_machine.draw_machine(design, np.random.default_rng(5)).true
-    T = hexapod.forward(low_discrepancy(true.mechanism.strut_range, 60, 0.8), true.mechanism)
+    T = hexapod.forward(sobol_configurations(true.mechanism.strut_range, 60, 0.8), true.mechanism)
     m = true.insitu
     read = np.linalg.norm(transform_points(T, m.platform_joints) - m.base_joints, axis=-1) - m.zeros
     return design, true, read + 1e-6 * np.random.default_rng(6).normal(size=read.shape), T
@@ -75,8 +75,8 @@ def test_checks_close_on_stretches_left_out_by_as_much_as_is_said(machine, limbs
 
 def test_of_six_limbs_none_is_over_to_be_checked(machine):
     _, true, read, _ = machine
-    stated = design_file.design_of(
-        design_file.entries_of(hexapod_layout.hexapod_layout(0.3, limbs=6), "rig.toml")
+    stated = design_file.design_of_entries(
+        design_file.entries_of_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, limbs=6), "rig.toml")
     ).insitu
     six = measuring_limbs.Limbs(
         measuring_limbs.limb_hexapod(true, np.arange(6)), 1e-14 * np.eye(42), np.full(6, 1e-6), np.arange(6)
@@ -101,8 +101,8 @@ def test_a_limb_that_slips_is_named_by_the_others_within_five_poses(machine, lim
 
 
 def test_fewer_limbs_than_freedoms_are_refused_with_the_reason(tmp_path):
-    (tmp_path / "rig.toml").write_text(hexapod_layout.hexapod_layout(0.3, limbs=4))
-    design = design_file.load(tmp_path / "rig.toml")
+    (tmp_path / "rig.toml").write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, limbs=4))
+    design = design_file.load_design(tmp_path / "rig.toml")
     with pytest.raises(
         RigError,
         match="has 4 measuring limbs in .insitu., and a platform has six freedoms: fewer than six lengths tell no",
@@ -139,7 +139,7 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
     )  # of struts as stated
     told = json.loads(capsys.readouterr().out)
     assert len(told["pose_from"]) == 6 and len(told["closures"]) == EIGHT
-    read = recording_folder.load(tmp_path / "again")
+    read = recording_folder.load_recording(tmp_path / "again")
     limb = kept.limbs.checks.limbs[1] + 1
     text = (tmp_path / "again" / "sensors.csv").read_text().splitlines()
     at, start = text[0].split(",").index(f"m{limb}"), float(read.exposures.times()[1][30]) - 0.5
@@ -180,5 +180,5 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
 
 
 def _with_limbs(folder, count):
-    (folder / "other.toml").write_text(hexapod_layout.hexapod_layout(0.3, limbs=count))
-    return design_file.load(folder / "other.toml")
+    (folder / "other.toml").write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, limbs=count))
+    return design_file.load_design(folder / "other.toml")

@@ -20,7 +20,7 @@ from calib.models.platform.parameter_accuracy import stated_geometry_accuracy
 from calib.samples.recording_samples import sample_recording
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
-from rig.planning import plan
+from rig.planning import configuration_sets, plan
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
 from tests.calib.worlds import sampled
@@ -29,14 +29,14 @@ from tests.calib.worlds import sampled
 def visited(mechanism, distinct, repeats, seed):
     """(distinct + repeats, 6) m commands, in any order, some of them again."""
     rng = np.random.default_rng(seed)
-    commands = plan.low_discrepancy(mechanism.strut_range, max(distinct, 2), seed=seed)[:distinct]
+    commands = configuration_sets.sobol_configurations(mechanism.strut_range, max(distinct, 2), seed=seed)[:distinct]
     return commands[rng.permutation(np.r_[np.arange(distinct), rng.integers(distinct, size=repeats)])]
 
 
 def elsewhere(correction, true, seed):
     """before / after of the true machine, driven to 300 other configurations of the same workspace."""
     nominal = correction.nominal
-    commands = plan.low_discrepancy(nominal.strut_range, 300, seed=7000 + seed)
+    commands = configuration_sets.sobol_configurations(nominal.strut_range, 300, seed=7000 + seed)
     real = hexapod.forward(commands, true)
     before, after = (
         np.mean(pose_difference(model, real)[:, :3] ** 2)
@@ -56,11 +56,13 @@ def at_corners(design, text, folder, seed, distinct, repeats):
     """(Claim, before / after elsewhere) of a recording simulated corner by corner, measured by its cameras."""
     rng, strokes = np.random.default_rng(seed), design.mechanism.strut_range
     secret = secret_machine.draw_machine(design, rng)
-    route = plan.settled_plan(
-        visited(design.mechanism, distinct, repeats, seed), strokes.mean(axis=1), plan.plan_speed(design)
+    route = plan.plan_of_configurations(
+        visited(design.mechanism, distinct, repeats, seed), strokes.mean(axis=1), plan.planned_axis_speeds(design)
     )
     recording_simulation.write_recording(recording_simulation.simulate(secret, route, rng), folder, text, rng, 0.04)
-    return concluded(design, sample_recording(recording_folder.load(folder)).samples, secret.true.mechanism, seed)
+    return concluded(
+        design, sample_recording(recording_folder.load_recording(folder)).samples, secret.true.mechanism, seed
+    )
 
 
 def concluded(design, samples, true, seed):
@@ -133,7 +135,7 @@ def test_a_claim_is_kept_or_it_is_not(design):
     samples, true = sampled(design, 6, 30)
     done = certify_platform(samples, design.mechanism, np.random.default_rng(0))
     claim = platform_workspace_claim(samples, done, np.random.default_rng(0))
-    commands = plan.low_discrepancy(design.mechanism.strut_range, 40, seed=77)
+    commands = configuration_sets.sobol_configurations(design.mechanism.strut_range, 40, seed=77)
     fresh = sampled(design, 6, 40, commands=commands, noise_seed=5)[0]
     other = sampled(
         design,

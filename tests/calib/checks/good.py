@@ -7,8 +7,8 @@ import numpy as np
 
 from rig.formats.rig_toml import design_file
 from rig.model.design import Arm
-from rig.planning import plan
-from rig.planning.layout import hexapod_layout
+from rig.planning import configuration_sets, plan
+from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.recording.recording_folder import Poses
 from rig.recording.recording_tables import write_poses
 from synthetic import recording_simulation, secret_machine
@@ -37,14 +37,18 @@ def recorded(
 ) -> tuple[secret_machine.World, recording_simulation.Simulation]:
     """A good recording at corner level of one of the RIGS, with its World and Simulation."""
     radius, cameras, width, height, cubes, frames, noise = RIGS[number]
-    text = hexapod_layout.hexapod_layout(radius, cameras=cameras, width=width, height=height, cubes=cubes)
+    text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(
+        radius, cameras=cameras, width=width, height=height, cubes=cubes
+    )
     folder.mkdir(parents=True)
     (folder / "rig.toml").write_text(text)
-    design, rng = design_file.load(folder / "rig.toml"), np.random.default_rng(100 + number)
+    design, rng = design_file.load_design(folder / "rig.toml"), np.random.default_rng(100 + number)
     secret = secret_machine.draw_machine(design, rng, size, effects)
     strokes = design.mechanism.strut_range
-    route = plan.settled_plan(
-        plan.low_discrepancy(strokes, frames, seed=number), strokes.mean(axis=1), plan.plan_speed(design)
+    route = plan.plan_of_configurations(
+        configuration_sets.sobol_configurations(strokes, frames, seed=number),
+        strokes.mean(axis=1),
+        plan.planned_axis_speeds(design),
     )
     done = recording_simulation.simulate(secret, route, rng)
     recording_simulation.write_recording(done, folder, text, rng, noise)

@@ -25,14 +25,14 @@ def test_a_lens_that_nobody_stated_is_no_other_mistake(number: int, tmp_path: Pa
 def test_measuring_begins_from_other_lenses_as_checking_does(tmp_path: Path) -> None:
     """Measured before: a third of the corners set aside, for lenses that nobody stated."""
     setup(218, tmp_path / "rec")
-    measured, _ = measure_recording(recording_folder.load(tmp_path / "rec"), places="auto")
+    measured, _ = measure_recording(recording_folder.load_recording(tmp_path / "rec"), places="auto")
     assert not measured.unsolved and measured.inliers.all() and not measured.places_free
 
 
 def test_one_face_turned_is_told_as_that(tmp_path: Path) -> None:
     """Said before: the edge of all cubes is stated too small."""
     recorded(tmp_path / "rec")
-    read = recording_folder.load(tmp_path / "rec")
+    read = recording_folder.load_recording(tmp_path / "rec")
     assert read.corners is not None
     turned = read.corners.marker == read.design.targets[0].ids[4]
     (found,) = find_corner_mistakes(

@@ -24,7 +24,7 @@ def written(folder, seed, spoil=None):
         np.zeros((m, 6, 0)),
     )
     arm_worlds.write(folder, nominal, samples, sigma=SIGMA)
-    return recording_folder.load(folder)
+    return recording_folder.load_recording(folder)
 
 
 @pytest.mark.parametrize("seed", [0, 4])  # a level hand; all joints move

@@ -16,9 +16,9 @@ from calib.correct.correction_tables import (
 from calib.correct.interpolation import interpolation_methods
 from calib.correct.interpolation.field import Known
 from calib.correct.summand_extension import measured_summands
-from rig.formats.exporters import compensation_tables
+from rig.formats.exporters import linuxcnc_and_compensation_tables
 from rig.model.mechanisms import hexapod
-from rig.planning.configuration_sets import low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
 from tests.calib.worlds import real, sampled
 
 
@@ -26,7 +26,7 @@ from tests.calib.worlds import real, sampled
 def additive(design):
     """A Correction whose struts each have an error of their own position, on top of a fitted geometry."""
     m = design.mechanism
-    x = low_discrepancy(m.strut_range, 300, 1.0, 3)
+    x = sobol_configurations(m.strut_range, 300, 1.0, 3)
     values = 5e-5 * np.sin((x - m.strut_range.mean(axis=1)) / 0.02)
     field = interpolation_methods.fit_field("axes", Known(x, values, np.full(values.shape, 1e-14), m.strut_range))
     return Correction(m, replace(m, strut_zeros=m.strut_zeros + 3e-4), (None,) * 6, extension=field)
@@ -45,11 +45,17 @@ def by_linuxcnc(text, position):
 def test_joint_tables_read_back_as_linuxcnc_reads_them_correct_as_we_do(additive, design, units):
     found = axis_correction_tables(additive, 256)
     assert (found.left < 2e-7).all()
-    wanted = low_discrepancy(design.mechanism.strut_range, 60, 0.7, 5)
+    wanted = sobol_configurations(design.mechanism.strut_range, 60, 0.7, 5)
     T = hexapod.forward(wanted, additive.fitted)
-    commands, scale, zeros = additive.inverse(T), compensation_tables.SCALE[units], additive.fitted.strut_zeros
+    commands, scale, zeros = (
+        additive.inverse(T),
+        linuxcnc_and_compensation_tables.SCALE[units],
+        additive.fitted.strut_zeros,
+    )
     for i in range(6):
-        text = compensation_tables.linuxcnc(found.levels[i] + zeros[i], found.trims[i], units)
+        text = linuxcnc_and_compensation_tables.linuxcnc_compensation_file(
+            found.levels[i] + zeros[i], found.trims[i], units
+        )
         told = by_linuxcnc(text, (wanted[:, i] + zeros[i]) * scale) / scale - zeros[i]
         np.testing.assert_allclose(told, commands[:, i], atol=3e-7)
         assert np.abs(wanted[:, i] - commands[:, i]).max() > 1e-5
@@ -57,7 +63,7 @@ def test_joint_tables_read_back_as_linuxcnc_reads_them_correct_as_we_do(additive
 
 def test_a_table_for_each_joint_says_what_it_cannot_hold(design):
     m = design.mechanism
-    x = low_discrepancy(m.strut_range, 300, 1.0, 3)
+    x = sobol_configurations(m.strut_range, 300, 1.0, 3)
     values = np.zeros(x.shape)
     values[:, 1] = 1e-3 * (x[:, 0] - m.strut_range[0].mean())
     field = interpolation_methods.fit_field("polynomial", Known(x, values, np.full(x.shape, 1e-14), m.strut_range))
@@ -67,7 +73,7 @@ def test_a_table_for_each_joint_says_what_it_cannot_hold(design):
 
 def test_a_grid_read_back_gives_the_commands(additive, design):
     m = design.mechanism
-    text = compensation_tables.grid(*grid_correction_table(additive, 2), m.axes, "m")
+    text = linuxcnc_and_compensation_tables.correction_grid_csv(*grid_correction_table(additive, 2), m.axes, "m")
     lines = text.splitlines()
     comments, header = (
         [line for line in lines if line.startswith("#")],

@@ -16,7 +16,7 @@ from calib.correct.interpolation.field import Known, merge_repeats
 from calib.correct.interpolation.grid import grid_lattice_of_configurations
 from rig.errors import FileError, NotConverged, RigError
 from rig.formats.checked_entries import Entries
-from rig.planning.configuration_sets import grid_division, low_discrepancy
+from rig.planning.configuration_sets import divided_grid_configurations, sobol_configurations
 
 STROKE = (0.4, 0.5)
 GRIDS = ("linear", "simplex")
@@ -42,7 +42,7 @@ def on_grid(axes, seed, outputs=None, parts=None):
 
 def scattered(axes, count, seed):
     """Known of a smooth function at scattered samples."""
-    x = low_discrepancy(strokes(axes), count, 0.9, seed)
+    x = sobol_configurations(strokes(axes), count, 0.9, seed)
     return Known(x, smooth(x), np.full(x.shape, 1e-14), strokes(axes))
 
 
@@ -230,15 +230,15 @@ def test_what_is_no_field_is_refused_with_its_place(spoil, says):
 
 
 def test_divisions_are_even_or_not_whole_strokes_or_less(tmp_path):
-    even = grid_division(strokes(3), "2x1x3@0.5")
+    even = divided_grid_configurations(strokes(3), "2x1x3@0.5")
     assert len(even) == 3 * 2 * 4 and np.allclose(np.unique(even[:, 0].round(9)), [0.425, 0.45, 0.475])
     assert (np.abs(np.diff(even, axis=0)) > 1e-12).sum(axis=1).max() == 1
     path = tmp_path / "levels.csv"
     path.write_text("axis,level\n1,0.41\n1,0.42\n1,0.49\n2,0.4\n2,0.5\n")
-    assert np.unique(grid_division(strokes(2), str(path))[:, 0]).tolist() == [0.41, 0.42, 0.49]
+    assert np.unique(divided_grid_configurations(strokes(2), str(path))[:, 0]).tolist() == [0.41, 0.42, 0.49]
     for text in ("2x2", "0", "2@1.5", "2@x", "two"):
         with pytest.raises(RigError, match="a division is"):
-            grid_division(strokes(3), text)
+            divided_grid_configurations(strokes(3), text)
     for rows, says in (
         ("1,0.41\n1,0.42\n2,0.4\n", "axis 2 must have two"),
         ("1,0.41\n1,0.6\n2,0.4\n2,0.5\n", "beyond its stroke"),
@@ -246,7 +246,7 @@ def test_divisions_are_even_or_not_whole_strokes_or_less(tmp_path):
     ):
         path.write_text("axis,level\n" + rows)
         with pytest.raises(FileError, match=says):
-            grid_division(strokes(2), str(path))
+            divided_grid_configurations(strokes(2), str(path))
 
 
 def test_a_compiled_fixed_point_is_the_one_that_iteration_finds(design):

@@ -19,14 +19,14 @@ from calib.samples.recording_samples import sample_recording
 from rig.cli.command_line import main
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES
-from rig.effects.framework.fit_coordinates import coordinates_of
+from rig.effects.framework.fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text import parse_effect
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference, pose_to_vector
-from rig.planning import plan
+from rig.planning import configuration_sets
 from rig.recording.recording_folder import Sensors
 from synthetic import secret_machine
 from tests.bench.physics import ROUTE, effect_of
@@ -47,12 +47,12 @@ def seen(tmp_path_factory):
     text = measured_by()
     path = tmp_path_factory.mktemp("seen") / "rig.toml"
     path.write_text(text)
-    return text, design_file.load(path)
+    return text, design_file.load_design(path)
 
 
 def physics_of(design, *effects, sigma=0.02):
     """Physics of effects whose coordinates are known to a share of themselves."""
-    own = np.diag([(sigma * c.read(effects[c.effect])) ** 2 + 1e-24 for c in coordinates_of(effects)])
+    own = np.diag([(sigma * c.read(effects[c.effect])) ** 2 + 1e-24 for c in coordinates_of_effects(effects)])
     return Physics(
         tuple(effects), own, np.zeros((42, len(own))), design.gravity, design.actuator, design.platform, CHANNELS
     )
@@ -76,7 +76,7 @@ def known_to_be(design, *effects):
 
 def wanted(design, count=12, every=20.0, seed=3):
     """(poses (count,), times (count,) s, Sensors over them)."""
-    lengths = plan.low_discrepancy(design.mechanism.strut_range, count, 0.6, seed)
+    lengths = configuration_sets.sobol_configurations(design.mechanism.strut_range, count, 0.6, seed)
     t = 40 + every * np.arange(count)
     _, log = secret_machine.draw_temperatures(t[-1], np.random.default_rng(seed))
     log = Sensors(log.t, {**log.channels, "payload_mass_kg": np.linspace(0, 7, len(log.t))})

@@ -19,9 +19,9 @@ from calib.diagnose.problems.platform.simultaneous_refinement import refine
 from calib.diagnose.report.platform_report import platform_report
 from rig.cli import command_line
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.framework.search_candidate import Candidate, Linear
+from rig.effects.framework.diagnosis_interface import Candidate, Linear
 from rig.formats.rig_toml import design_file
-from rig.planning.layout.hexapod_layout import hexapod_layout
+from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
 from rig.recording import recording_folder
 from synthetic import unlisted_physics
 from tests.bench.investigate import POSES, Case
@@ -213,8 +213,8 @@ SLOWLY = "sobol:20,wait:15,sobol:20"
     ],
 )
 def test_a_warm_up_of_micrometres_is_never_a_thermal_expansion_beyond_doubt(tmp_path, seed, text):
-    (tmp_path / "rig.toml").write_text(rig_text := hexapod_layout(0.3) + POSES)
-    case = Case(tmp_path / "rig", design_file.load(tmp_path / "rig.toml"), rig_text, text, seed)
+    (tmp_path / "rig.toml").write_text(rig_text := hexapod_layout_rig_toml(0.3) + POSES)
+    case = Case(tmp_path / "rig", design_file.load_design(tmp_path / "rig.toml"), rig_text, text, seed)
     (finding,) = case.first(SLOWLY)[1].selection.findings
     named = [finding.score.candidate, *(a.score.candidate for a in finding.alternatives)]
     assert ("warm_up", text.split(":")[1]) in [(c.name, c.place) for c in named]
@@ -246,7 +246,7 @@ def test_a_variant_that_a_scan_does_not_tell_from_the_best_is_held_against_it_fi
 @pytest.mark.slow
 @pytest.mark.parametrize("camera, terms", [("cam1", (2e-2, 0, 2e-2, 0)), ("cam2", (-3e-2, 1e-2, 0, 0))])
 def test_a_large_bend_of_a_lens_is_one_finding_of_the_terms_that_it_has(tmp_path, camera, terms):
-    (tmp_path / "rig.toml").write_text(hexapod_layout(0.3))
+    (tmp_path / "rig.toml").write_text(hexapod_layout_rig_toml(0.3))
     text = "/".join(map(str, (*[0] * 8, *terms)))
     assert (
         command_line.main(
@@ -269,6 +269,6 @@ def test_a_large_bend_of_a_lens_is_one_finding_of_the_terms_that_it_has(tmp_path
         )
         == 0
     )
-    found = diagnose_platform(recording_folder.load(tmp_path / "rec"), only=["lens_distortion"]).effects
+    found = diagnose_platform(recording_folder.load_recording(tmp_path / "rec"), only=["lens_distortion"]).effects
     assert [(e.name, e.place) for e in found] == [("lens_distortion", f"camera {camera}")]
     assert not found[0].warp and np.flatnonzero(found[0].terms).min() == 8

@@ -185,7 +185,9 @@ def test_what_was_found_is_drawn_anew_and_found_again(tmp_path, capsys):
     ask = ["--only", "scale_error"]
     assert command_line.main(["diagnose", str(tmp_path / "rec"), "--out", str(tmp_path / "out"), *ask]) == 0
     assert command_line.main(["simulate", "--from", str(tmp_path / "out"), "--out", str(tmp_path / "both")]) == 0
-    drawn = {kind: recordings.load(tmp_path / "both" / kind).poses.T_base_platform for kind in ("with", "without")}
+    drawn = {
+        kind: recordings.load_recording(tmp_path / "both" / kind).poses.T_base_platform for kind in ("with", "without")
+    }
     apart = {
         kind: np.linalg.norm(T.translation - samples.T_base_platform.translation, axis=1).mean()
         for kind, T in drawn.items()

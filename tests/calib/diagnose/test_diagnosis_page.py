@@ -41,7 +41,7 @@ def make(design, rig_text, folder, text, only):
         rng,
     )
     recording_simulation.write_recording(done, folder, rig_text, rng, noise=0.03)
-    found = recording_folder.load(folder)
+    found = recording_folder.load_recording(folder)
     return found, diagnose_platform(found, only)
 
 
@@ -191,6 +191,6 @@ def test_poses_alone_make_a_page(diagnosed, tmp_path, monkeypatch):
         (tmp_path / name).write_bytes((found.folder / name).read_bytes())
     covariance = np.tile(np.diag([5e-6**2] * 3 + [3e-5**2] * 3), (len(k.frames), 1, 1))
     write_poses(tmp_path / "poses.csv", recording_folder.Poses(k.frames, k.T, covariance))
-    alone = recording_folder.load(tmp_path)
+    alone = recording_folder.load_recording(tmp_path)
     text = made(tmp_path, alone, diagnose_platform(alone, ["backlash"]))[1]
     assert "Backlash at strut 3" in text and re.search(r"corners\s+none", text)

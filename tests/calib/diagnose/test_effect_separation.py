@@ -39,9 +39,9 @@ def test_another_load_shows_what_joints_swallow_at_one_load(design):
 
 
 def test_the_command_writes_the_best_plan_or_says_that_none_does(tmp_path, capsys):
-    from rig.planning.layout.hexapod_layout import hexapod_layout
+    from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
 
-    (tmp_path / "rig.toml").write_text(hexapod_layout(0.3))
+    (tmp_path / "rig.toml").write_text(hexapod_layout_rig_toml(0.3))
     out = tmp_path / "plan.csv"
     argv = [
         "plan",

@@ -44,7 +44,7 @@ def stars(folder, jitter, seed=1, again=0):
         deviation=lambda q: jitter * rng.normal(size=q.shape),
     )
     arm_worlds.write(folder, MOUNT, samples, positions_alone=True, sigma=(NOISE, 1e-4))
-    return recording_folder.load(folder)
+    return recording_folder.load_recording(folder)
 
 
 @pytest.mark.parametrize("again", [0, 20])

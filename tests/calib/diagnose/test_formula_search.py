@@ -28,7 +28,7 @@ from calib.diagnose.report.diagnosis_page import _suggestions
 from calib.diagnose.report.diagnosis_report import Report
 from calib.diagnose.report.diagnosis_verdict import recommended_actions, write_diagnosis_json
 from rig.cli.command_line import main
-from rig.effects.framework.formula_quantities import quantities
+from rig.effects.framework.formula_quantities import quantities_of_motion
 from rig.effects.texts.formula_effect_file import Term, Written
 from rig.effects.texts.user_effect_files import load_effect_file
 from rig.errors import FileError
@@ -115,7 +115,7 @@ SAG = Written("strut", (Term((("x", 3),), None, "z", (0.2,), 1e-3), Term((("time
 
 def test_a_file_does_what_its_formula_says(design):
     motion = context_of(setting_of(design, "hexapod")).moved()
-    q = {one.name: one.values(motion) for one in quantities(motion, True)}
+    q = {one.name: one.values(motion) for one in quantities_of_motion(motion, True)}
     effect = WRITTEN.kind("mine")("strut 3", **WRITTEN.values)
     wave = 3e-6 * np.sin(90 * q["travel of strut 2"]) - 2e-6 * np.cos(90 * q["travel of strut 2"])
     told = 1e-5 * q["own speed"] * q["ambient_temperature_C"] + q["own direction"] * wave + 1e-8 * q["own load"]
@@ -129,7 +129,7 @@ def test_a_file_does_what_its_formula_says(design):
 def test_every_quantity_is_what_its_python_gives(design):
     for kind in ("hexapod", "arm"):
         motion = context_of(setting_of(design, kind)).moved()
-        for one in quantities(motion, True):
+        for one in quantities_of_motion(motion, True):
             form = Written(motion.kind.AXIS, (Term(((one.name, 1),), None, None, (1.0,), 1.0),))
             made = form.kind("mine")(motion.places[1], **form.values).deviation(motion)
             np.testing.assert_array_equal(
@@ -202,7 +202,7 @@ def measured(tmp_path_factory, rig_text):
     """(text, Design) of a rig whose poses an instrument measures, which is quick."""
     text, path = measured_by(rig_text), tmp_path_factory.mktemp("measured") / "rig.toml"
     path.write_text(text)
-    return text, design_file.load(path)
+    return text, design_file.load_design(path)
 
 
 def sought_in(recording):

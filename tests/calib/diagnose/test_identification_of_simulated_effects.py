@@ -8,7 +8,7 @@ import pytest
 
 from rig.cli import command_line
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.planning.layout.hexapod_layout import hexapod_layout
+from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
 
 EFFECTS = {  # one of each, of a size that rigs show
     "scale_error": "strut3:scale=4e-4",
@@ -51,7 +51,7 @@ def test_the_law_is_asked_of_every_effect():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EFFECTS)
 def test_what_is_simulated_is_named(name, tmp_path, capsys):
-    (tmp_path / "rig.toml").write_text(hexapod_layout(0.3))
+    (tmp_path / "rig.toml").write_text(hexapod_layout_rig_toml(0.3))
     for argv in (
         [
             "simulate",

@@ -27,7 +27,7 @@ from calib.diagnose.report.platform_report import platform_report
 from calib.samples.recording_samples import sample_recording
 from rig.effects.texts.effect_text import parse_effect
 from rig.planning import plan
-from rig.planning.layout.hexapod_layout import hexapod_layout
+from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine, unlisted_physics
 from tests.calib.recorded import recorded
@@ -156,11 +156,11 @@ def test_geometry_known_from_elsewhere_shows_what_would_hide_in_it(tmp_path, des
         recording_simulation.write_recording(
             recording_simulation.simulate(secret, plan.build_plan(design, "sobol:90", len(load)), rng),
             tmp_path / name,
-            hexapod_layout(0.3),
+            hexapod_layout_rig_toml(0.3),
             rng,
             0.04,
         )
-    before, after = (recording_folder.load(tmp_path / name) for name in ("before", "after"))
+    before, after = (recording_folder.load_recording(tmp_path / name) for name in ("before", "after"))
     sampled = sample_recording(before)
     done = certify_platform(sampled.samples, before.design.mechanism, rng)
     known = Calibration(done.correction, done.found.covariance, done.found.scatter, (), (), done.held_out, {})
@@ -184,12 +184,13 @@ def test_a_marker_of_another_size_gets_no_name(tmp_path, design):
     recording_simulation.write_recording(
         recording_simulation.simulate(secret, plan.build_plan(design, "sobol:60", 3), rng),
         tmp_path,
-        hexapod_layout(0.3),
+        hexapod_layout_rig_toml(0.3),
         rng,
         0.04,
     )
     found = diagnose_platform(
-        recording_folder.load(tmp_path), only=["face_misplacement", "print_scale", "edge_bias", "cube_misplacement"]
+        recording_folder.load_recording(tmp_path),
+        only=["face_misplacement", "print_scale", "edge_bias", "cube_misplacement"],
     )
     assert not found.effects and found.left[0].place == "marker 7"
 

@@ -27,7 +27,7 @@ def seen(tmp_path_factory, rig_text):
     """
     text, folder = measured_by(rig_text), tmp_path_factory.mktemp("refuted")
     (folder / "rig.toml").write_text(text)
-    design = design_file.load(folder / "rig.toml")
+    design = design_file.load_design(folder / "rig.toml")
 
     def diagnosed(effect):
         rng, to = np.random.default_rng(5), folder / f"{effect.name}"
@@ -40,7 +40,7 @@ def seen(tmp_path_factory, rig_text):
             rng,
             0.04,
         )
-        return diagnose_platform(recording_folder.load(to))
+        return diagnose_platform(recording_folder.load_recording(to))
 
     return diagnosed
 

@@ -20,7 +20,7 @@ PART = 0.1  # of an interval's length
 @pytest.mark.parametrize("name", sorted(VERDICTS))
 def test_a_sealed_recording_gets_the_verdict_that_it_got(shared, name):
     found, expected = (
-        platform_report(diagnose_platform(recording_folder.load(shared / "recordings" / name))).tree(),
+        platform_report(diagnose_platform(recording_folder.load_recording(shared / "recordings" / name))).tree(),
         VERDICTS[name],
     )
     assert [(f["effect"], f["place"]) for f in found["findings"]] == [

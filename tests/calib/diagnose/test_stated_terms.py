@@ -14,9 +14,9 @@ from calib.diagnose.problems.requested_effects import RequestedEffects, require_
 from calib.diagnose.report.platform_report import platform_report
 from calib.diagnose.report.report_sentences import evidence_sentence
 from rig.cli import command_line
-from rig.effects.texts.effect_text import parse_place
+from rig.effects.texts.effect_text import parse_effect_and_place
 from rig.errors import NotEnoughData, RigError
-from rig.recording.frame_mask import remove_frames
+from rig.recording.frame_selection import remove_frames
 from tests.calib.recorded import recorded
 
 STRUT_2, STRUT_4 = ("backlash", "strut 2"), ("backlash", "strut 4")
@@ -56,10 +56,9 @@ def test_what_was_seen_before_has_to_stand(loose):
 
 
 def test_what_cannot_be_assumed_is_refused(design):
-    assert parse_place("backlash strut2", design) == STRUT_2 and parse_place("vibration", design) == (
-        "vibration",
-        "rig",
-    )
+    assert parse_effect_and_place("backlash strut2", design) == STRUT_2 and parse_effect_and_place(
+        "vibration", design
+    ) == ("vibration", "rig")
     for text, said in (
         ("backlash strut 9", "no strut '9'"),
         ("backlash", "cannot sit at ''"),
@@ -67,7 +66,7 @@ def test_what_cannot_be_assumed_is_refused(design):
         ("marker_swap marker 8", "looked for before all else"),
     ):
         with pytest.raises(RigError, match=said):
-            parse_place(text, design)
+            parse_effect_and_place(text, design)
     with pytest.raises(RigError, match="backlash strut 2 cannot be assumed and left out at once"):
         RequestedEffects.of(None, ["backlash"], StatedTerms((STRUT_2,)))
     with pytest.raises(

@@ -28,7 +28,7 @@ from calib.diagnose.report.platform_page_figures import PlatformView
 from calib.diagnose.report.platform_report import platform_report
 from rig.effects.catalogue import effect_list
 from rig.model.manufacturing_tolerances import PLACES, SIDES
-from synthetic import printing_errors
+from synthetic import blind_image_settings
 from tests.calib.recorded import recorded
 
 ROUTE, PRINTED = (
@@ -38,7 +38,7 @@ ROUTE, PRINTED = (
 
 
 def printed(design, place, side, seed=1):
-    return printing_errors.draw_printing_errors(design, np.random.default_rng(seed), place, side)
+    return blind_image_settings.draw_printing_errors(design, np.random.default_rng(seed), place, side)
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,8 @@ from rig.effects.texts.effect_text import parse_effect
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
-from rig.planning import plan
-from rig.planning.layout import shipped_arms
+from rig.planning import configuration_sets, plan
+from rig.planning.layout import shipped_arm_layout
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
 
@@ -30,17 +30,19 @@ FRICTION, PLAY = "hysteresis:joint 2:range=0.5,weight=0.001", "backlash:joint 2:
 def found(tmp_path_factory):
     """(Recording of a SCARA whose second joint sticks, its ArmDiagnosis)."""
     at = tmp_path_factory.mktemp("scara")
-    (at / "rig.toml").write_text(shipped_arms.shipped_arm_rig_toml("scara"))
-    design, rng = design_file.load(at / "rig.toml"), np.random.default_rng(3)
+    (at / "rig.toml").write_text(shipped_arm_layout.shipped_arm_rig_toml("scara"))
+    design, rng = design_file.load_design(at / "rig.toml"), np.random.default_rng(3)
     strokes = plan.axis_strokes(design)
-    straight = plan.settled_plan(
-        plan.low_discrepancy(strokes, 60, seed=871346366), strokes.mean(axis=1), plan.plan_speed(design)
+    straight = plan.plan_of_configurations(
+        configuration_sets.sobol_configurations(strokes, 60, seed=871346366),
+        strokes.mean(axis=1),
+        plan.planned_axis_speeds(design),
     )
     done = recording_simulation.simulate(
         secret_machine.draw_machine(design, rng, 1.0, (parse_effect(FRICTION),)), straight, rng
     )
-    recording_simulation.write_recording(done, at / "rec", shipped_arms.shipped_arm_rig_toml("scara"), rng)
-    read = recording_folder.load(at / "rec")
+    recording_simulation.write_recording(done, at / "rec", shipped_arm_layout.shipped_arm_rig_toml("scara"), rng)
+    read = recording_folder.load_recording(at / "rec")
     return read, diagnose_arm(read)
 
 
@@ -114,7 +116,7 @@ def test_what_turns_round_tells_play_from_friction_and_so_does_a_plan_of_balance
 
 
 def test_what_of_arms_cannot_be_investigated_is_refused(tmp_path, capsys):
-    text = shipped_arms.shipped_arm_rig_toml("puma560")
+    text = shipped_arm_layout.shipped_arm_rig_toml("puma560")
     (tmp_path / "rig.toml").write_text(text[: text.index("[instrument]")])
     assert main(["investigate", str(tmp_path / "rig.toml"), "--by-hand", "--out", str(tmp_path / "out")]) == 1
     assert "takes an [instrument] that measures its poses" in capsys.readouterr().err
@@ -130,7 +132,7 @@ def test_what_of_arms_cannot_be_investigated_is_refused(tmp_path, capsys):
 @pytest.mark.parametrize(("effect", "name"), [(FRICTION, "hysteresis"), (PLAY, "backlash")])
 def test_play_is_told_from_friction_by_one_experiment(tmp_path, capsys, effect, name):
     rig, truth, out = tmp_path / "rig.toml", tmp_path / "truth.json", tmp_path / "out"
-    rig.write_text(shipped_arms.shipped_arm_rig_toml("scara"))
+    rig.write_text(shipped_arm_layout.shipped_arm_rig_toml("scara"))
     assert (
         main(
             [
@@ -180,7 +182,7 @@ def test_play_is_told_from_friction_by_one_experiment(tmp_path, capsys, effect, 
 @pytest.mark.slow
 def test_a_quiet_arm_is_left_in_peace(tmp_path, capsys):
     rig, truth, out = tmp_path / "rig.toml", tmp_path / "truth.json", tmp_path / "out"
-    rig.write_text(shipped_arms.shipped_arm_rig_toml("scara"))
+    rig.write_text(shipped_arm_layout.shipped_arm_rig_toml("scara"))
     assert (
         main(
             [

@@ -61,7 +61,7 @@ def test_more_than_there_are_cannot_be_chosen():
 def test_they_are_a_part_of_a_plan(design):
     assert all(f"apart:{count}" in available_plans((), True) for count in CHOSEN)
     own = build_plan(design, "sobol:2", 3).commands.values[-2:]
-    plan = build_plan(design, "apart:2,ladder:1", own={"apart:2": own})
+    plan = build_plan(design, "apart:2,ladder:1", own_parts={"apart:2": own})
     assert len(plan.t) == 2 + len(build_plan(design, "ladder:1").t)
     np.testing.assert_allclose(plan.commands.at(plan.t[:2]), own)
 
@@ -78,7 +78,7 @@ def test_configurations_are_chosen_by_the_images_and_the_cameras_that_see_it_are
     ]
     asked = [PlatformQuestion(tuple(Hypothesis(fit.point.effects[0].name, "camera cam1", 0.5, fit, 0) for fit in fits))]
     own = discriminating_configurations(asked, design, 8, seed=3)
-    plan = build_plan(design, "apart:8", own={"apart:8": own})
+    plan = build_plan(design, "apart:8", own_parts={"apart:8": own})
     seen = camera_information_shares(asked, plan)
     assert next(iter(seen)) == "cam1" and seen["cam1"] > 0.5 and sum(seen.values()) == pytest.approx(1)
     anywhere = [told(predict_outcomes_by_frame(asked[0], build_plan(design, "sobol:8", seed))) for seed in range(3)]

@@ -9,12 +9,12 @@ import pytest
 
 from rig.cli.command_line import main
 from rig.planning.plan import build_plan
-from rig.planning.plan_table import write_plan
+from rig.planning.plan_construction_and_table import write_plan_table
 
 
 def test_a_plan_in_time_comes_back_with_its_payload(design, tmp_path):
     plan = build_plan(design, "sobol:3,payload:2,dwell:4", 3)
-    write_plan(tmp_path / "plan.csv", plan, design.mechanism.axes)
+    write_plan_table(tmp_path / "plan.csv", plan, design.mechanism.axes)
     again = build_plan(design, f"commands:{tmp_path / 'plan.csv'}")
     np.testing.assert_allclose(again.t, plan.t, atol=1e-4)
     np.testing.assert_allclose(again.commands.at(plan.t), plan.commands.at(plan.t), atol=2e-6)

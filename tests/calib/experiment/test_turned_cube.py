@@ -13,7 +13,7 @@ from calib.diagnose.problems.platform.linearised_corners import SEAT_LABELS, cor
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
 from rig.cli.command_line import main
 from rig.model.cube_remounting import quarter_turns
-from rig.planning.layout import hexapod_layout
+from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.recording import recording_folder
 from vision.combined_recordings import combine_recordings
 from vision.recording_measurement import measure_recording
@@ -49,7 +49,7 @@ def second(rig_text, tmp_path_factory):
 
 
 def test_a_recording_says_that_a_cube_was_put_back_and_its_faces_hold_no_pose(second):
-    second = recording_folder.load(second)
+    second = recording_folder.load_recording(second)
     assert quarter_turns(second.design) == {"P1": 1}
     measured, _ = measure_recording(second)
     o, own = measured.observations, np.array([t == "P1" for t in marker_targets(measured)])
@@ -95,7 +95,7 @@ def test_the_seat_of_a_cube_moves_its_corners_as_the_forward_model_has_it(second
         )
         == 0
     )
-    both = combine_recordings([recording_folder.load(at / "one"), recording_folder.load(second)])
+    both = combine_recordings([recording_folder.load_recording(at / "one"), recording_folder.load_recording(second)])
     assert (
         "cube P1 was put back turned by a quarter turn for two: it is target P1@2 here, its place its own"
         in both.lines()
@@ -124,7 +124,7 @@ def others(point):
 @pytest.mark.parametrize(("effect", "name"), [(FACE, "face_misplacement"), (CUBE, "cube_misplacement")])
 def test_a_face_is_told_from_its_cube_by_turning_it(tmp_path, capsys, effect, name):
     """One camera sees one face of a cube; a quarter turn brings both of its faces before it."""
-    text = hexapod_layout.hexapod_layout(0.3, cameras=1)
+    text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=1)
     start, end = text.index('name = "P1"'), text.index('name = "P2"')
     block = re.sub(r"faces = .*", 'faces = { "-y" = 0, "-x" = 1 }', text[start:end])
     block = re.sub(r"rotvec = \[0.0, 0.0, [\d.]+\]", "rotvec = [0.0, 0.0, 1.135]", block)

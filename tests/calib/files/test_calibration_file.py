@@ -10,7 +10,7 @@ from calib.certify.calibration import Calibration
 from calib.certify.platform_certification import certify_platform, platform_workspace_claim
 from calib.files import calibration_file
 from rig.errors import FileError
-from rig.formats.json_positions import Places, repeated_key
+from rig.formats.json_file import Places, first_repeated_key
 from rig.model.mechanisms import hexapod
 from tests.calib.correct.test_correction import wavy
 from tests.calib.worlds import sampled, workspace
@@ -206,4 +206,7 @@ def test_places_of_a_json_text_are_those_of_its_values():
         and found[("a", 3)] == (2, 7)
     )
     assert found[("c",)] == (2, 21) and found[()] == (None, None) and len(found) == 8
-    assert repeated_key('{"a": {"b": 1}, "c": {"b": 1,\n "b": [1]}}') == ("b", (2, 7)) and repeated_key(text) is None
+    assert (
+        first_repeated_key('{"a": {"b": 1}, "c": {"b": 1,\n "b": [1]}}') == ("b", (2, 7))
+        and first_repeated_key(text) is None
+    )

@@ -17,14 +17,14 @@ from calib.models.arm.correction import ArmCorrection
 from calib.models.chain import error_model as chains
 from calib.models.corrected_pose_covariance import corrected_pose_covariance
 from calib.models.platform.identification import geometric_parameters
-from rig.effects.framework.fit_coordinates import coordinates_of
+from rig.effects.framework.fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text import parse_effect
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats import csv_table
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms
-from rig.planning.configuration_sets import low_discrepancy
-from rig.planning.layout import hexapod_layout, shipped_arms, two_strut_layout
+from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.layout import hexapod_and_two_strut_layout, shipped_arm_layout
 from rig.recording import recording_folder
 from rig.recording.corner_and_pose_tables import Poses
 from rig.recording.recording_folder import Sensors
@@ -38,14 +38,14 @@ def designed(folder, kind):
     if kind == "chain":
         return chained.written(folder)
     text = (
-        shipped_arms.shipped_arm_rig_toml("puma560")
+        shipped_arm_layout.shipped_arm_rig_toml("puma560")
         if kind == "arm"
-        else hexapod_layout.hexapod_layout(0.3)
+        else hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3)
         if kind == "hexapod"
-        else two_strut_layout.two_strut_layout(0.3)
+        else hexapod_and_two_strut_layout.two_strut_layout_rig_toml(0.3)
     )
     (folder / "rig.toml").write_text(text)
-    return design_file.load(folder / "rig.toml")
+    return design_file.load_design(folder / "rig.toml")
 
 
 def calibrated(design, *effects):
@@ -61,7 +61,7 @@ def calibrated(design, *effects):
         else len(geometric_parameters(m))
     )
     if effects:
-        n = len(coordinates_of(effects))
+        n = len(coordinates_of_effects(effects))
         known = Physics(
             effects,
             1e-12 * np.eye(n),
@@ -76,7 +76,9 @@ def calibrated(design, *effects):
         )
     none = (None,) * count
     correction = (
-        ArmCorrection(m, m, none, low_discrepancy(m.limits, 40, 0.7, 5)) if kind == "arm" else Correction(m, m, none)
+        ArmCorrection(m, m, none, sobol_configurations(m.limits, 40, 0.7, 5))
+        if kind == "arm"
+        else Correction(m, m, none)
     )
     scatter = np.repeat([2e-6, 1e-5], 3) if kind in ("arm", "chain") else np.full(count, 3e-6)
     return Calibration(correction, 1e-12 * np.eye(p), scatter, (1,), (), None, {"seed": 0}, None, known)
@@ -84,7 +86,9 @@ def calibrated(design, *effects):
 
 def wanted_of(design, count=6):
     m = design.mechanism
-    return mechanisms.kinematics_of(m).forward(low_discrepancy(mechanisms.kinematics_of(m).travel(m), count, 0.5, 3), m)
+    return mechanisms.kinematics_of(m).forward(
+        sobol_configurations(mechanisms.kinematics_of(m).travel(m), count, 0.5, 3), m
+    )
 
 
 @pytest.mark.parametrize(

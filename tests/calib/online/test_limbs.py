@@ -17,7 +17,7 @@ from calib.samples.recording_samples import sample_recording
 from rig.errors import FileError, RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference
-from rig.planning.plan import low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Sensors
 
@@ -47,7 +47,7 @@ def accepted(limbed, by_vision):
 @pytest.fixture(scope="module")
 def again(limbed):
     """The same machine another day."""
-    return recording_folder.load(limbed[1].folder.parent / "again")
+    return recording_folder.load_recording(limbed[1].folder.parent / "again")
 
 
 def slipped(read, limb, by, at):
@@ -142,7 +142,7 @@ def test_learning_from_limbs_alone_agrees_with_vision_within_its_covariance(acce
     apart, covariance = learners[0].p - learners[1].p, learners[0].covariance + learners[1].covariance
     assert apart @ np.linalg.solve(covariance, apart) < chi2.ppf(0.99, 42)
     slip = apart + 3e-5 * np.eye(42)[38]
-    T = [hexapod.forward(low_discrepancy(nominal.strut_range, 30, 0.8), learner.hexapod) for learner in learners]
+    T = [hexapod.forward(sobol_configurations(nominal.strut_range, 30, 0.8), learner.hexapod) for learner in learners]
     to_pose = pose_parameter_jacobian(T[1], learners[1].hexapod)
     expected = np.sqrt(np.einsum("nij,jk,nik->ni", to_pose, covariance, to_pose))
     left = pose_difference(T[1], T[0])

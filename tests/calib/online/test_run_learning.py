@@ -11,8 +11,8 @@ from calib.online.run_learning import Learner, LimbWatch
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms
 from rig.model.pose import exp, transform_points
-from rig.planning.layout import hexapod_layout
-from rig.planning.plan import low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.layout import hexapod_and_two_strut_layout
 from synthetic import secret_machine
 
 SIGMA = np.r_[np.full(3, 2e-6), np.full(3, 1e-5)]
@@ -23,7 +23,7 @@ def machine(design):
     """(stated, true Hexapod, commands (60, 6) m, a function that measures a pose)"""
     rng = np.random.default_rng(8)
     true = secret_machine.draw_machine(design, rng).true.mechanism
-    commands = low_discrepancy(design.mechanism.strut_range, 60, seed=2)
+    commands = sobol_configurations(design.mechanism.strut_range, 60, seed=2)
 
     def measured(command, longer=0.0):
         return mechanisms.kinematics_of(true).forward(command + longer, true) * exp(SIGMA * rng.normal(size=6))
@@ -60,12 +60,12 @@ def test_a_drift_from_the_calibration_is_said_once(machine):
 
 
 def test_limbs_that_go_astray_are_said(tmp_path):
-    (tmp_path / "rig.toml").write_text(hexapod_layout.hexapod_layout(0.3, limbs=6))
-    design = design_file.load(tmp_path / "rig.toml")
+    (tmp_path / "rig.toml").write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, limbs=6))
+    design = design_file.load_design(tmp_path / "rig.toml")
     rng = np.random.default_rng(8)
     true = secret_machine.draw_machine(design, rng).true
     watch, said = LimbWatch(design), []
-    for k, command in enumerate(low_discrepancy(design.mechanism.strut_range, 40, seed=2)):
+    for k, command in enumerate(sobol_configurations(design.mechanism.strut_range, 40, seed=2)):
         T = mechanisms.kinematics_of(true.mechanism).forward(command, true.mechanism)
         legs = transform_points(T, true.insitu.platform_joints) - true.insitu.base_joints
         read = np.linalg.norm(legs, axis=1) - true.insitu.zeros + 1e-6 * rng.normal(size=6) + (2e-4 if k >= 33 else 0.0)

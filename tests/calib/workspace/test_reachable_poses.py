@@ -13,7 +13,7 @@ from rig.model.design import Planar2
 from rig.model.mechanisms import arm as arms
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
 from synthetic import secret_machine
 from tests.calib.arm_worlds import secret
 from tests.rig.arms import UR10
@@ -31,7 +31,7 @@ def rough(design):
 
 def test_a_strut_that_is_longer_than_it_says_loses_its_short_end_and_gains_its_long_one():
     correction = Correction(PLANAR, Planar2(PLANAR.base_joints, STROKES, [0.03, 0.0]), (None, None))
-    drawn = low_discrepancy(np.array(STROKES), 4096, 1.0)
+    drawn = sobol_configurations(np.array(STROKES), 4096, 1.0)
     believed, real = (
         reachable_side(uncorrected_machine(correction), correction, drawn),
         reachable_side(correction, uncorrected_machine(correction), drawn),
@@ -43,7 +43,7 @@ def test_a_strut_that_is_longer_than_it_says_loses_its_short_end_and_gains_its_l
 
 
 def test_lost_are_the_poses_whose_corrected_commands_leave_the_strokes(rough, design):
-    configurations = low_discrepancy(design.mechanism.strut_range, 300, 1.0)
+    configurations = sobol_configurations(design.mechanism.strut_range, 300, 1.0)
     out = is_pose_lost(rough, configurations)
     T = hexapod.forward(configurations, design.mechanism)
     with pytest.raises(Unreachable) as refused:
@@ -63,7 +63,7 @@ def test_what_closes_on_no_pose_is_lost_and_stops_nothing(rough, design):
 def test_an_arm_loses_poses_of_its_own_configuration_alone():
     true = secret(UR10, np.random.default_rng(0), size=3.0)
     correction = ArmCorrection(UR10, replace(true, base=UR10.base, tool=UR10.tool), (None,) * 6, np.zeros((1, 6)))
-    q = low_discrepancy(UR10.limits, 64, 1.0)
+    q = sobol_configurations(UR10.limits, 64, 1.0)
     out = is_pose_lost(correction, q)
     needed = correction.near(arms.forward(q, UR10), q)
     inside = np.isfinite(needed).all(axis=1) & (arms.limits(np.nan_to_num(needed), UR10) == 0).all(axis=1)

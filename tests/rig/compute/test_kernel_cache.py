@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 
 from rig.cli.shared.terminal_output import Progress, print_compilation_notice
-from rig.compute import kernel_cache, numba_kernels
+from rig.compute import numba_kernels
 from tests.conftest import ROOT
 
 
 def forget():
-    for found in (kernel_cache.kernel_folder, kernel_cache.own_folder, kernel_cache.is_private):
+    for found in (numba_kernels.kernel_cache_folder, numba_kernels.user_cache_folder, numba_kernels.is_private_folder):
         found.cache_clear()
 
 
@@ -26,7 +26,7 @@ def locked(monkeypatch, tmp_path):
     """An installation that cannot be written, and temporary files in tmp_path."""
     writable = os.access
     monkeypatch.setattr(
-        os, "access", lambda path, mode: not Path(path).is_relative_to(kernel_cache.HERE) and writable(path, mode)
+        os, "access", lambda path, mode: not Path(path).is_relative_to(numba_kernels.HERE) and writable(path, mode)
     )
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
@@ -37,7 +37,7 @@ def locked(monkeypatch, tmp_path):
 
 def test_a_home_is_used_where_there_is_one(locked, monkeypatch, tmp_path):
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    assert kernel_cache.kernel_folder() == tmp_path / "home" / ".cache" / "rig"
+    assert numba_kernels.kernel_cache_folder() == tmp_path / "home" / ".cache" / "rig"
 
 
 @pytest.mark.parametrize("planted", [None, "link", "open"])
@@ -51,12 +51,12 @@ def test_without_a_home_a_folder_of_ones_own(planted, locked, monkeypatch, tmp_p
     if planted == "open":
         folder.mkdir()
         folder.chmod(0o777)
-    found = kernel_cache.kernel_folder()
+    found = numba_kernels.kernel_cache_folder()
     assert (found == folder) == (planted is None) and not found.is_symlink() and found.stat().st_mode & 0o077 == 0
     assert f"is kept in {found}" in capsys.readouterr().err
     forget()
     if planted is None:
-        assert kernel_cache.kernel_folder() == folder and not capsys.readouterr().err  # said once
+        assert numba_kernels.kernel_cache_folder() == folder and not capsys.readouterr().err  # said once
 
 
 @pytest.mark.parametrize("mode", [0o777, 0o775, 0o707])
@@ -66,23 +66,23 @@ def test_a_folder_to_which_others_can_write_is_not_taken(mode, locked, monkeypat
     (theirs / "below").mkdir(parents=True)
     theirs.chmod(mode)
     own = tmp_path / "home" / ".cache" / "rig"
-    assert kernel_cache.trusted_folder(theirs) == own and own.stat().st_mode & 0o077 == 0
-    assert kernel_cache.is_private(theirs / "below") == (mode == 0o775), (
+    assert numba_kernels.private_or_user_folder(theirs) == own and own.stat().st_mode & 0o077 == 0
+    assert numba_kernels.is_private_folder(theirs / "below") == (mode == 0o775), (
         "who can write above can put another folder in its place"
     )
     forget()
     own.chmod(mode)
-    assert kernel_cache.trusted_folder(theirs) == tmp_path / f"rig-kernels-{os.getuid()}"
+    assert numba_kernels.private_or_user_folder(theirs) == tmp_path / f"rig-kernels-{os.getuid()}"
     assert f"others can write to {theirs}, and {own.parent} can be written to by others" in capsys.readouterr().err
 
 
 def test_a_folder_of_somebody_else_is_not_taken(monkeypatch, tmp_path):
     forget()
-    assert kernel_cache.is_private(tmp_path) and kernel_cache.is_private(tmp_path / "new" / "folder")
+    assert numba_kernels.is_private_folder(tmp_path) and numba_kernels.is_private_folder(tmp_path / "new" / "folder")
     forget()
     owner = tmp_path.stat().st_uid
     monkeypatch.setattr(os, "getuid", lambda: owner + 1)
-    assert kernel_cache.is_private(tmp_path) == (owner == 0)
+    assert numba_kernels.is_private_folder(tmp_path) == (owner == 0)
     forget()
 
 

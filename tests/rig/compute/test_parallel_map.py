@@ -12,7 +12,7 @@ from calib.diagnose.problems.platform.linearised_residuals import linearise
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnose.problems.requested_effects import RequestedEffects
 from rig.compute import parallel_map
-from rig.compute.worker_processes import MOST, work_parts
+from rig.compute.worker_processes import MOST, split_for_workers
 from tests.calib.recorded import recorded
 
 
@@ -36,7 +36,7 @@ def test_results_come_in_order_and_progress_reaches_the_end(processes):
 @pytest.mark.parametrize("count", [1, 2, 7])
 def test_parts_hold_all_in_order_and_are_single_at_the_end(count):
     for many in (0, 1, 5, 999):
-        shares = work_parts(range(many), count)
+        shares = split_for_workers(range(many), count)
         assert [thing for share in shares for thing in share] == list(range(many))
         sizes = [len(share) for share in shares]
         assert (

@@ -25,7 +25,7 @@ if __name__ == "__main__":
 CHILD = """
 import os, sys
 from rig.compute.worker_processes import run_child_process as finished
-finished([sys.executable, "-c", "import sys, time; from rig.compute.worker_processes import end_with_parent as \
+finished([sys.executable, "-c", "import sys, time; from rig.compute.worker_processes import end_when_parent_ends as \
 end_with; end_with(int(sys.argv[1]));"
           "time.sleep(60)", str(os.getpid())], dict(os.environ))
 """

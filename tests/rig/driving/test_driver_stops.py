@@ -10,7 +10,7 @@ import pytest
 
 from rig.driving.driver import Driver
 from rig.driving.emulators.emulator_construction import home_lengths
-from rig.driving.emulators.in_process_port import EmulatorPort
+from rig.driving.emulators.emulator_ports import EmulatorPort
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, Stopped
 from tests.rig.driven import STEP, order, truly
 from tests.rig.judge import bench
@@ -154,7 +154,7 @@ def test_a_port_that_comes_back_under_another_name_is_found(driven_design, monke
 
     from serial.tools import list_ports
 
-    from rig.driving.serial_port import find_port
+    from rig.driving.serial_port import find_usb_port
 
     driver, emulator, clock = bench(driven_design, "struts", (), 1)
     opened, here = (
@@ -168,7 +168,7 @@ def test_a_port_that_comes_back_under_another_name_is_found(driven_design, monke
     def opener():
         name = f"/dev/ttyACM{emulator.replugged}" if emulator.plugged else "/dev/none"
         monkeypatch.setattr(list_ports, "comports", lambda: here(name))
-        opened.append(find_port("/dev/ttyACM0", "A9"))
+        opened.append(find_usb_port("/dev/ttyACM0", "A9"))
         return EmulatorPort(emulator, clock)
 
     driver = Driver(driven_design_with(driven_design, "struts"), clock, opener)
@@ -177,10 +177,12 @@ def test_a_port_that_comes_back_under_another_name_is_found(driven_design, monke
     order(emulator, "unplug")
     driver.move(home_lengths(driven_design.mechanism) + STEP)
     assert (
-        opened[0] == "/dev/ttyACM0" and opened[-1] == "/dev/ttyACM1" and find_port("x", "2341:0042") == "/dev/ttyACM1"
+        opened[0] == "/dev/ttyACM0"
+        and opened[-1] == "/dev/ttyACM1"
+        and find_usb_port("x", "2341:0042") == "/dev/ttyACM1"
     )
     with pytest.raises(LinkLost, match="0 ports answer"):
-        find_port("/dev/ttyACM0", "B7")
+        find_usb_port("/dev/ttyACM0", "B7")
 
 
 def driven_design_with(design, protocol):

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from rig.driving.run_journal import Arrival, Departure, Ended, Exposed, Resumed, read_journal
-from rig.driving.run_steps import check_steps, steps_of_plan
+from rig.driving.run_steps_and_progress import check_steps, steps_of_plan
 from rig.errors import ControllerFault, RigError, Stopped, Unreachable
 from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
+from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.planning.plan import build_plan
 from rig.recording import recording_folder
 from tests.rig.room import RAMP, SPEED, Killed, Onlooker, Room
@@ -17,15 +17,15 @@ from tests.rig.room import RAMP, SPEED, Killed, Onlooker, Room
 
 @pytest.fixture
 def rig(tmp_path):
-    text = hexapod_layout.hexapod_layout(0.3, cameras=1, width=64, height=48)
+    text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=1, width=64, height=48)
     (tmp_path / "rec").mkdir()
     (tmp_path / "rec" / "rig.toml").write_text(text)
-    return design_file.load(tmp_path / "rec" / "rig.toml")
+    return design_file.load_design(tmp_path / "rec" / "rig.toml")
 
 
 def test_a_run_is_a_recording_as_any_other(rig, tmp_path):
     room = Room(rig, tmp_path / "rec").process()
-    found = recording_folder.load(tmp_path / "rec")
+    found = recording_folder.load_recording(tmp_path / "rec")
     frames, t, commanded = found.commanded()
     assert frames.tolist() == list(range(5)) and all(np.diff(t) > 0)
     exposed = [k for k, step in enumerate(room.planned) for _ in range(step.frames)]
@@ -55,7 +55,7 @@ def test_it_can_be_read_while_it_grows(rig, tmp_path):
 
     def look(self, shot):
         seen(self, shot)
-        counts.append(len(recording_folder.load(tmp_path / "rec").exposures.frame))
+        counts.append(len(recording_folder.load_recording(tmp_path / "rec").exposures.frame))
 
     room.onlooker.seen = None
     Onlooker.seen = look
@@ -91,7 +91,7 @@ def test_killed_at_every_instant_it_goes_on_and_repeats_no_move(rig, tmp_path, h
             "no goal is gone to twice, unless the struts were found half way"
         )
         assert ("broken off" in next(row for row in rows if isinstance(row, Resumed)).found) == broken
-        found = recording_folder.load(folder)
+        found = recording_folder.load_recording(folder)
         exposed = [k for k, step in enumerate(room.planned) for _ in range(step.frames)]
         assert [row.step for row in rows if isinstance(row, Exposed)] == exposed
         np.testing.assert_allclose(found.commanded()[2], [room.planned[k].goal for k in exposed], atol=2e-9)
@@ -115,7 +115,7 @@ def test_what_stands_elsewhere_is_said_and_gone_back_to(rig, tmp_path):
         "2.000 mm from where they were left: somebody moved them"
         in next(row for row in rows if isinstance(row, Resumed)).found
     )
-    recording_folder.load(tmp_path / "rec")
+    recording_folder.load_recording(tmp_path / "rec")
 
 
 def test_what_is_done_is_not_gone_back_to(rig, tmp_path):
@@ -124,7 +124,7 @@ def test_what_is_done_is_not_gone_back_to(rig, tmp_path):
     room.struts.at += 2e-3
     room.process()
     assert len(room.struts.visits) == visits
-    recording_folder.load(tmp_path / "rec")
+    recording_folder.load_recording(tmp_path / "rec")
 
 
 def test_a_fault_stops_the_struts_and_is_written_down(rig, tmp_path):

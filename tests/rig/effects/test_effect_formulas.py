@@ -7,12 +7,12 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.effects.catalogue.servo_lag import first_order_lag
-from rig.effects.framework.cardan_twist import cardan_twist
 from rig.effects.framework.play_operator import play_operator
 from rig.effects.texts.effect_text import parse_effect
 from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Camera, Platform
+from rig.model.hexapod_geometry import cardan_twist
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose, pose_difference
 from rig.recording.recording_folder import Commands, Sensors

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.effects.texts.effect_text import effect_from_dict, parse_effect, require_known_effect, require_place
+from rig.effects.texts.effect_text import effect_from_dict, parse_effect, require_existing_place, require_known_effect
 from rig.errors import RigError
 from rig.model.design import Planar2
 from rig.planning import plan
@@ -28,14 +28,14 @@ from rig.planning import plan
 )
 def test_places_that_the_rig_lacks_are_refused(design, text, says):
     with pytest.raises(RigError, match=says):
-        require_place(parse_effect(text), design)
+        require_existing_place(parse_effect(text), design)
 
 
 def test_a_planar_rig_has_two_struts(design):
     planar = replace(design, mechanism=Planar2([[0.0, 0.0], [1.0, 0.0]], [[0.5, 1.5], [0.5, 1.5]]))
-    assert require_place(parse_effect("backlash:strut2:gap=1e-5"), planar).place == "strut 2"
+    assert require_existing_place(parse_effect("backlash:strut2:gap=1e-5"), planar).place == "strut 2"
     with pytest.raises(RigError, match="it has 1, 2$"):
-        require_place(parse_effect("backlash:strut3:gap=1e-5"), planar)
+        require_existing_place(parse_effect("backlash:strut3:gap=1e-5"), planar)
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.catalogue.vibration import one_direction
+from rig.effects.catalogue.vibration import rank_one_least_squares
 from rig.effects.framework.effect import MOTION_STAGES, Context
 from rig.effects.framework.effect_validity import check_effect
 from rig.effects.framework.machine_motion import Path
-from rig.effects.framework.random_effects import Drawing
+from rig.effects.framework.parameter import Drawing
 from rig.effects.texts.effect_text import parse_effect
 from rig.errors import RigError
 from rig.model import mechanisms, motion_simulation
@@ -191,7 +191,7 @@ def test_links_that_grow_move_the_hand_as_longer_links_do():
         np.random.default_rng(6).uniform(-2, 2, (10, 6)),
         replace(UR10, joints=UR10.rows * [1, 1 + 1e-6, 1 + 1e-6, 1, 1]),
     )
-    sway = arm.grown(None, q, UR10, np.full((10, 6), 1e-6))[1]
+    sway = arm.growth_deviation_and_sway(None, q, UR10, np.full((10, 6), 1e-6))[1]
     np.testing.assert_allclose(sway, pose_difference(arm.forward(q, UR10), arm.forward(q, grown)), atol=1e-11)
 
 
@@ -221,7 +221,7 @@ def test_one_direction_is_found_among_twelve_numbers():
         rng.normal(size=6),
     )
     x = np.outer(phase, direction).ravel()
-    drop, found = one_direction(X.T @ X @ x, X.T @ X)
+    drop, found = rank_one_least_squares(X.T @ X @ x, X.T @ X)
     np.testing.assert_allclose(found, x, rtol=1e-6)
     assert drop == pytest.approx(x @ X.T @ X @ x)
 

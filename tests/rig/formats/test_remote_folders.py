@@ -12,7 +12,7 @@ from rig.cli.command_line import main
 from rig.errors import FileError, MissingLibrary
 from rig.formats import remote_folders
 from rig.formats.input_files import read_text
-from rig.recording import exposures
+from rig.recording import exposures_and_images
 from rig.recording import recording_folder as recording
 from tests.conftest import BENCH
 
@@ -36,7 +36,7 @@ def kept():
 
 
 def test_a_recording_behind_a_url_is_the_one_in_the_folder(kept, recording_folder, tmp_path, capsys):
-    here, there = recording.load(recording_folder), recording.load(kept(recording_folder))
+    here, there = recording.load_recording(recording_folder), recording.load_recording(kept(recording_folder))
     assert (
         there.name == "rec"
         and np.array_equal(here.corners.uv, there.corners.uv)
@@ -56,27 +56,27 @@ def test_images_are_fetched_one_by_one_when_they_are_read(kept, monkeypatch):
         "read",
         lambda path, most=None, real=remote_folders.read: fetched.append(path.name) or real(path, most),
     )
-    found = recording.load(address)
+    found = recording.load_recording(address)
     assert found.has_images and not [name for name in fetched if name.endswith(".png")]
-    image = exposures.read_image(found.folder / found.exposures.image[4])
-    assert np.array_equal(image, exposures.read_image(BENCH / "check" / found.exposures.image[4]))
+    image = exposures_and_images.read_image(found.folder / found.exposures.image[4])
+    assert np.array_equal(image, exposures_and_images.read_image(BENCH / "check" / found.exposures.image[4]))
     assert [name for name in fetched if name.endswith(".png")] == [found.exposures.image[4].rsplit("/", 1)[1]]
 
 
 def test_images_that_are_missing_empty_or_cut_off_are_named(kept, capsys, tmp_path):
     memory, address = fsspec.filesystem("memory"), kept(BENCH / "check")
-    names = recording.load(address).exposures.image
+    names = recording.load_recording(address).exposures.image
     memory.rm(f"/bucket/rec/{names[0]}")
     memory.pipe(f"/bucket/rec/{names[1]}", b"")
     whole = memory.cat_file(f"/bucket/rec/{names[2]}")
     memory.pipe(f"/bucket/rec/{names[2]}", whole[:-100])
     with pytest.raises(FileError, match="no such image") as raised:
-        recording.load(address)
+        recording.load_recording(address)
     assert raised.value.path == f"memory://bucket/rec/{names[0]}" and "is an empty file" in str(raised.value)
     assert "cut off" not in str(raised.value)  # which is seen when it is fetched
     with pytest.raises(FileError, match="is cut off"):
-        exposures.read_image(recording.Path(f"{address}/{names[2]}"))
-    left = recording.load(address, skip_unreadable=True)
+        exposures_and_images.read_image(recording.Path(f"{address}/{names[2]}"))
+    left = recording.load_recording(address, skip_unreadable=True)
     assert [image.problem.split(" ")[:2] for image in left.skipped] == [["no", "such"], ["is", "an"], ["is", "cut"]]
 
 
@@ -84,7 +84,7 @@ def test_stages_of_a_chain_are_looked_for_there_too(kept, recording_folder):
     (recording_folder / "poses_stage1.csv").write_text("frame,x,y,z,rx,ry,rz\n0,0,0,0,0,0,0\n")
     for folder in (recording_folder, kept(recording_folder)):
         with pytest.raises(FileError, match="rec/poses_stage1.csv: rig.toml has no 'stage 1' below a last platform"):
-            recording.load(folder)
+            recording.load_recording(folder)
 
 
 @pytest.mark.parametrize(
@@ -116,16 +116,16 @@ def test_a_place_that_refuses_is_said(kept, recording_folder, monkeypatch):
     monkeypatch.setattr(type(fsspec.filesystem("memory")), "ls", refuse)
     remote_folders.clear_listing_cache()
     with pytest.raises(FileError, match="bucket/rec: cannot be read: no credentials"):
-        recording.load(address)
+        recording.load_recording(address)
 
 
 def test_what_is_not_installed_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "gcsfs", None)
     with pytest.raises(MissingLibrary, match=r"gs://bucket/rec takes one package more: .*gcsfs"):
-        recording.load("gs://bucket/rec")
+        recording.load_recording("gs://bucket/rec")
     monkeypatch.setitem(sys.modules, "fsspec", None)
     with pytest.raises(MissingLibrary, match=r"pip install 'rig\[remote\]'"):
-        recording.load("memory://bucket/other")
+        recording.load_recording("memory://bucket/other")
 
 
 def test_names_leave_no_folder_behind_a_url_and_results_stay_here(kept, recording_folder, tmp_path, capsys):
@@ -135,7 +135,7 @@ def test_names_leave_no_folder_behind_a_url_and_results_stay_here(kept, recordin
         "\n".join([text[0], ",".join([*cells[:3], "../other/0.png"]), *text[2:]]) + "\n"
     )
     with pytest.raises(FileError, match="lies outside the recording"):
-        recording.load(kept(recording_folder))
+        recording.load_recording(kept(recording_folder))
     assert main(["design", "--radius", "0.3", "--out", "memory://bucket/rig.toml"]) == 1
     assert "results are written on this computer" in capsys.readouterr().err
     assert main(["measure", str(BENCH / "check"), "--out", "s3://bucket/measured"]) == 1
@@ -146,7 +146,7 @@ def test_a_folder_here_comes_before_a_url(tmp_path, recording_folder, monkeypatc
     monkeypatch.chdir(tmp_path)
     (tmp_path / "memory:").mkdir()
     recording_folder.rename(tmp_path / "memory:" / "rec")
-    assert len(recording.load("memory:/rec").exposures.frame) and not remote_folders.is_remote(
+    assert len(recording.load_recording("memory:/rec").exposures.frame) and not remote_folders.is_remote(
         recording.Path("memory:/rec")
     )
 
@@ -155,7 +155,7 @@ def test_what_is_fetched_can_be_kept(kept, recording_folder, tmp_path):
     fsspec.config.conf["filecache"] = {"cache_storage": str(tmp_path / "kept")}
     try:
         address = kept(recording_folder).replace("memory://", "filecache::memory://")
-        found = recording.load(address)
+        found = recording.load_recording(address)
     finally:
         fsspec.config.conf.pop("filecache")
     assert len(found.corners.uv) and len(list((tmp_path / "kept").iterdir())) >= 4

@@ -6,7 +6,7 @@ import pytest
 from rig.errors import FileError, RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
-from rig.planning import plan
+from rig.planning import configuration_sets, plan
 
 EXPECTED = {
     "sobol": 100,
@@ -119,7 +119,7 @@ def test_grid_neighbours_differ_in_one_axis(design):
 
 def test_low_discrepancy_covers_evenly(design):
     strokes = design.mechanism.strut_range
-    points = (plan.low_discrepancy(strokes, 64, 1.0) - strokes[:, 0]) / np.ptp(strokes, axis=1)
+    points = (configuration_sets.sobol_configurations(strokes, 64, 1.0) - strokes[:, 0]) / np.ptp(strokes, axis=1)
     for axis in range(6):
         assert (np.bincount((points[:, axis] * 8).astype(int), minlength=8) == 8).all()
 

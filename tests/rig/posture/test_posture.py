@@ -16,20 +16,20 @@ from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics
 from rig.model.pose import pose_difference, pose_to_vector
-from rig.posture import force_transmission, null_space_search, posture_transition, wrench_estimate
-from rig.posture.force_transmission import Wish
+from rig.posture import force_transmission, null_space_search, posture_transition, wrench_from_torques
+from rig.posture.force_transmission import TransmissionObjective
 from tests.numeric import jacobian
 from tests.rig.arms import SEVEN, UR10, configurations, random_arm
 from tests.rig.pinocchio_arm import build
 
-PANDA = design_file.load(files("rig") / "arms" / "panda.toml").mechanism
+PANDA = design_file.load_design(files("rig") / "arms" / "panda.toml").mechanism
 WISHES = [
-    Wish(("fy",)),
-    Wish(("fy",), np.inf),
-    Wish(("fx", "mz"), length=0.3),
-    Wish(),
-    Wish((), 2, "norm"),
-    Wish((), np.inf, "norm"),
+    TransmissionObjective(("fy",)),
+    TransmissionObjective(("fy",), np.inf),
+    TransmissionObjective(("fx", "mz"), length=0.3),
+    TransmissionObjective(),
+    TransmissionObjective((), 2, "norm"),
+    TransmissionObjective((), np.inf, "norm"),
 ]
 
 
@@ -51,18 +51,24 @@ def test_measures_are_hand_worked():
     """
     arm = type(PANDA)([[0, 0, 1.0, 0], [0, 0, 1.0, 0]], [[-3, 3]] * 2)
     np.testing.assert_allclose(
-        force_transmission.direction_norms(np.zeros(2), arm, Wish()), [0, np.sqrt(5), 0, 0, 0, np.sqrt(2)], atol=1e-15
+        force_transmission.torque_norms_by_direction(np.zeros(2), arm, TransmissionObjective()),
+        [0, np.sqrt(5), 0, 0, 0, np.sqrt(2)],
+        atol=1e-15,
     )
     assert (
-        force_transmission.transmission_measure(np.zeros(2), arm, Wish(("fx", "fy"))) == 0
-        and force_transmission.transmission_measure(np.zeros(2), arm, Wish(("fy",), np.inf)) == 2
+        force_transmission.transmission_measure(np.zeros(2), arm, TransmissionObjective(("fx", "fy"))) == 0
+        and force_transmission.transmission_measure(np.zeros(2), arm, TransmissionObjective(("fy",), np.inf)) == 2
     )
-    assert force_transmission.transmission_measure(np.zeros(2), arm, Wish(("mz",), length=0.1)) == pytest.approx(
-        0.1 * np.sqrt(2)
-    )
+    assert force_transmission.transmission_measure(
+        np.zeros(2), arm, TransmissionObjective(("mz",), length=0.1)
+    ) == pytest.approx(0.1 * np.sqrt(2))
 
 
-@pytest.mark.parametrize("wish", [Wish(("fy",)), Wish(("fx", "mz"), np.inf), Wish()], ids=str)
+@pytest.mark.parametrize(
+    "wish",
+    [TransmissionObjective(("fy",)), TransmissionObjective(("fx", "mz"), np.inf), TransmissionObjective()],
+    ids=str,
+)
 def test_searches_leave_the_hand_and_keep_the_limits(wish):
     q = configurations(PANDA, 25, np.random.default_rng(1), 0.9)
     gradient = null_space_search.gradient_search(q, PANDA, wish)
@@ -86,7 +92,7 @@ def test_searches_leave_the_hand_and_keep_the_limits(wish):
 
 def test_global_search_is_the_best_of_the_traced_self_motion():
     q = configurations(PANDA, 3, np.random.default_rng(3), 0.8)
-    wish = Wish(("fz",))
+    wish = TransmissionObjective(("fz",))
     for one, value in zip(q, null_space_search.global_search(q, PANDA, wish).value):
         path = null_space_search.trace_self_motion(one, PANDA)
         assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() < 2 * null_space_search.TRACE
@@ -110,9 +116,9 @@ def test_a_full_turn_of_the_elbow_is_traced_once():
 
 def test_a_limit_suffices():
     q = configurations(PANDA, 20, np.random.default_rng(4), 0.9)
-    wish = Wish(("fy",))
+    wish = TransmissionObjective(("fy",))
     limit = float(np.median(force_transmission.transmission_measure(q, PANDA, wish)))
-    found = null_space_search.gradient_search(q, PANDA, wish, above=limit)
+    found = null_space_search.gradient_search(q, PANDA, wish, sufficient_value=limit)
     already = found.start > limit
     assert (
         (found.q[already] == q[already]).all()
@@ -124,16 +130,16 @@ def test_a_limit_suffices():
 def test_a_six_joint_arm_may_turn_its_hand_only():
     q = configurations(UR10, 5, np.random.default_rng(5), 0.3)
     with pytest.raises(RigError, match="6 joints hold the hand's pose with none to spare"):
-        null_space_search.gradient_search(q, UR10, Wish(("fy",)))
-    found = null_space_search.gradient_search(q, UR10, Wish(("fy",)), held="position")
+        null_space_search.gradient_search(q, UR10, TransmissionObjective(("fy",)))
+    found = null_space_search.gradient_search(q, UR10, TransmissionObjective(("fy",)), held="position")
     assert found.moved[:, 0].max() < 1e-9 and (found.value > found.start).all()
     with pytest.raises(RigError, match="3 dimensions"):
-        null_space_search.global_search(q, UR10, Wish(("fy",)), held="position")
+        null_space_search.global_search(q, UR10, TransmissionObjective(("fy",)), held="position")
 
 
 def test_a_start_beyond_its_limits_is_refused():
     with pytest.raises(RigError, match="joint 4 at 0.000 degrees, outside its limits -176"):
-        null_space_search.gradient_search(np.zeros((1, 7)), PANDA, Wish(("fy",)))
+        null_space_search.gradient_search(np.zeros((1, 7)), PANDA, TransmissionObjective(("fy",)))
 
 
 def links(rng, n=7):
@@ -163,15 +169,15 @@ def test_stated_covariance_of_a_wrench_covers_its_scatter():
     rng = np.random.default_rng(7)
     count, own, gravity = 4000, links(rng), np.array([0, 0, -9.80665])
     q = configurations(PANDA, count, rng, 0.8)
-    q = q[force_transmission.transmission_measure(q, PANDA, Wish()) > 1e-4]
+    q = q[force_transmission.transmission_measure(q, PANDA, TransmissionObjective()) > 1e-4]
     v, a = rng.normal(size=(2, *q.shape))
     true = rng.normal(size=(len(q), 6)) * [20, 20, 20, 3, 3, 3]
     half = 0.1 * (np.eye(7) + 0.3 * rng.normal(size=(7, 7)))
     noise = rng.normal(size=q.shape) @ half.T
     pushed = np.einsum("mai,ma->mi", mechanism.jacobian(q, PANDA, "base"), true)
     measured = arm_dynamics.joint_torques(q, v, a, PANDA, own, gravity) - pushed + noise
-    found = wrench_estimate.estimate_wrench(
-        wrench_estimate.external(measured, q, v, a, PANDA, own, gravity), q, PANDA, half @ half.T
+    found = wrench_from_torques.estimate_wrench(
+        wrench_from_torques.external_joint_torques(measured, q, v, a, PANDA, own, gravity), q, PANDA, half @ half.T
     )
     error = found.value - true
     inside = np.einsum("mi,mij,mj->m", error, np.linalg.inv(found.covariance), error) < chi2.ppf(0.95, 6)
@@ -183,20 +189,20 @@ def test_stated_covariance_of_a_wrench_covers_its_scatter():
 def test_equal_sensors_give_the_plain_pseudo_inverse():
     q = configurations(PANDA, 1, np.random.default_rng(8), 0.7)[0]
     tau = np.arange(7.0)
-    found = wrench_estimate.estimate_wrench(tau, q, PANDA, 0.01 * np.eye(7))
+    found = wrench_from_torques.estimate_wrench(tau, q, PANDA, 0.01 * np.eye(7))
     np.testing.assert_allclose(found.value, np.linalg.pinv(mechanism.jacobian(q, PANDA, "base").T) @ tau, rtol=1e-9)
 
 
 def test_a_blind_posture_names_what_it_does_not_feel():
     stretched = np.zeros(7)  # every axis meets the line of the arm
     with pytest.raises(RigError, match=r"posture 0 is blind to \("):
-        wrench_estimate.estimate_wrench(np.zeros(7), stretched, SEVEN, np.eye(7))
+        wrench_from_torques.estimate_wrench(np.zeros(7), stretched, SEVEN, np.eye(7))
 
 
 def test_motions_end_in_the_posture():
     rng = np.random.default_rng(9)
     q = configurations(PANDA, 1, rng, 0.6)[0]
-    goal = null_space_search.global_search(q, PANDA, Wish(("fy",))).q[0]
+    goal = null_space_search.global_search(q, PANDA, TransmissionObjective(("fy",))).q[0]
     rows = posture_transition.motion_with_hand_still(q, goal, PANDA)
     np.testing.assert_allclose(
         pose_difference(mechanism.forward(q, PANDA), mechanism.forward(rows, PANDA)), 0, atol=1e-9
@@ -208,7 +214,7 @@ def test_motions_end_in_the_posture():
     a, b = hand[0], hand[-1]
     line = (b - a) / np.linalg.norm(b - a)
     assert np.linalg.norm(np.cross(hand - a, line), axis=1).max() < 1e-8 and (way[-1] == goal).all()
-    t = posture_transition.row_times(way, 0.5)
+    t = posture_transition.posture_times(way, 0.5)
     assert (np.diff(t) > 0).all() and (np.abs(np.diff(way, axis=0)).max(axis=1) / np.diff(t)).max() < 0.5 * (1 + 1e-9)
     with pytest.raises(RigError, match="no motion of the elbow alone"):
         posture_transition.motion_with_hand_still(q, goal + 0.3, PANDA)
@@ -229,7 +235,8 @@ def test_the_command_finds_and_certifies(capsys, tmp_path):
     q = np.array(tree["q"])
     np.testing.assert_allclose(pose_to_vector(mechanism.forward(q, PANDA)), np.array(POSE.split(","), float), atol=1e-9)
     assert (
-        tree["value"] == pytest.approx(force_transmission.transmission_measure(q, PANDA, Wish(("fy",))))
+        tree["value"]
+        == pytest.approx(force_transmission.transmission_measure(q, PANDA, TransmissionObjective(("fy",))))
         and tree["value"] > tree["start"]["value"]
     )
     assert (
@@ -270,7 +277,7 @@ torque_limits = [400, 90, 90, 50, 12, 12, 12]     # N m, of the slide N
 
 def test_an_arm_on_a_rail_is_told_in_mm_and_newton_where_it_slides(tmp_path, capsys):
     (tmp_path / "rail.toml").write_text(RAIL)
-    arm = design_file.load(tmp_path / "rail.toml").mechanism
+    arm = design_file.load_design(tmp_path / "rail.toml").mechanism
     q = np.array([[0.1, 0.4, 0.5, -0.6, 0.7, 0.3, 0.2], [0.7, 0.4, 0.5, -0.6, 0.7, 0.3, 0.2]])
     at, beyond = (",".join(map(repr, row)) for row in pose_to_vector(mechanism.forward(q, arm)).tolist())
     words = ["posture", str(tmp_path / "rail.toml"), "--force", "z", "--above", "0", "--exert", "0,0,-30", "--pose", at]

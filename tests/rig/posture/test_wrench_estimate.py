@@ -14,18 +14,18 @@ from rig.cli import command_line
 from rig.cli.wrench import SETTLED
 from rig.errors import FileError, RigError
 from rig.formats import csv_table
-from rig.formats.rig_toml import arm_dynamics
+from rig.formats.rig_toml import arm_dynamics_entries
 from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_dynamics
 from rig.model.mechanisms import arm_dynamics as dynamics
-from rig.model.mechanisms import arm_momentum
 from rig.model.pose import pose_difference
 from rig.posture import exertable_wrench, momentum_observer, null_space_search, posture_transition
 from rig.posture.exertable_wrench import Exertion, Strength
-from rig.posture.force_transmission import DIRECTIONS, Wish
+from rig.posture.force_transmission import DIRECTIONS, TransmissionObjective
 from tests.numeric import jacobian
 from tests.rig.arms import UR10, configurations
 
-DESIGN, DYNAMICS = arm_dynamics.load(files("rig") / "arms" / "panda.toml")
+DESIGN, DYNAMICS = arm_dynamics_entries.load_arm_dynamics(files("rig") / "arms" / "panda.toml")
 PANDA, LINKS, GRAVITY = DESIGN.mechanism, DYNAMICS.links, DESIGN.gravity
 STRENGTH = Strength(DYNAMICS.torque_limits, LINKS, GRAVITY)
 RATES = np.repeat([20.0, 2.0], 3)  # N, Nm per root second
@@ -93,12 +93,14 @@ def test_momentum_changes_by_what_is_said():
     q, v, a = configurations(PANDA, 4, rng, 0.7), rng.normal(size=(4, 7)), rng.normal(size=(4, 7))
 
     def moments(s):
-        return np.einsum("mij,mj->mi", arm_momentum.mass_matrix(q + s * v + s**2 / 2 * a, PANDA, LINKS), v + s * a)
+        return np.einsum("mij,mj->mi", arm_dynamics.mass_matrix(q + s * v + s**2 / 2 * a, PANDA, LINKS), v + s * a)
 
     change = (moments(1e-5) - moments(-1e-5)) / 2e-5
     torque = dynamics.joint_torques(q, v, a, PANDA, LINKS, GRAVITY)
-    np.testing.assert_allclose(torque + arm_momentum.momentum_drift(q, v, PANDA, LINKS, GRAVITY), change, atol=1e-6)
-    M = arm_momentum.mass_matrix(q, PANDA, LINKS)
+    np.testing.assert_allclose(
+        torque + arm_dynamics.torque_free_momentum_rate(q, v, PANDA, LINKS, GRAVITY), change, atol=1e-6
+    )
+    M = arm_dynamics.mass_matrix(q, PANDA, LINKS)
     np.testing.assert_allclose(M, np.swapaxes(M, 1, 2), atol=1e-12)
     assert np.linalg.eigvalsh(M).min() > 0
 
@@ -165,7 +167,7 @@ def test_a_weight_that_cannot_be_held_is_negative_and_said():
 
 def test_the_hand_may_move_while_its_orientation_is_held():
     q = configurations(UR10, 4, np.random.default_rng(5), 0.3)
-    found = null_space_search.gradient_search(q, UR10, Wish(("fy",)), held="orientation")
+    found = null_space_search.gradient_search(q, UR10, TransmissionObjective(("fy",)), held="orientation")
     assert found.moved[:, 1].max() < 1e-9 and found.moved[:, 0].min() > 1e-3 and (found.value > found.start).all()
     rows = posture_transition.motion_with_hand_still(q[0], found.q[0], UR10, "orientation")
     turned = pose_difference(mechanism.forward(q[0], UR10), mechanism.forward(rows, UR10))[:, 3:]
@@ -244,7 +246,7 @@ def test_the_best_of_postures_visited_is_gone_back_to_the_way_it_came(tmp_path, 
     tree = json.loads(capsys.readouterr().out)
     from rig.posture import force_transmission
 
-    value = force_transmission.transmission_measure(visited[:-1], PANDA, Wish(("fz",)))
+    value = force_transmission.transmission_measure(visited[:-1], PANDA, TransmissionObjective(("fz",)))
     assert (
         tree["frame"] == value.argmax()
         and tree["value"] == pytest.approx(value.max(), rel=1e-6)
@@ -335,5 +337,5 @@ def test_dynamics_that_cannot_be_name_line_and_value(tmp_path, line, says):
     path = tmp_path / "arm.toml"
     path.write_text((files("rig") / "arms" / "panda.toml").read_text().split("[dynamics]")[0] + f"[dynamics]\n{line}\n")
     with pytest.raises(FileError, match=says) as error:
-        arm_dynamics.load(path)
+        arm_dynamics_entries.load_arm_dynamics(path)
     assert error.value.line is not None

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from rig.cli.command_line import main
-from rig.effects.framework.random_effects import Drawing
+from rig.effects.framework.parameter import Drawing
 from rig.effects.texts.effect_text import parse_effect
 from rig.model import motion_simulation
 from rig.model.pose import exp, pose, pose_to_vector
 from rig.recording import recording_folder as recording
-from rig.recording.combined_recordings import join_recordings, stated_camera_owners
-from rig.recording.exposures import Exposures
+from rig.recording.combined_recordings import camera_owners_by_design, join_recordings
+from rig.recording.exposures_and_images import Exposures
 from rig.recording.recording_folder import Commands, Recording
 from tests.rig.effects.test_effects_of_all_machines import MOVING, context_of, setting_of
 
@@ -49,7 +49,7 @@ def two(design):
         )
         for k in range(2)
     ]
-    return parts, join_recordings(parts, stated_camera_owners(parts))
+    return parts, join_recordings(parts, camera_owners_by_design(parts))
 
 
 @pytest.mark.parametrize("kind", BOTH, ids=lambda kind: kind.name)
@@ -129,9 +129,9 @@ def test_a_camera_stated_with_another_lens_is_another_camera(recording_folder, t
     shutil.copytree(recording_folder, tmp_path / "again")
     text = (tmp_path / "again" / "rig.toml").read_text()
     (tmp_path / "again" / "rig.toml").write_text(text.replace("[-0.1, 0.08,", "[-0.12, 0.08,", 1))
-    parts = [recording.load(recording_folder), recording.load(tmp_path / "again")]
-    assert stated_camera_owners(parts)[1] == {"cam0": 1, "cam1": 0, "cam2": 0}
-    both = join_recordings(parts, stated_camera_owners(parts))
+    parts = [recording.load_recording(recording_folder), recording.load_recording(tmp_path / "again")]
+    assert camera_owners_by_design(parts)[1] == {"cam0": 1, "cam1": 0, "cam2": 0}
+    both = join_recordings(parts, camera_owners_by_design(parts))
     assert [c.name for c in both.design.cameras] == ["cam0", "cam1", "cam2", "cam0@2"]
     assert set(np.array(both.corners.camera)[both.corners.frame >= 10]) == {"cam0@2", "cam1", "cam2"}
 

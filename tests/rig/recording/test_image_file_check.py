@@ -13,7 +13,7 @@ from rig.model.design import Camera
 from rig.model.pose import pose
 from rig.recording import image_file_check
 from rig.recording import recording_folder as recording
-from rig.recording.exposures import read_image
+from rig.recording.exposures_and_images import read_image
 
 CAMERA = Camera("cam0", 64, 48, np.diag([50.0, 50.0, 1.0]), np.zeros(5), pose([0, 0, 0], [0, 0, 0]))
 PICTURE = np.arange(48 * 64, dtype=np.uint8).reshape(48, 64)
@@ -27,9 +27,9 @@ HUGE_PNG = image_file_check.PNG + b"\0\0\0\rIHDR" + struct.pack(">II", 30000, 30
 def test_the_size_of_every_format_is_seen_without_decoding(tmp_path, name):
     path = tmp_path / name
     cv2.imwrite(str(path), PICTURE)
-    assert image_file_check.check_image(path, CAMERA) is None
+    assert image_file_check.image_file_problem(path, CAMERA) is None
     cv2.imwrite(str(path), PICTURE.T.copy())
-    assert "is 48 x 64 px, but camera 'cam0' has 64 x 48" in image_file_check.check_image(path, CAMERA)
+    assert "is 48 x 64 px, but camera 'cam0' has 64 x 48" in image_file_check.image_file_problem(path, CAMERA)
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ def test_the_size_of_every_format_is_seen_without_decoding(tmp_path, name):
 def test_what_an_image_claims_is_looked_at_first(tmp_path, name, data, says):
     path = tmp_path / name
     path.write_bytes(data)
-    assert says in image_file_check.check_image(path)
+    assert says in image_file_check.image_file_problem(path)
     with pytest.raises(FileError, match=says):
         read_image(path)
 
@@ -81,14 +81,14 @@ def test_images_stay_inside_the_recording(seen, name):
     os.symlink("/etc/passwd", seen / "images" / "link.png")
     renamed(seen, 2, name)
     with pytest.raises(FileError, match=r"lies outside the recording.*frames.csv, line 2"):
-        recording.load(seen)
+        recording.load_recording(seen)
 
 
 def test_a_pipe_is_not_waited_for(seen):
     os.mkfifo(seen / "images" / "pipe.png")
     renamed(seen, 2, "images/pipe.png")
     with pytest.raises(FileError, match="is a pipe, not a file"):
-        recording.load(seen)
+        recording.load_recording(seen)
 
 
 def test_all_bad_images_are_named_at_once_and_left_out_where_asked(seen):
@@ -96,13 +96,13 @@ def test_all_bad_images_are_named_at_once_and_left_out_where_asked(seen):
     (seen / first).write_bytes(b"")
     (seen / second).write_bytes((seen / second).read_bytes()[:100])
     with pytest.raises(FileError) as error:
-        recording.load(seen)
+        recording.load_recording(seen)
     assert first in str(error.value) and second in str(error.value) and "2 images" in str(error.value)
-    found = recording.load(seen, skip_unreadable=True)
+    found = recording.load_recording(seen, skip_unreadable=True)
     assert [s.path for s in found.skipped] == [seen / first, seen / second] and sum(
         map(bool, found.exposures.image)
     ) == 1
-    assert len(found.exposures.frame) == len(recording.load(seen, skip_unreadable=True).exposures.frame)
+    assert len(found.exposures.frame) == len(recording.load_recording(seen, skip_unreadable=True).exposures.frame)
 
 
 def test_what_only_decoding_shows_is_left_out_as_well(seen):
@@ -115,12 +115,12 @@ def test_what_only_decoding_shows_is_left_out_as_well(seen):
         + b"\0\0\0\x04IDATxxxx\0\0\0\0"
         + b"\0\0\0\0IEND\xaeB`\x82"
     )
-    assert recording.load(seen).has_images  # whole, and of the right size
-    assert len(recording.load(seen, skip_unreadable=True).skipped) == 1
+    assert recording.load_recording(seen).has_images  # whole, and of the right size
+    assert len(recording.load_recording(seen, skip_unreadable=True).skipped) == 1
 
 
 def test_none_left_is_an_error_all_the_same(seen):
     for line in (seen / "frames.csv").read_text().splitlines()[1:4]:
         (seen / line.split(",")[3]).write_bytes(b"")
     with pytest.raises(FileError, match="3 images cannot be used"):
-        recording.load(seen, skip_unreadable=True)
+        recording.load_recording(seen, skip_unreadable=True)

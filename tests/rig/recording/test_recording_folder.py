@@ -11,7 +11,7 @@ from rig.formats import csv_table
 from rig.model.pose import pose, pose_difference
 from rig.recording import corner_and_pose_tables, recording_tables
 from rig.recording import recording_folder as recording
-from rig.recording.frame_mask import remove_frames
+from rig.recording.frame_selection import remove_frames
 from tests.conftest import BENCH, SHARED
 
 
@@ -51,7 +51,7 @@ def without_column(name):
 
 
 def test_a_sound_recording_is_read(recording_folder):
-    found = recording.load(recording_folder)
+    found = recording.load_recording(recording_folder)
     frames, t, commanded = found.commanded()
     assert frames.tolist() == list(range(6)) and commanded.shape == (6, 6) and (np.diff(t) > 0).all()
     assert found.corners.uv.shape[1] == 2 and found.poses is None and not found.has_images
@@ -122,7 +122,7 @@ def test_a_last_row_that_does_not_end_is_said_to_be_cut_off(tmp_path):
 def test_every_spoiled_file_names_its_place(recording_folder, file, change, line, column, says):
     edit(recording_folder / file, change)
     with pytest.raises(FileError, match=says) as caught:
-        recording.load(recording_folder)
+        recording.load_recording(recording_folder)
     if line:
         assert caught.value.path == str(recording_folder / file)
         assert (caught.value.line, caught.value.column) == (line, column)
@@ -132,17 +132,17 @@ def test_every_spoiled_file_names_its_place(recording_folder, file, change, line
 def test_what_every_recording_has_is_asked_for(recording_folder, file):
     (recording_folder / file).unlink()
     with pytest.raises(FileError, match="no such file"):
-        recording.load(recording_folder)
+        recording.load_recording(recording_folder)
 
 
 def test_folders_that_are_none(tmp_path, recording_folder):
     (tmp_path / "new").mkdir()
     with pytest.raises(FileError, match="empty folder"):
-        recording.load(tmp_path / "new")
+        recording.load_recording(tmp_path / "new")
     with pytest.raises(FileError, match="no such folder"):
-        recording.load(tmp_path / "typo")
+        recording.load_recording(tmp_path / "typo")
     with pytest.raises(FileError, match="is a file"):
-        recording.load(recording_folder / "rig.toml")
+        recording.load_recording(recording_folder / "rig.toml")
 
 
 @pytest.fixture
@@ -155,19 +155,19 @@ def test_an_image_cut_in_half_is_found_before_any_is_read(images):
     name = images / "images/cam1/00002.png"
     name.write_bytes(name.read_bytes()[: name.stat().st_size // 2])
     with pytest.raises(FileError, match=r"00002.png: is cut off after \d+ bytes.*frames.csv, line 9"):
-        recording.load(images)
+        recording.load_recording(images)
 
 
 def test_an_image_of_another_size_is_refused(images):
     edit(images / "rig.toml", lambda lines: [line.replace("width = 480", "width = 640") for line in lines])
     with pytest.raises(FileError, match="is 480 x 384 px, but camera 'cam0' has 640 x 384"):
-        recording.load(images)
+        recording.load_recording(images)
 
 
 def test_an_empty_image_is_refused(images):
     (images / "images/cam0/00000.png").write_bytes(b"")
     with pytest.raises(FileError, match="is an empty file"):
-        recording.load(images)
+        recording.load_recording(images)
 
 
 def test_commands_are_linear_between_rows_and_dwell_after_the_last():
@@ -181,7 +181,7 @@ def test_frames_that_are_masked_are_in_no_poses():
     poses = corner_and_pose_tables.Poses(
         np.arange(4), pose(np.zeros((4, 3)), np.zeros((4, 3))), np.tile(np.eye(6), (4, 1, 1))
     )
-    whole = replace(recording.load(BENCH / "check"), poses=poses, stages={1: poses})
+    whole = replace(recording.load_recording(BENCH / "check"), poses=poses, stages={1: poses})
     left = remove_frames(whole, "1-2")
     for own in (left.poses, left.stages[1]):
         assert own.frame.tolist() == [0, 3] and len(own.T_base_platform) == len(own.covariance) == 2
@@ -227,12 +227,12 @@ def test_a_covariance_must_be_one(tmp_path):
 
 
 def test_corners_survive_writing(recording_folder):
-    found = recording.load(recording_folder).corners
+    found = recording.load_recording(recording_folder).corners
     n = len(found.frame)
     covariance = np.tile(np.array([[4e-4, 1e-4], [1e-4, 9e-4]]), (n, 1, 1))
     again = recording.Corners(found.frame, found.camera, found.marker, found.corner, found.uv, covariance)
     recording_tables.write_corners(recording_folder / "corners.csv", again)
-    again = recording.load(recording_folder).corners
+    again = recording.load_recording(recording_folder).corners
     np.testing.assert_allclose(again.uv, found.uv, atol=1e-5)
     np.testing.assert_allclose(again.covariance, covariance, rtol=1e-3)
 
@@ -240,5 +240,5 @@ def test_corners_survive_writing(recording_folder):
 @pytest.mark.skipif(not SHARED.is_dir(), reason="needs the shared recordings beside the project")
 @pytest.mark.parametrize("folder", sorted(SHARED.glob("recordings/*")), ids=lambda p: p.name)
 def test_every_shared_recording_is_read(folder):
-    found = recording.load(folder)
+    found = recording.load_recording(folder)
     assert len(found.exposures.frame)

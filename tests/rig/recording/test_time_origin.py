@@ -17,8 +17,8 @@ from tests.origins import ORIGINS, counted_from
 @pytest.mark.parametrize("origin", [*ORIGINS, "-86400.5", "1700000000.123456789"])
 def test_what_is_read_does_not_depend_on_the_origin(recording_folder, tmp_path, origin):
     plain, moved = (
-        recording.load(recording_folder),
-        recording.load(counted_from(recording_folder, tmp_path / "moved", origin)),
+        recording.load_recording(recording_folder),
+        recording.load_recording(counted_from(recording_folder, tmp_path / "moved", origin)),
     )
     for a, b in (
         (plain.commands.t, moved.commands.t),
@@ -32,9 +32,9 @@ def test_what_is_read_does_not_depend_on_the_origin(recording_folder, tmp_path, 
 
 def test_a_measured_recording_keeps_the_owners_clock(recording_folder, tmp_path):
     folder = counted_from(recording_folder, tmp_path / "moved", "1700000000.123456789")
-    found = recording.load(folder)
+    found = recording.load_recording(folder)
     (tmp_path / "out").mkdir()
-    recording_tables.copy_times(folder, tmp_path / "out", found.exposures, found.origin)
+    recording_tables.copy_frames_commands_and_sensors(folder, tmp_path / "out", found.exposures, found.origin)
     before, after = (
         [line.split(",")[:3] for line in (part / "frames.csv").read_text().splitlines()]
         for part in (folder, tmp_path / "out")
@@ -59,7 +59,7 @@ def test_another_unit_is_named(recording_folder, scale, unit):
         + "\n"
     )
     with pytest.raises(FileError, match=unit) as error:
-        recording.load(recording_folder)
+        recording.load_recording(recording_folder)
     assert (error.value.line, error.value.column) == (2, 1)
 
 
@@ -70,7 +70,7 @@ def test_a_log_that_does_not_cover_the_exposures_is_refused(recording_folder, ke
     times = [float(line.split(",")[0]) for line in lines[1:]]
     dense = [f"{times[0] + 0.5 * k},{lines[1].split(',', 1)[1]}" for k in range(int(2 * (times[-1] - times[0])) + 1)]
     path.write_text("\n".join([lines[0], *dense]) + "\n")
-    assert recording.load(recording_folder).sensors is not None
+    assert recording.load_recording(recording_folder).sensors is not None
     path.write_text("\n".join([lines[0], *dense[keep]]) + "\n")
     with pytest.raises(FileError, match=f"the log {word} at"):
-        recording.load(recording_folder)
+        recording.load_recording(recording_folder)

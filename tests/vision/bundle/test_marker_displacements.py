@@ -119,6 +119,6 @@ def test_places_are_written_into_rig_toml_and_read_back(worked, tmp_path):
         ]
     )
     path = tmp_path / "rig.toml"
-    path.write_text(design_text_edits.with_places(text, adjusted_markers(m)))
-    again = marker_map(design_file.load(path))
+    path.write_text(design_text_edits.replace_target_markers(text, adjusted_markers(m)))
+    again = marker_map(design_file.load_design(path))
     np.testing.assert_allclose(again.corners, m.adjustment.state.markers.corners, atol=1e-8)

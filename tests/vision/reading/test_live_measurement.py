@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from rig.driving.cameras.emulated_camera import USUAL
+from rig.driving.cameras.emulated_camera_client import USUAL
 from rig.driving.clock import SimulatedClock
 from rig.formats.rig_toml import design_file
 from rig.model.design import Sensor
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
 from rig.recording import recording_folder
 from synthetic import secret_machine
-from synthetic.emulated_sensors import Eyes
+from synthetic.emulated_cameras import EmulatedCameras
 from synthetic.image_simulation import Images
 from tests.vision import in_hand
 from vision.reading import live_measurement as module
@@ -31,7 +31,7 @@ ALL = "tests/data/bench/fit"
 @pytest.fixture(scope="module")
 def frames():
     """Design, and {camera: image} of a recording's first frames."""
-    read = recording_folder.load(ALL)
+    read = recording_folder.load_recording(ALL)
     e = read.exposures
     return read.design, [
         {
@@ -88,12 +88,12 @@ def test_the_base_is_seen_from_the_platform_while_a_run_goes_on(tmp_path, opengl
     platform is told by what it sees.
     """
     (tmp_path / "rig.toml").write_text(in_hand.text())
-    design = design_file.load(tmp_path / "rig.toml")
+    design = design_file.load_design(tmp_path / "rig.toml")
     secret, strokes = secret_machine.draw_machine(design, np.random.default_rng(2)), design.mechanism.strut_range
-    goals = low_discrepancy(strokes, TAUGHT[0] + 4, 0.5, 1)
+    goals = sobol_configurations(strokes, TAUGHT[0] + 4, 0.5, 1)
     t = 10.0 * np.arange(len(goals) + 1)
     sensor = Sensor(blur=0.6, read_noise=1.5, electrons=8000.0)
-    eyes = Eyes(
+    eyes = EmulatedCameras(
         secret,
         Images(sensor),
         1,

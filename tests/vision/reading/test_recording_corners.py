@@ -20,7 +20,7 @@ from vision.targets import marker_map
 
 @pytest.fixture(scope="module")
 def check():
-    return recording_folder.load(BENCH / "check")
+    return recording_folder.load_recording(BENCH / "check")
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +92,8 @@ def test_an_image_that_cannot_be_decoded_is_named(tmp_path):
     path.write_bytes(whole[:2000] + b"\0" * 20000 + whole[-60:])  # head and tail are sound
     with pytest.raises(FileError, match="00001.png"):
         collect_corners(
-            recording_folder.load(tmp_path / "rec"), marker_map(recording_folder.load(tmp_path / "rec").design)
+            recording_folder.load_recording(tmp_path / "rec"),
+            marker_map(recording_folder.load_recording(tmp_path / "rec").design),
         )
 
 
@@ -101,11 +102,11 @@ def test_what_cannot_be_measured_says_why(tmp_path, design, rig_text):
     make_recording(folder, design, rig_text, 1, count=3)
     (folder / "corners.csv").unlink()
     with pytest.raises(NotEnoughData, match="no images and there is no corners.csv"):
-        measure_recording(recording_folder.load(folder))
+        measure_recording(recording_folder.load_recording(folder))
     text = (folder / "rig.toml").read_text()
     (folder / "rig.toml").write_text(text.replace('body = "platform"', 'body = "base"'))
     with pytest.raises(NotEnoughData, match="no target on the platform"):
-        measure_recording(recording_folder.load(folder))
+        measure_recording(recording_folder.load_recording(folder))
     shutil.copytree(BENCH / "check", tmp_path / "blind")
     text = (tmp_path / "blind/rig.toml").read_text()
     (tmp_path / "blind/rig.toml").write_text(text.replace("DICT_5X5_100", "DICT_APRILTAG_36h11"))
@@ -113,4 +114,4 @@ def test_what_cannot_be_measured_says_why(tmp_path, design, rig_text):
         NotEnoughData,
         match="no marker of rig.toml was found in any of 18 images; of 8 .* identities are of DICT_5X5_1000",
     ):
-        measure_recording(recording_folder.load(tmp_path / "blind"))
+        measure_recording(recording_folder.load_recording(tmp_path / "blind"))

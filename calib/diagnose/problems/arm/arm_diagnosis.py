@@ -231,7 +231,9 @@ def _nested_held_out_poses(
     found = dict(
         zip(
             things,
-            parallel_map(predicted, things, labelled_progress(progress, "choosing anew without stretches"), few=1),
+            parallel_map(
+                predicted, things, labelled_progress(progress, "choosing anew without stretches"), items_per_process=1
+            ),
         )
     )
     out = []

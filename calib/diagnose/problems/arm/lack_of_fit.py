@@ -6,7 +6,7 @@ from calib.diagnose.engine.lack_of_fit import ALPHA, LackOfFit, Test, significan
 from calib.diagnose.problems.arm.candidate_search import joint_products
 from calib.diagnose.problems.arm.linearised_poses import Arms
 from calib.diagnose.problems.arm.pose_fit import Fit
-from rig.effects.catalogue.compliance import distinct
+from rig.effects.catalogue.compliance import independent_columns
 
 KNOTS = 8  # of a smooth function of time
 PRIOR = 1e-3  # rad; size of a coefficient
@@ -41,7 +41,7 @@ def _bases(arms: Arms, j: int) -> list[tuple[str, np.ndarray]]:
         ("history", moves[:, None]),
     ]
     links = arms.context.moved().links()[:, j]
-    turning = links[:, distinct(links)]
+    turning = links[:, independent_columns(links)]
     if turning.shape[1]:
         out.append(("torque", np.sign(turning)))
     return out + [(name, ((v - v.mean()) / v.std())[:, None]) for name, v in arms.channels.items() if np.ptp(v) > 0]

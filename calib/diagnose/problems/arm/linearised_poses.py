@@ -17,7 +17,7 @@ from rig.effects.framework.effect import Context, Effect
 from rig.errors import NotEnoughData, RigError
 from rig.model import motion_simulation
 from rig.model.design import Arm, Chain, Design
-from rig.model.mechanism_kinds import arm_of, chain_of
+from rig.model.mechanism_kinds import require_arm, require_chain
 from rig.model.mechanisms import chain as mechanism
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Sensors
@@ -176,7 +176,7 @@ Linear = tuple[
 
 def _of_arm(samples: Samples, design: Design) -> Linear:
     """Linear about an arm: its independent parameters are the freedoms."""
-    _, found = calibrate_arm(samples, arm_of(design.mechanism), design.instrument, profiles=False)
+    _, found = calibrate_arm(samples, require_arm(design.mechanism), design.instrument, profiles=False)
     observations, free = sample_observations(samples), found.free
     return (
         Geometry(found.arm, np.eye(len(free))[:, free], partial(error_model.arm_with_parameter_step, found.arm)),
@@ -191,7 +191,7 @@ def _of_chain(samples: Samples, design: Design) -> Linear:
     """Linear about a chain: the combinations of all stages' parameters that poses tell at all are the freedoms, in
     plausible sizes.
     """
-    nominal = chain_of(design.mechanism)
+    nominal = require_chain(design.mechanism)
     chain, sigma = identify_chain(samples, nominal).chain, chains.parameter_tolerances(nominal)
     J = chains.parameter_jacobian(samples.commanded, chain) * sigma
     white = np.linalg.inv(np.linalg.cholesky(samples.covariance)) @ J

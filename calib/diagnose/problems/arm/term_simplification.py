@@ -11,7 +11,7 @@ from calib.diagnose.problems.arm.candidate_search import search_candidates
 from calib.diagnose.problems.arm.joint_candidates import OWN_ANGLE, SPAN, Form, JointCandidate
 from calib.diagnose.problems.arm.nonlinear_parameters import has_continuous_parameters, optimise_nonlinear_parameters
 from calib.diagnose.problems.arm.pose_fit import Fit, Term, fit_poses
-from rig.effects.framework.search_candidate import COUNT
+from rig.effects.framework.diagnosis_interface import COUNT
 
 FINE = 0.3  # step between orders, of what a joint's travel resolves
 CYCLES = 2  # sinusoids that a profile is tried to be made of

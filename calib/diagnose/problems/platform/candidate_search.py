@@ -62,7 +62,7 @@ def search_candidates(
         return replace(score, candidate=unnamed), new
 
     out = []
-    for candidate, (score, new) in zip(candidates, parallel_map(ask, candidates, progress, far=True)):
+    for candidate, (score, new) in zip(candidates, parallel_map(ask, candidates, progress, on_cluster=True)):
         sensitivities.pixels.update(new)
         out.append(replace(score, candidate=candidate, values=candidate.numbers(score.node, score.coefficients)))
     return sorted(out, key=lambda s: -s.raw_delta_bic(model.size))

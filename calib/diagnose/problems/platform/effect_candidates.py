@@ -9,9 +9,9 @@ from calib.diagnose.engine.candidate_score import Score
 from calib.diagnose.engine.selection_inputs import Candidate, Node, NotAsked, Role, UsualRange
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.requested_effects import RequestedEffects
+from rig.effects.framework.diagnosis_interface import QUADRATURE
+from rig.effects.framework.diagnosis_interface import Candidate as EffectCandidate
 from rig.effects.framework.effect import Context, Effect
-from rig.effects.framework.search_candidate import QUADRATURE
-from rig.effects.framework.search_candidate import Candidate as EffectCandidate
 from rig.errors import FileError, RigError
 
 SIZED = ("linear", "inverse", "size")  # roles of the numbers that tell how large an effect is

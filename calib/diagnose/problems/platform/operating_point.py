@@ -139,7 +139,7 @@ class OperatingPoint:
 
     def swayed(self, sway: np.ndarray) -> np.ndarray:
         """(F, axes) m by which struts seem longer where the platform is displaced by tangents (F, 6)."""
-        return motion_simulation.apparent_strut_lengths(self.design, self.T, sway)
+        return motion_simulation.apparent_strut_elongations(self.design, self.T, sway)
 
     def closures(self) -> np.ndarray:
         """(F, axes) m by which measured poses ask for longer struts than commands and effects give them."""

@@ -7,7 +7,7 @@ from calib.diagnose.problems.platform.effect_candidates import affects_images_on
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
 from rig.effects.framework.effect import COUNT, Effect, Linear
-from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of
+from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of_effects
 
 
 def parameter_directions(
@@ -15,7 +15,7 @@ def parameter_directions(
 ) -> tuple[list[Coordinate], Column | None]:
     """(coordinates, Column of directions) of the continuous parameters of the admitted effects."""
     k, parts = model.point, []
-    sensitivities, coordinates = sensitivities.at(k), coordinates_of(k.effects)
+    sensitivities, coordinates = sensitivities.at(k), coordinates_of_effects(k.effects)
     for number, effect in enumerate(k.effects):
         own = [c for c in coordinates if c.effect == number]
         if (

@@ -16,7 +16,7 @@ STRUTS, IMAGES = "struts", "images"
 
 def ranked_covariates(before: LinearisedModel, after: LinearisedModel) -> list[Covariate]:
     """[Covariate] ranked by the share of residuals they explain, without effects and with them."""
-    return rank_covariates(*parallel_map(_shares, [before, after], few=1))
+    return rank_covariates(*parallel_map(_shares, [before, after], items_per_process=1))
 
 
 def _shares(model: LinearisedModel) -> dict[str, dict[str, Share]]:

@@ -23,7 +23,7 @@ from calib.identify.least_squares import bounded_least_squares_step
 from calib.models.platform.identification import geometric_parameters, mechanism_with_parameters
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_validity import check_effect
-from rig.effects.framework.fit_coordinates import Coordinate, constrained_sums, prior_precision, priors_cost
+from rig.effects.framework.fit_coordinates import Coordinate, constrained_sums, cost_of_priors, prior_precision
 from rig.model.pose import exp
 
 MAX_ITERATIONS = 20  # few need more than eight; a large effect is not linear in its numbers
@@ -248,7 +248,7 @@ def _comparable(model: LinearisedModel) -> float:
     included.
     """
     cost = model.linear.cost() + model.corners.excess + 2 * len(model.corner_residual) * np.log(model.corners.sigma)
-    cost += priors_cost(model.point.effects)
+    cost += cost_of_priors(model.point.effects)
     return cost - 2 * np.linalg.slogdet(model.closures.W)[1].sum() if model.point.axes else cost
 
 

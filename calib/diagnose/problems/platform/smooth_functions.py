@@ -15,7 +15,7 @@ from calib.diagnose.problems.remainder_covariates import (
     scaled_to_unit_interval,
     time_cosines,
 )
-from rig.effects.catalogue.lens_distortion import products
+from rig.effects.catalogue.lens_distortion import chebyshev_products
 from rig.model.pose import pose_difference
 
 SLOW, FAST = 8, 24  # cosines of a smooth function of time
@@ -85,7 +85,7 @@ def warp_pixels(point: OperatingPoint, camera: int) -> np.ndarray:
     seen holds their noise.
     """
     rows = point.observed.observations.camera == camera
-    basis = products(point.design.cameras[camera], point.pixels()[rows], WARP)
+    basis = chebyshev_products(point.design.cameras[camera], point.pixels()[rows], WARP)
     pixels = np.zeros((len(rows), 2, 2 * basis.shape[1]))
     pixels[rows, 0, : basis.shape[1]] = basis
     pixels[rows, 1, basis.shape[1] :] = basis

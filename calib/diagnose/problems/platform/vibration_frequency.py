@@ -13,7 +13,7 @@ from calib.diagnose.engine.frame_inner_products import (
 )
 from calib.diagnose.problems.platform.effect_candidates import PlatformCandidate, PlatformScore
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
-from rig.effects.catalogue.vibration import one_direction
+from rig.effects.catalogue.vibration import rank_one_least_squares
 
 FREQUENCIES = 8  # bins of the coarse spectrum for each cycle that the highest frequency makes
 ALIAS = 0.25  # of the spectral window's height from which a frequency mirrors a slow one
@@ -63,7 +63,9 @@ def best_frequency(model: LinearisedModel, candidate: PlatformCandidate, product
     peaks = np.argsort(-spectrum)[:PEAKS]
     near = np.unique(np.concatenate([frequency[p] + np.linspace(-1, 1, 21) / (OVERSAMPLED * length) for p in peaks]))
     normal = normal_of_weighted_directions(products, sinusoid_directions(model, near))
-    deltas, coefficients = (np.array(part) for part in zip(*(one_direction(*pair) for pair in zip(normal.b, normal.G))))
+    deltas, coefficients = (
+        np.array(part) for part in zip(*(rank_one_least_squares(*pair) for pair in zip(normal.b, normal.G)))
+    )
     best = int(np.argmax(deltas))
     seen = solve_normal_equations(Normal(*(part[best : best + 1] for part in normal))).seen[0]
     ratio = residual_dispersion(

@@ -2,7 +2,10 @@
 a rig.toml.
 """
 
-from rig.formats.importers.camera_calibrations.calibration_reader import KINDS, read_cameras
-from rig.formats.importers.camera_calibrations.rig_toml_cameras import rig_toml_with_cameras
+from rig.formats.importers.camera_calibrations.calibration_files_to_rig_toml import (
+    KINDS,
+    read_camera_calibration,
+    rig_toml_with_cameras,
+)
 
-__all__ = ["KINDS", "read_cameras", "rig_toml_with_cameras"]
+__all__ = ["KINDS", "read_camera_calibration", "rig_toml_with_cameras"]

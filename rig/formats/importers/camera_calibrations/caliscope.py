@@ -1,5 +1,4 @@
-"""caliscope's camera_array.toml, and what it and Anipose write as cam_0, cam_1, ..: rotation and translation take the
-world's points to a camera's.
+"""Caliscope and Anipose camera calibrations (camera_array.toml).
 
 Source: caliscope, cameras/camera_array.py: a rotation is Rodrigues' vector, of older versions a matrix; lengths are in
     metres
@@ -11,29 +10,27 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rig.formats.checked_entries import Entries
-from rig.formats.importers.camera_calibrations.fisheye_lens import (
+from rig.formats.importers.camera_calibrations.foreign_camera_and_fisheye_lens import (
+    ForeignCamera,
+    checked_camera_matrix,
+    checked_camera_transform,
+    checked_distortion,
+    checked_image_size,
     conversion_sentence,
     rational_lens_of_fisheye,
-    require_four_terms,
-)
-from rig.formats.importers.camera_calibrations.foreign_camera import (
-    ForeignCamera,
-    camera_matrix,
-    camera_transform,
-    distortion_terms,
-    image_size,
+    require_four_fisheye_terms,
 )
 
 NAME = re.compile(r"cam_\d{1,4}")
 
 
 def recognises(root: Entries) -> bool:
-    """Whether this is a camera array."""
+    """Whether a file's root table is a Caliscope camera array."""
     return bool(_tables(root))
 
 
 def read(root: Entries) -> list[ForeignCamera]:
-    """The cameras that are calibrated and not set aside. Raises FileError where there is none."""
+    """Read the calibrated cameras of a Caliscope file. Raises FileError where there is none."""
     found = [
         _camera(e, name) for name, e in _tables(root).items() if not e.flag("ignore", False) and "matrix" in e.tree
     ]
@@ -58,18 +55,18 @@ def _tables(root: Entries) -> dict[str, Entries]:
 
 def _camera(e: Entries, name: str) -> ForeignCamera:
     matrix, wide, values = (
-        camera_matrix(e, "matrix", e.array("matrix", (3, 3))),
-        image_size(e, "size"),
+        checked_camera_matrix(e, "matrix", e.array("matrix", (3, 3))),
+        checked_image_size(e, "size"),
         e.array("distortions", (None,)),
     )
     said: tuple[str, ...] = ()
     name = e.text("name", default=name)
     if e.flag("fisheye", False):
-        require_four_terms(e, "distortions", values)
+        require_four_fisheye_terms(e, "distortions", values)
         distortion, off = rational_lens_of_fisheye(e, "fisheye", values, matrix, wide)
         said = (conversion_sentence(name, off),)
     else:
-        distortion = distortion_terms(e, "distortions", values)
+        distortion = checked_distortion(e, "distortions", values)
     if "rotation" not in e.tree or "translation" not in e.tree:
         return ForeignCamera(name, wide, matrix, distortion, None, e, said)
     rows = e.get("rotation")
@@ -80,7 +77,7 @@ def _camera(e: Entries, name: str) -> ForeignCamera:
         wide,
         matrix,
         distortion,
-        camera_transform(e, "rotation", np.asarray(R), e.array("translation", (3,))).inv(),
+        checked_camera_transform(e, "rotation", np.asarray(R), e.array("translation", (3,))).inv(),
         e,
         said,
     )

@@ -1,5 +1,4 @@
-"""Kalibr's camchain.yaml: cam0, cam1, .. with pinhole lenses; T_cn_cnm1 takes points of the camera before to this one's
-frame.
+"""Kalibr camera calibrations (camchain.yaml).
 
 Source: Kalibr, wiki, "yaml formats" and "supported models"; its pixels are OpenCV's, the first one's centre is 0, 0.
 """
@@ -10,22 +9,28 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.formats.checked_entries import Entries
-from rig.formats.importers.camera_calibrations.fisheye_lens import rational_lens_of_fisheye
-from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera, camera_transform, image_size
+from rig.formats.importers.camera_calibrations.foreign_camera_and_fisheye_lens import (
+    ForeignCamera,
+    checked_camera_transform,
+    checked_image_size,
+    rational_lens_of_fisheye,
+)
 
 NAME = re.compile(r"cam(\d{1,4})")
 OTHERS = {"omni": "the omnidirectional", "ds": "the double sphere", "eucm": "the extended unified"}
 
 
 def recognises(root: Entries) -> bool:
-    """Whether this is a camchain."""
+    """Whether a file's root table is a Kalibr camchain."""
     return any(
         NAME.fullmatch(key) and isinstance(value, dict) and "intrinsics" in value for key, value in root.tree.items()
     )
 
 
 def read(root: Entries) -> list[ForeignCamera]:
-    """The cameras, in the chain's order. Raises FileError for a lens that has no place here, by its name."""
+    """Read the cameras of a Kalibr camchain, in its order. Raises FileError for an unsupported lens.
+    Raises FileError for a lens that has no place here, by its name.
+    """
     names = sorted((key for key in root.tree if NAME.fullmatch(key)), key=lambda key: int(key[3:]))
     found, T = [], RigidTransform.identity()
     for number, name in enumerate(names):
@@ -46,7 +51,7 @@ def _step(e: Entries) -> RigidTransform:
     M = e.array(key, (4, 4))
     if np.abs(M[3] - [0, 0, 0, 1]).max() > 1e-9:
         e.fail(f"{e.name(key)}: its last row must be 0, 0, 0, 1, not {M[3].tolist()}", key, 3)
-    return camera_transform(e, key, M[:3, :3], M[:3, 3]).inv()
+    return checked_camera_transform(e, key, M[:3, :3], M[:3, 3]).inv()
 
 
 def _camera(e: Entries, name: str, T: RigidTransform) -> ForeignCamera:
@@ -68,7 +73,7 @@ def _camera(e: Entries, name: str, T: RigidTransform) -> ForeignCamera:
                 i,
                 value=focal,
             )
-    matrix, wide = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), image_size(e, "resolution")
+    matrix, wide = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), checked_image_size(e, "resolution")
     kind = e.text("distortion_model", default="none")
     if kind == "none":
         return ForeignCamera(name, wide, matrix, np.zeros(4), T, e)

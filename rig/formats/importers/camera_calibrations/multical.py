@@ -1,23 +1,22 @@
-"""multical's calibration.json: cameras, and camera_poses that take points of the rig's frame, or of a master camera's,
-to a camera's.
+"""multical camera calibrations (calibration.json).
 
 Source: multical, io/export_calib.py and motion/static_frames.py
 """
 
 from rig.formats.checked_entries import Entries
-from rig.formats.importers.camera_calibrations.foreign_camera import (
+from rig.formats.importers.camera_calibrations.foreign_camera_and_fisheye_lens import (
     ForeignCamera,
-    camera_matrix,
-    camera_transform,
-    distortion_terms,
-    image_size,
+    checked_camera_matrix,
+    checked_camera_transform,
+    checked_distortion,
+    checked_image_size,
 )
 
 MODELS = ("standard", "rational", "thin_prism", "tilted")  # which are OpenCV's
 
 
 def recognises(root: Entries) -> bool:
-    """Whether this is a result of multical."""
+    """Whether a file's root table is a multical calibration."""
     cameras = root.tree.get("cameras")
     return isinstance(cameras, dict) and any(
         isinstance(camera, dict) and "K" in camera and "dist" in camera for camera in cameras.values()
@@ -25,7 +24,9 @@ def recognises(root: Entries) -> bool:
 
 
 def read(root: Entries) -> list[ForeignCamera]:
-    """The cameras. Raises FileError for a lens that has no place here, and for poses that cannot be told apart."""
+    """Read the cameras of a multical calibration. Raises FileError for an unsupported lens or ambiguous poses.
+    Raises FileError for a lens that has no place here, and for poses that cannot be told apart.
+    """
     cameras, poses = root.table("cameras"), root.table("camera_poses", optional=True)
     return [_camera(cameras.table(name), name, poses) for name in cameras.tree]
 
@@ -38,15 +39,15 @@ def _camera(e: Entries, name: str, poses: Entries) -> ForeignCamera:
             "model",
             value=model,
         )
-    matrix = camera_matrix(e, "K", e.array("K", (3, 3)))
+    matrix = checked_camera_matrix(e, "K", e.array("K", (3, 3)))
     flat = e.get("dist")
     nested = isinstance(flat, list) and len(flat) == 1 and isinstance(flat[0], list)
-    distortion = distortion_terms(e, "dist", e.array("dist", (1, None) if nested else (None,)).ravel())
+    distortion = checked_distortion(e, "dist", e.array("dist", (1, None) if nested else (None,)).ravel())
     keys = [key for key in poses.tree if key == name or key.startswith(f"{name}_to_")]
     if len(keys) > 1:
         poses.fail(f"the pose of {name} is there as {' and as '.join(keys)}", keys[1])
     if not keys:
-        return ForeignCamera(name, image_size(e, "image_size"), matrix, distortion, None, e)
+        return ForeignCamera(name, checked_image_size(e, "image_size"), matrix, distortion, None, e)
     inner = poses.table(keys[0])
-    T = camera_transform(inner, "R", inner.array("R", (3, 3)), inner.array("T", (3,))).inv()
-    return ForeignCamera(name, image_size(e, "image_size"), matrix, distortion, T, e)
+    T = checked_camera_transform(inner, "R", inner.array("R", (3, 3)), inner.array("T", (3,))).inv()
+    return ForeignCamera(name, checked_image_size(e, "image_size"), matrix, distortion, T, e)

@@ -1,5 +1,4 @@
-"""One camera as ROS' camera_info YAML has it, or as OpenCV's FileStorage does, YAML or JSON: a matrix and distortion,
-no place.
+"""OpenCV and ROS camera calibrations: one camera's matrix and distortion as YAML or JSON, no pose.
 
 Source: ROS, camera_calibration_parsers and sensor_msgs/CameraInfo; OpenCV,
     samples/cpp/tutorial_code/calib3d/camera_calibration
@@ -8,13 +7,15 @@ Source: ROS, camera_calibration_parsers and sensor_msgs/CameraInfo; OpenCV,
 import numpy as np
 
 from rig.formats.checked_entries import Entries
-from rig.formats.importers.camera_calibrations.fisheye_lens import (
+from rig.formats.importers.camera_calibrations.foreign_camera_and_fisheye_lens import (
+    ForeignCamera,
+    checked_camera_matrix,
+    checked_distortion,
     conversion_sentence,
     rational_lens_of_fisheye,
-    require_four_terms,
+    require_four_fisheye_terms,
 )
-from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera, camera_matrix, distortion_terms
-from rig.formats.rig_toml.camera_entries import LARGEST_IMAGE
+from rig.formats.rig_toml.camera_instrument_and_cube_entries import LARGEST_IMAGE
 
 MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "mtx")
 DISTORTION = ("distortion_coefficients", "distCoeffs", "dist_coeffs", "Distortion_Coefficients", "D", "dist")
@@ -23,15 +24,17 @@ MODELS = ("plumb_bob", "rational_polynomial", "thin_prism", *FISHEYES)
 
 
 def recognises(root: Entries) -> bool:
-    """Whether this is one camera's matrix and distortion."""
+    """Whether a file's root table is an OpenCV or ROS camera calibration."""
     return _key(root, MATRIX) is not None and _key(root, DISTORTION) is not None
 
 
 def read(root: Entries) -> list[ForeignCamera]:
-    """The one camera. Raises FileError for a lens that has no place here, by its name."""
+    """Read the one camera of an OpenCV or ROS calibration. Raises FileError for an unsupported lens.
+    Raises FileError for a lens that has no place here, by its name.
+    """
     name = root.text("camera_name", default=root.file.stem)
     key, bent = _key(root, MATRIX) or MATRIX[0], _key(root, DISTORTION) or DISTORTION[0]
-    matrix, values = camera_matrix(root, key, _matrix(root, key, (3, 3))), _matrix(root, bent, None).ravel()
+    matrix, values = checked_camera_matrix(root, key, _matrix(root, key, (3, 3))), _matrix(root, bent, None).ravel()
     width, height = (
         root.whole(word, 1, most=LARGEST_IMAGE) if word in root.tree else None
         for word in ("image_width", "image_height")
@@ -39,8 +42,8 @@ def read(root: Entries) -> list[ForeignCamera]:
     size = None if width is None or height is None else (width, height)
     model = root.text("distortion_model", MODELS, default="plumb_bob")
     if model not in FISHEYES and root.get("fisheye_model", 0) in (0, False):
-        return [ForeignCamera(name, size, matrix, distortion_terms(root, bent, values), None, root)]
-    require_four_terms(root, bent, values)
+        return [ForeignCamera(name, size, matrix, checked_distortion(root, bent, values), None, root)]
+    require_four_fisheye_terms(root, bent, values)
     if size is None:
         root.fail(
             "image_width and image_height are missing, over which a fisheye is to become a lens of "

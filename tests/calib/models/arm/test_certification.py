@@ -16,7 +16,7 @@ from calib.models.arm.certification import calibrate_arm, certify_arm
 from rig.cli import command_line
 from rig.errors import NotEnoughData, Unreachable
 from rig.model.pose import exp, pose_difference, pose_to_vector
-from rig.planning.plan import low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
 from tests.calib import arm_worlds as worlds
 from tests.cli import run
 from tests.conftest import make_recording
@@ -244,7 +244,7 @@ def test_an_arms_claims_cover_what_is_found_elsewhere():
         done = certify_arm(samples, UR10, worlds.TRACKER, rng)
         claim = certifying.arm_workspace_claim(samples, done, rng)
         seen = np.stack([samples.commanded.min(axis=0), samples.commanded.max(axis=0)], axis=1)
-        q = low_discrepancy(seen, 200, seed=seed)
+        q = sobol_configurations(seen, 200, seed=seed)
         real = error_model.predicted_target_poses(q, true)
         before, after = (
             np.mean(pose_difference(T, real)[:, :3] ** 2)

@@ -26,7 +26,7 @@ from calib.samples.pose_samples import Samples
 from rig.errors import RigError
 from rig.formats.checked_entries import Entries
 from rig.model.pose import exp, pose_difference
-from rig.planning.configuration_sets import grid_division, low_discrepancy
+from rig.planning.configuration_sets import divided_grid_configurations, sobol_configurations
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Poses
 from rig.recording.recording_tables import write_poses
@@ -63,7 +63,7 @@ def gridded():
     """(Samples on a grid of 64 vertices and at 30 configurations beside it, true Arm)."""
     true = worlds.secret(UR10, np.random.default_rng(3))
     return samples_at(
-        np.concatenate([grid_division(BOX, "1x1x1x1x1x1@1"), low_discrepancy(BOX, 30, 0.9, 8)]), true
+        np.concatenate([divided_grid_configurations(BOX, "1x1x1x1x1x1@1"), sobol_configurations(BOX, 30, 0.9, 8)]), true
     ), true
 
 
@@ -80,7 +80,7 @@ def test_corrected_poses_are_exact_at_the_samples_and_commands_lead_there(gridde
         one.kind for one in tried if one.chosen
     ] == ["simplex"]
     assert done.held_out.after.n == 30 and done.held_out.after.position[0] < 0.6 * done.held_out.before.position[0]
-    wanted = error_model.predicted_target_poses(low_discrepancy(BOX, 20, 0.6, 3), true)
+    wanted = error_model.predicted_target_poses(sobol_configurations(BOX, 20, 0.6, 3), true)
     commands = done.correction.inverse(wanted)
     assert np.abs(pose_difference(done.correction.predict(commands), wanted)).max() < 1e-10
     real, bare = (
@@ -100,7 +100,7 @@ def test_it_is_kept_in_the_file_and_says_how_sure_it_is(gridded, tmp_path):
     )
     calibration_file.save(tmp_path / "c.json", kept)
     again = calibration_file.load(tmp_path / "c.json")
-    inner = low_discrepancy(BOX, 60, 0.7, 4)
+    inner = sobol_configurations(BOX, 60, 0.7, 4)
     np.testing.assert_array_equal(again.correction.rho(inner), done.correction.rho(inner))
     error = pose_difference(
         again.correction.predict(inner), error_model.predicted_target_poses(inner - geared(inner), true)
@@ -167,7 +167,7 @@ def test_gears_are_corrected_through_the_command_line(tmp_path, capsys):
         for name in ("radial", "plain")
     }
     assert told["radial"]["after"]["position"]["rms"] < 0.2 * told["radial"]["before"]["position"]["rms"]
-    wanted = error_model.predicted_target_poses(low_discrepancy(BOX, 40, 0.9, 3), true)
+    wanted = error_model.predicted_target_poses(sobol_configurations(BOX, 40, 0.9, 3), true)
     write_poses(tmp_path / "wanted.csv", Poses(np.arange(40), wanted, None))
     left = {}
     for name, more in (("radial", ()), ("bare", ("--uncorrected",)), ("single", ("--single-step",))):
@@ -197,9 +197,9 @@ def test_gears_are_corrected_through_the_command_line(tmp_path, capsys):
 def test_a_smooth_field_promises_what_it_does_where_nothing_was_measured():
     """Its own standard error, of sizes and smoothness as they are likeliest, is less than half of that."""
     true, box = worlds.secret(UR10, np.random.default_rng(3)), BOX + [-0.45, 0.45]
-    samples = samples_at(low_discrepancy(box, 100, 1.0, 1), true)
+    samples = samples_at(sobol_configurations(box, 100, 1.0, 1), true)
     done, _ = certify_extended_arm(samples, UR10, worlds.TRACKER, Asked("radial", True), np.random.default_rng(0))
-    claim, q = claim_without_geometry(samples, done, np.random.default_rng(0)), low_discrepancy(box, 256, 0.8, 7)
+    claim, q = claim_without_geometry(samples, done, np.random.default_rng(0)), sobol_configurations(box, 256, 0.8, 7)
     error = pose_difference(done.correction.predict(q), error_model.predicted_target_poses(q - geared(q), true))[:, :3]
     assert done.correction.extension.inflation > 1.5
     size = np.sqrt((error**2).sum(axis=1).mean())  # nearer the middle than most that were held out
@@ -220,6 +220,7 @@ def test_correction_values_of_an_arm_meet_what_was_measured(tmp_path, capsys):
     np.testing.assert_allclose(k, x - y, atol=2e-12)
     placed = calibration_file.load(tmp_path / "c.json").correction.nominal
     missed = pose_difference(
-        error_model.predicted_target_poses(y, placed), recording_folder.load(tmp_path / "rec").poses.T_base_platform
+        error_model.predicted_target_poses(y, placed),
+        recording_folder.load_recording(tmp_path / "rec").poses.T_base_platform,
     )
     assert (np.abs(missed).max(axis=1) < 1e-9).mean() > 0.7 and 1e-4 < np.sqrt((k**2).mean()) < 1e-2

@@ -19,7 +19,7 @@ from tests.calib import arm_worlds as worlds
 from tests.conftest import ROOT
 from tests.rig.arms import SEVEN, UR10, configurations
 
-PUMA = design_file.load(ROOT / "rig/arms/puma560.toml").mechanism
+PUMA = design_file.load_design(ROOT / "rig/arms/puma560.toml").mechanism
 ARMS = (UR10, SEVEN, PUMA)
 SIGMA = (1e-4, 3e-4)  # m, rad
 ZEROS = 0.1  # rad

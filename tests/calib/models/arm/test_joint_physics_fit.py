@@ -21,14 +21,14 @@ from calib.models.arm.joint_physics_fit import History, Prior, fit_geometry_and_
 from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.recording_samples import sample_recording
 from rig.cli.command_line import main
-from rig.effects.framework.fit_coordinates import coordinates_of
+from rig.effects.framework.fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text import parse_effect
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
 from rig.planning import plan
-from rig.planning.configuration_sets import low_discrepancy
-from rig.planning.layout import shipped_arms
+from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.layout import shipped_arm_layout
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Poses, Sensors
 from rig.recording.recording_tables import write_poses
@@ -52,13 +52,13 @@ GAP = "backlash:joint 2:gap=4e-4"
 
 
 def arm_named(tmp_path, name):
-    (tmp_path / "rig.toml").write_text(shipped_arms.shipped_arm_rig_toml(name))
-    return design_file.load(tmp_path / "rig.toml")
+    (tmp_path / "rig.toml").write_text(shipped_arm_layout.shipped_arm_rig_toml(name))
+    return design_file.load_design(tmp_path / "rig.toml")
 
 
 def known_to_be(design, *effects):
     """Calibration of an arm that is as stated, but for effects."""
-    m, n = design.mechanism, len(coordinates_of(effects))
+    m, n = design.mechanism, len(coordinates_of_effects(effects))
     physics = Physics(
         effects,
         1e-12 * np.eye(n),
@@ -68,7 +68,7 @@ def known_to_be(design, *effects):
         design.platform,
         {"ambient_temperature_C": (21.0, 1.0)},
     )
-    visited = low_discrepancy(m.limits, 40, 0.7, 5)
+    visited = sobol_configurations(m.limits, 40, 0.7, 5)
     return Calibration(
         ArmCorrection(m, m, (None,) * len(m.joints), visited),
         1e-14 * np.eye(12 + 5 * len(m.joints)),
@@ -89,7 +89,7 @@ def test_whatever_moves_the_arm_is_undone(tmp_path, name, text):
     design = arm_named(tmp_path, name)
     calibration = known_to_be(design, parse_effect(text), parse_effect("scale_error:joint 1:scale=1e-4"))
     m, count = design.mechanism, 8
-    T = error_model.predicted_target_poses(low_discrepancy(m.limits, count, 0.6, 3), m)
+    T = error_model.predicted_target_poses(sobol_configurations(m.limits, count, 0.6, 3), m)
     t = 60 + 40.0 * np.arange(count)
     warm = Sensors(np.array([0.0, 500.0]), {"ambient_temperature_C": np.array([20.0, 27.0])})
     done = commands_along_route(calibration, T, np.zeros(len(m.joints)), Pace(t, 0.0, 0.5, None), warm)
@@ -112,10 +112,10 @@ def played(tmp_path_factory):
     recording_simulation.write_recording(
         recording_simulation.simulate(secret, plan.build_plan(design, "sobol:70", 3), rng),
         at / "rec",
-        shipped_arms.shipped_arm_rig_toml("scara"),
+        shipped_arm_layout.shipped_arm_rig_toml("scara"),
         rng,
     )
-    return recording_folder.load(at / "rec"), secret
+    return recording_folder.load_recording(at / "rec"), secret
 
 
 def fitted(read, effects, before=None, rows=slice(None)):
@@ -159,7 +159,7 @@ def drives(tmp_path, capsys, name, effects, without=(), another=False):
         diagnosed
     """
     rig, truth = tmp_path / "rig.toml", tmp_path / "truth.json"
-    text = shipped_arms.shipped_arm_rig_toml(name)
+    text = shipped_arm_layout.shipped_arm_rig_toml(name)
     rig.write_text("\n".join(line for line in text.splitlines() if not (without and line.startswith(without))) + "\n")
 
     def said(*words):
@@ -191,7 +191,9 @@ def drives(tmp_path, capsys, name, effects, without=(), another=False):
     write_poses(
         tmp_path / "w.csv",
         Poses(
-            np.arange(60), error_model.predicted_target_poses(low_discrepancy(ends, 60, 0.7, 17), known.fitted), None
+            np.arange(60),
+            error_model.predicted_target_poses(sobol_configurations(ends, 60, 0.7, 17), known.fitted),
+            None,
         ),
     )
     out = {}

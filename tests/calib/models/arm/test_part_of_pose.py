@@ -99,7 +99,7 @@ def written(folder, kind, rows, sigma, columns):
 
 def test_a_wires_lengths_and_orientations_are_read(tmp_path):
     lengths = sample_recording(
-        recording_folder.load(
+        recording_folder.load_recording(
             written(tmp_path / "a", "distance", ["1.25", "0.75"], "position_sigma = 1e-5", "distance")
         )
     ).samples
@@ -109,7 +109,7 @@ def test_a_wires_lengths_and_orientations_are_read(tmp_path):
     ]
     assert lengths.covariance[0, 0, 0] == pytest.approx(1e-10)
     turned = sample_recording(
-        recording_folder.load(
+        recording_folder.load_recording(
             written(tmp_path / "b", "orientation", ["0.1,0,0.2"], "rotation_sigma = 1e-4", "rx,ry,rz")
         )
     ).samples
@@ -138,7 +138,7 @@ def test_a_wires_lengths_and_orientations_are_read(tmp_path):
 )
 def test_what_an_instrument_cannot_have_seen_is_named(tmp_path, kind, rows, sigma, columns, says):
     with pytest.raises(FileError, match=re.escape(says)):
-        recording_folder.load(written(tmp_path / "a", kind, rows, sigma, columns))
+        recording_folder.load_recording(written(tmp_path / "a", kind, rows, sigma, columns))
 
 
 def test_what_was_measured_of_poses_is_told_by_what_is_known():

@@ -16,7 +16,7 @@ from calib.models.platform.optimal_configurations import (
 from calib.models.platform.parameter_accuracy import PLAUSIBLE, parameter_combinations
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
-from rig.planning import plan
+from rig.planning import configuration_sets
 from tests.calib.worlds import sampled
 
 SIGMAS = (1e-5, 1e-4)
@@ -46,7 +46,7 @@ def test_no_single_exchange_pays_any_more(chosen, design):
     found = chosen["determinant"]
     _, kept = configuration_information(found.commands[1:], design.mechanism, SIGMAS)
     base = kept.reshape(-1, 42)
-    spread = plan.low_discrepancy(design.mechanism.strut_range, CANDIDATES, FILL, 0)[:400]
+    spread = configuration_sets.sobol_configurations(design.mechanism.strut_range, CANDIDATES, FILL, 0)[:400]
     _, others = configuration_information(spread, design.mechanism, SIGMAS)
     now = np.linalg.slogdet((found.root * PLAUSIBLE).T @ (found.root * PLAUSIBLE))[1]
     best = max(np.linalg.slogdet(base.T @ base + rows.T @ rows)[1] for rows in others)
@@ -75,7 +75,7 @@ def test_what_is_promised_is_what_a_fit_finds(chosen, design):
 
 
 def test_what_is_given_counts(design):
-    given = plan.low_discrepancy(design.mechanism.strut_range, 3)
+    given = configuration_sets.sobol_configurations(design.mechanism.strut_range, 3)
     found = choose_d_optimal_configurations(design.mechanism, 20, SIGMAS, given_configurations=given)
     hidden = [part for part in parameter_combinations(found.before, design.mechanism)[0] if not part.determined]
     assert len(hidden) >= 42 - 18 and all(

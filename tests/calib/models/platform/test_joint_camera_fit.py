@@ -18,7 +18,7 @@ from tests.conftest import make_recording
 def solved(tmp_path_factory, design, rig_text):
     folder = tmp_path_factory.mktemp("joint") / "rec"
     secret, _ = make_recording(folder, design, rig_text, 5, count=40)
-    read = recording_folder.load(folder)
+    read = recording_folder.load_recording(folder)
     sampled = sample_recording(read)
     corners, commanded, state = joint_camera_fit.joint_fit_inputs(sampled.measurement, sampled.samples)
     return (

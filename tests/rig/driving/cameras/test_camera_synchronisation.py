@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from rig.driving.cameras import CameraError, settling_check
-from rig.driving.cameras.camera_interface import Frame
-from rig.driving.cameras.camera_synchronisation import Shutter
-from rig.driving.cameras.exposure_setting import set_exposure_for_markers
+from rig.driving.cameras.camera_interface_and_clock import Frame
 from rig.driving.cameras.settling_check import NotSettled, image_difference, parse_settling
+from rig.driving.cameras.synchronised_grab_and_exposure import Shutter, set_exposure_for_markers
 from rig.errors import RigError
 from tests.rig.ticking import SIZE, Ticking
 

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from rig.driving.cameras import CameraError, open_source
-from rig.driving.cameras.clock_offset import Offset
-from rig.driving.cameras.emulated_camera import EmulatedSource
+from rig.driving.cameras import CameraError, open_camera
+from rig.driving.cameras.camera_interface_and_clock import Offset
+from rig.driving.cameras.emulated_camera_client import EmulatedSource
 from rig.driving.cameras.folder_camera import FolderSource
 from rig.driving.cameras.genicam_camera import GenicamSource
 from rig.driving.cameras.opencv_camera import VideoSource
@@ -112,19 +112,19 @@ def test_a_pipeline_opens_only_what_reads_decodes_and_converts(tmp_path, monkeyp
         with pytest.raises(
             CameraError, match="'cam0': gstreamer:.*(may write|must end in appsink|no setting|images come from)"
         ):
-            open_source(camera("gstreamer:" + text.format(tmp_path / "written")), Ticking())
+            open_camera(camera("gstreamer:" + text.format(tmp_path / "written")), Ticking())
     assert not opened
     for text in READING:
         with pytest.raises(CameraError, match="cannot be opened"):
-            open_source(camera(f"gstreamer:{text}"), Ticking())
+            open_camera(camera(f"gstreamer:{text}"), Ticking())
     assert opened == READING
 
 
 def test_a_device_that_is_not_there_is_said(tmp_path):
     with pytest.raises(CameraError, match="cannot be opened"):
-        open_source(camera(f"uvc:{tmp_path}/video9"), Ticking())
+        open_camera(camera(f"uvc:{tmp_path}/video9"), Ticking())
     with pytest.raises(CameraError, match="has no source"):
-        open_source(camera(), Ticking())
+        open_camera(camera(), Ticking())
 
 
 def test_offset_narrows_drifts_and_sees_a_clock_set_anew():

@@ -15,7 +15,7 @@ import pytest
 from rig.driving.clock import SimulatedClock, SystemClock
 from rig.driving.controller_link import Link
 from rig.driving.driver import Driver
-from rig.driving.protocols.own_strut_protocol import Struts, decode, encode
+from rig.driving.protocols.own_strut_protocol import Struts, decode_frame, encode_frame
 from rig.driving.protocols.protocol_interface import Segment
 from rig.driving.serial_port import SerialPort
 from rig.errors import ControllerFault, NoAnswer, PositionLost
@@ -23,7 +23,7 @@ from tests.conftest import ROOT
 from tests.rig.wire import ScriptedPort
 
 HELLO = [
-    (b">1 HELLO*7DF0\n", encode("<", 1, "OK struts/1 axes=6 boot=0EA93B36 line=128 pc")),
+    (b">1 HELLO*7DF0\n", encode_frame("<", 1, "OK struts/1 axes=6 boot=0EA93B36 line=128 pc")),
     (b">2 WATCH 1000*3DAA\n", b"<2 OK*27DA\n"),
 ]
 STATE = "OK idle 1 0EA93B36 - 0 1000000 2000000 3000000 4000000 -5000000"
@@ -45,7 +45,7 @@ def talk(script, *what):
 def test_the_document_s_conversation_is_what_is_sent():
     text = (ROOT / "docs" / "protocol.md").read_text()
     frames = re.findall(r"^    ([<>].*\*[0-9A-F]{4})$", text, re.MULTILINE)
-    assert len(frames) == 14 and all(decode(frame[0], frame) for frame in frames)
+    assert len(frames) == 14 and all(decode_frame(frame[0], frame) for frame in frames)
     target = np.full(6, 2e-3)
     pairs = [((frames[i] + "\n").encode(), (frames[i + 1] + "\n").encode()) for i in range(4, 14, 2)]
     assert [tuple(pair) for pair in HELLO] == [
@@ -57,47 +57,49 @@ def test_the_document_s_conversation_is_what_is_sent():
 
 
 def test_state_and_fence():
-    state = talk([(encode(">", 3, "STATE"), encode("<", 3, STATE))], lambda p: p.state())
+    state = talk([(encode_frame(">", 3, "STATE"), encode_frame("<", 3, STATE))], lambda p: p.state())
     np.testing.assert_allclose(state.positions, [0, 1e-3, 2e-3, 3e-3, 4e-3, -5e-3], atol=1e-15)
     assert state.homed and state.fault == ""
     other = STATE.replace("0EA93B36", "0EA93B37")
-    assert talk([(encode(">", 3, "STATE"), encode("<", 3, other))], lambda p: p.fence()) is False
+    assert talk([(encode_frame(">", 3, "STATE"), encode_frame("<", 3, other))], lambda p: p.fence()) is False
 
 
 @pytest.mark.parametrize(
     "answer",
     [
         b"",
-        encode("<", 2, STATE),
-        encode("<", 3, STATE)[:-9],
-        encode("<", 3, STATE).replace(b"1000000", b"1000001"),
+        encode_frame("<", 2, STATE),
+        encode_frame("<", 3, STATE)[:-9],
+        encode_frame("<", 3, STATE).replace(b"1000000", b"1000001"),
         b"<- NAK*8B54\n",
         b"\xff" * 5000,
     ],
 )
 def test_an_answer_that_is_late_cut_altered_or_none_is_asked_for_again_under_a_new_number(answer):
-    good = (encode(">", 4, "STATE"), encode("<", 3, STATE) + b"rubbish" + encode("<", 4, STATE))
-    assert talk([(encode(">", 3, "STATE"), answer), good], lambda p: p.state()).activity == "idle"
+    good = (encode_frame(">", 4, "STATE"), encode_frame("<", 3, STATE) + b"rubbish" + encode_frame("<", 4, STATE))
+    assert talk([(encode_frame(">", 3, "STATE"), answer), good], lambda p: p.state()).activity == "idle"
 
 
 def test_a_silent_controller_is_named():
     with pytest.raises(NoAnswer, match="asked 4 times"):
-        talk([(encode(">", n, "STATE"), b"") for n in range(3, 7)], lambda p: p.state())
+        talk([(encode_frame(">", n, "STATE"), b"") for n in range(3, 7)], lambda p: p.state())
 
 
 def test_a_move_is_sent_once_and_a_broken_arrival_is_no_verdict():
     segment = Segment(
         np.zeros(6), np.full(6, 1e-3), 0.1, np.full(6, 0.01), np.full(6, 0.01)
     )  # too short for full speed: a triangle
-    sent = encode(">", 3, "MOVE 0EA93B36 317 317" + " 1000000" * 6)
-    assert talk([(sent, encode("<", None, "NAK"))], lambda p: p.move(segment)).accepted is None
-    refused = talk([(sent, encode("<", 3, "ERR 6"))], lambda p: p.move(segment))
+    sent = encode_frame(">", 3, "MOVE 0EA93B36 317 317" + " 1000000" * 6)
+    assert talk([(sent, encode_frame("<", None, "NAK"))], lambda p: p.move(segment)).accepted is None
+    refused = talk([(sent, encode_frame("<", 3, "ERR 6"))], lambda p: p.move(segment))
     assert refused.accepted is False and "started anew" in refused.reason
 
 
 def test_a_controller_whose_lines_are_too_short_is_sent_no_move():
     clock, protocol = SimulatedClock(), Struts(6, 1.0)
-    port = ScriptedPort([(HELLO[0][0], encode("<", 1, "OK struts/1 axes=6 boot=0EA93B36 line=64 pc")), HELLO[1]], clock)
+    port = ScriptedPort(
+        [(HELLO[0][0], encode_frame("<", 1, "OK struts/1 axes=6 boot=0EA93B36 line=64 pc")), HELLO[1]], clock
+    )
     link = Link(protocol, lambda: port, clock)
     link.connect(0)
     link.run(protocol.hello())
@@ -194,7 +196,7 @@ def test_the_reference_firmware_stops_when_the_host_falls_silent(driven):
 
 def test_the_reference_firmware_carries_a_repeated_frame_out_once(terminal):
     port = SerialPort(terminal, 115200, clock := SystemClock())
-    for frame in (encode(">", 1, "HELLO"), *[encode(">", 2, "HOME")] * 2):
+    for frame in (encode_frame(">", 1, "HELLO"), *[encode_frame(">", 2, "HOME")] * 2):
         port.write(frame)
     text = b""
     while text.count(b"<2 OK") < 2:

@@ -12,13 +12,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.effects.texts.effect_text import parse_effect
 from rig.errors import RigError
-from rig.formats.exporters import arm_urdf, geometry_json_and_csv, linuxcnc_genhexkins
+from rig.formats.exporters import arm_urdf, geometry_json_and_csv, linuxcnc_and_compensation_tables
 from rig.model import motion_simulation
 from rig.model.design import Arm, Hexapod
 from rig.model.mechanisms import arm as serial
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose, pose_difference
-from rig.planning import plan
+from rig.planning import configuration_sets, plan
 from synthetic import secret_machine
 from tests.rig.arms import GANTRY, STANFORD
 from tests.rig.genhexkins import forward, settings
@@ -32,11 +32,11 @@ def true(design):
 @pytest.mark.parametrize("units, scale", [("mm", 1e3), ("m", 1.0)])
 def test_genhexkins_goes_where_we_go(true, units, scale):
     m = true.mechanism
-    commands = plan.low_discrepancy(m.strut_range, 60, 0.9)
-    found = forward(linuxcnc_genhexkins.genhexkins_settings(m, units), commands, m.home, scale)
+    commands = configuration_sets.sobol_configurations(m.strut_range, 60, 0.9)
+    found = forward(linuxcnc_and_compensation_tables.genhexkins_settings(m, units), commands, m.home, scale)
     error = pose_difference(hexapod.forward(commands, m), found)
     assert np.linalg.norm(error[:, :3], axis=1).max() < 1e-9 and np.abs(error[:, 3:]).max() < 1e-8
-    assert settings(linuxcnc_genhexkins.genhexkins_settings(m, units))["genhexkins.screw-lead"] == 0
+    assert settings(linuxcnc_and_compensation_tables.genhexkins_settings(m, units))["genhexkins.screw-lead"] == 0
 
 
 @pytest.mark.parametrize("gain", [1.0, -0.6])
@@ -45,33 +45,35 @@ def test_genhexkins_screws_couple_as_ours_do(true, gain):
     correction.
     """
     m = true.mechanism
-    steps = plan.settled_plan(plan.low_discrepancy(m.strut_range, 40, 0.9), m.strut_range.mean(axis=1), 0.05)
+    steps = plan.plan_of_configurations(
+        configuration_sets.sobol_configurations(m.strut_range, 40, 0.9), m.strut_range.mean(axis=1), 0.05
+    )
     run = motion_simulation.run_machine(
         true, steps.commands, steps.t, (parse_effect(f"screw_coupling:rig:gain={gain}"),)
     )
     plain = motion_simulation.run_machine(true, steps.commands, steps.t)
     assert np.linalg.norm(pose_difference(plain.T_base_platform, run.T_base_platform)[:, :3], axis=1).max() > 5e-6
-    text = linuxcnc_genhexkins.genhexkins_settings(m, "mm", true.actuator.screw_lead, gain)
+    text = linuxcnc_and_compensation_tables.genhexkins_settings(m, "mm", true.actuator.screw_lead, gain)
     error = pose_difference(run.T_base_platform, forward(text, steps.commands.at(steps.t), m.home, 1e3))
     assert np.linalg.norm(error[:, :3], axis=1).max() < 1e-9
 
 
 def test_genhexkins_refuses_what_it_cannot_hold(true):
     with pytest.raises(RigError, match="lead, m per revolution"):
-        linuxcnc_genhexkins.genhexkins_settings(true.mechanism, gain=0.5)
+        linuxcnc_and_compensation_tables.genhexkins_settings(true.mechanism, screw_coupling=0.5)
     with pytest.raises(ValueError, match="mm or m"):
-        linuxcnc_genhexkins.genhexkins_settings(true.mechanism, "inch")
+        linuxcnc_and_compensation_tables.genhexkins_settings(true.mechanism, "inch")
     turned = replace(
         true.mechanism,
         platform_joints=Rotation.from_rotvec([0, 0, 1.2]).apply(np.array(true.mechanism.platform_joints)),
     )
     with pytest.raises(RigError, match="degrees to each other"):
-        linuxcnc_genhexkins.genhexkins_settings(turned, lead=0.004, gain=1.0)
+        linuxcnc_and_compensation_tables.genhexkins_settings(turned, screw_lead=0.004, screw_coupling=1.0)
 
 
 def test_sheets_hold_every_bit_of_a_hexapod(true):
     m = true.mechanism
-    tree = json.loads(geometry_json_and_csv.as_json(m))
+    tree = json.loads(geometry_json_and_csv.geometry_json(m))
     again = Hexapod(
         tree["base_joints"],
         tree["platform_joints"],
@@ -79,12 +81,15 @@ def test_sheets_hold_every_bit_of_a_hexapod(true):
         pose(tree["home"]["position"], tree["home"]["rotvec"]),
         tree["strut_zeros"],
     )
-    lengths = plan.low_discrepancy(m.strut_range, 20)
+    lengths = configuration_sets.sobol_configurations(m.strut_range, 20)
     np.testing.assert_allclose(
         pose_difference(hexapod.forward(lengths, m), hexapod.forward(lengths, again)), 0, atol=1e-14
     )
     rows = np.array(
-        [[float(cell) for cell in row] for row in list(csv.reader(io.StringIO(geometry_json_and_csv.as_csv(m))))[1:]]
+        [
+            [float(cell) for cell in row]
+            for row in list(csv.reader(io.StringIO(geometry_json_and_csv.geometry_csv(m))))[1:]
+        ]
     )
     from_rows = Hexapod(rows[:, 1:4], rows[:, 4:7], rows[:, 8:10], m.home, rows[:, 7])
     np.testing.assert_allclose(
@@ -149,6 +154,6 @@ def driven(text, angles):
 
 def test_arms_have_sheets_too():
     arm = Arm(ARMS["six joints"], [[-3, 3]] * 6)
-    assert json.loads(geometry_json_and_csv.as_json(arm))["joints"] == arm.joints.tolist()
-    rows = list(csv.reader(io.StringIO(geometry_json_and_csv.as_csv(arm))))
+    assert json.loads(geometry_json_and_csv.geometry_json(arm))["joints"] == arm.joints.tolist()
+    rows = list(csv.reader(io.StringIO(geometry_json_and_csv.geometry_csv(arm))))
     assert rows[0][0] == "joint" and len(rows) == 7 and float(rows[3][2]) == 0.15 and float(rows[3][5]) == 0

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from rig.formats.exporters import rerun_recording
+from rig.formats.exporters import recording_as_rerun_tum_parquet
 from rig.model.mechanisms import hexapod
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Poses
@@ -77,9 +77,9 @@ def seen(tmp_path_factory):
 
 def test_all_that_a_recording_holds_is_where_it_is(seen, stand_in, tmp_path):
     streams, rr = stand_in
-    there = recording_folder.load(seen)
+    there = recording_folder.load_recording(seen)
     there = replace(there, stages={1: there.poses})
-    assert rerun_recording.write_rerun(there, tmp_path / "x.rrd", rr) == 0
+    assert recording_as_rerun_tum_parquet.write_rerun_file(there, tmp_path / "x.rrd", rr) == 0
     logged = streams[0].logged
     for camera in there.design.cameras:
         T, lens = (

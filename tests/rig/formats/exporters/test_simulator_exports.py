@@ -11,11 +11,11 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.errors import RigError
-from rig.formats.exporters import hexapod_sdf, hexapod_urdf
-from rig.formats.exporters.simulator_struts import simulator_struts
+from rig.formats.exporters import hexapod_urdf_and_sdf
+from rig.formats.exporters.hexapod_urdf_and_sdf import simulator_struts
 from rig.model.mechanisms import hexapod
-from rig.planning import plan
-from rig.planning.layout import hexapod_layout
+from rig.planning import configuration_sets
+from rig.planning.layout import hexapod_and_two_strut_layout
 from synthetic import secret_machine
 from tests.calib.checks.test_mistakes import said
 
@@ -56,9 +56,9 @@ def driven(model, T, m):
 
 
 def test_urdf_closes_its_loops_at_every_pose(machine):
-    model = pinocchio.buildModelFromXML(hexapod_urdf.hexapod_urdf(machine, "a & b"))
+    model = pinocchio.buildModelFromXML(hexapod_urdf_and_sdf.hexapod_urdf(machine, "a & b"))
     assert model.nq == 21
-    for T in hexapod.forward(plan.low_discrepancy(machine.strut_range, 20, 0.9), machine):
+    for T in hexapod.forward(configuration_sets.sobol_configurations(machine.strut_range, 20, 0.9), machine):
         data = driven(model, T, machine)
         np.testing.assert_allclose(data.oMf[model.getFrameId("platform")].homogeneous, T.as_matrix(), atol=1e-9)
         for n in range(1, 7):
@@ -77,7 +77,7 @@ def stood(link):
 
 
 def test_sdf_stands_at_home_with_joints_where_they_are(machine):
-    model = ElementTree.fromstring(hexapod_sdf.hexapod_sdf(machine)).find("model")
+    model = ElementTree.fromstring(hexapod_urdf_and_sdf.hexapod_sdf(machine)).find("model")
     links, joints = (
         {link.get("name"): stood(link) for link in model.findall("link")},
         {j.get("name"): j for j in model.findall("joint")},
@@ -104,11 +104,11 @@ def test_a_joint_on_the_axis_has_no_cardan(machine):
     joints = np.array(machine.base_joints)
     joints[2] = [0, 0, 0.1]
     with pytest.raises(RigError, match="strut 3: its base joint lies on the z axis"):
-        hexapod_urdf.hexapod_urdf(replace(machine, base_joints=joints))
+        hexapod_urdf_and_sdf.hexapod_urdf(replace(machine, base_joints=joints))
 
 
 def test_simulators_files_come_from_the_command_line(tmp_path):
-    (tmp_path / "rig.toml").write_text(hexapod_layout.hexapod_layout(0.3, cameras=2, cubes=2))
+    (tmp_path / "rig.toml").write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=2, cubes=2))
     for kind in ("urdf", "sdf"):
         assert said("export", tmp_path / "rig.toml", "--format", kind, "--out", tmp_path / f"h.{kind}")[0] == 0
         assert ElementTree.parse(tmp_path / f"h.{kind}").getroot().tag == {"urdf": "robot", "sdf": "sdf"}[kind]

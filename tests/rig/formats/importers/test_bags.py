@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.errors import RigError
 from rig.formats.importers.ros_image_messages import encode_image_message
-from rig.planning.layout import hexapod_layout
+from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import said
 
@@ -28,7 +28,9 @@ N = 4  # frames
 @pytest.fixture
 def rig(tmp_path):
     path = tmp_path / "rig.toml"
-    path.write_text(hexapod_layout.hexapod_layout(0.3, cameras=3, width=WIDTH, height=HEIGHT, cubes=3))
+    path.write_text(
+        hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=3, width=WIDTH, height=HEIGHT, cubes=3)
+    )
     return path
 
 
@@ -189,7 +191,7 @@ def test_a_bag_becomes_the_recording_that_it_holds(made, rig, tmp_path):
     )
     status, text = said(*words, "--out", tmp_path / "rec")
     assert status == 0 and "/joints is commands" in text and "/rig/cam2/image_raw is camera cam2" in text, text
-    found = recording_folder.load(tmp_path / "rec")
+    found = recording_folder.load_recording(tmp_path / "rec")
     assert np.abs(found.commands.values - what.q).max() < 1e-15 and found.commands.t.tolist() == list(range(N + 1))
     assert (
         found.exposures.times()[1].tolist() == list(range(N))
@@ -251,7 +253,7 @@ def test_messages_without_stamps_have_the_times_at_which_they_were_received(rig,
         "import", "--rig", rig, "--bag", bag, "--set", "commands.shift=-5e-9", "--out", tmp_path / "rec"
     )
     assert status == 0 and "/joints: messages have no stamps" in text, text
-    assert np.abs(recording_folder.load(tmp_path / "rec").commands.t - np.arange(N + 1)).max() < 1e-12
+    assert np.abs(recording_folder.load_recording(tmp_path / "rec").commands.t - np.arange(N + 1)).max() < 1e-12
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from rig.checks.clock_shift import clock_offset_mistake, standing_shift
+from rig.checks.clock_mistakes import clock_offset_mistake, dwell_clock_shift
 from rig.planning.plan import build_plan
 from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import said
@@ -34,7 +34,7 @@ def log(gaps, rate=10.0):
 def test_frames_are_brought_to_where_the_commands_stand(noise):
     rng = np.random.default_rng(1)
     t, values, at = log(rng.choice([1.0, 2.0, 3.0, 4.0], 30))
-    found = standing_shift(
+    found = dwell_clock_shift(
         at - 5000.0 + rng.uniform(-0.5, 0.5, 30), t, values + noise * rng.uniform(-0.5, 0.5, values.shape)
     )
     assert found is not None and found.frames == 30 and abs(found.shift - 5000.0) <= found.room < 1.0
@@ -42,10 +42,10 @@ def test_frames_are_brought_to_where_the_commands_stand(noise):
 
 def test_what_repeats_or_is_short_tells_nothing():
     t, values, at = log(np.full(30, 3.0))
-    assert standing_shift(at - 5000.0, t, values) is None
+    assert dwell_clock_shift(at - 5000.0, t, values) is None
     t, values, at = log(np.random.default_rng(1).choice([1.0, 2.0, 3.0, 4.0], 4))
-    assert standing_shift(at - 5000.0, t, values) is None
-    assert standing_shift(np.arange(30.0), np.arange(100.0), np.arange(100.0)[:, None]) is None
+    assert dwell_clock_shift(at - 5000.0, t, values) is None
+    assert dwell_clock_shift(np.arange(30.0), np.arange(100.0), np.arange(100.0)[:, None]) is None
 
 
 STATED = (
@@ -96,7 +96,7 @@ def test_rows_that_a_log_has_twice_are_taken_once(good, tmp_path):
         status == 0
         and "commands.csv: 1 rows are there twice, with their times, and are taken once; the first is line 6" in text
     ), text
-    assert len(recording_folder.load(tmp_path / "rec").commands.t) == len(lines) - 1
+    assert len(recording_folder.load_recording(tmp_path / "rec").commands.t) == len(lines) - 1
     files["commands"].write_text("\n".join([*lines[:5], f"{lines[4]}1", *lines[5:]]) + "\n")
     status, text = said(*words(good, files, None, *STATED), "--out", tmp_path / "again")
     assert status == 1 and "commands.csv:6: two rows are of one time" in text, text

@@ -18,7 +18,9 @@ def scan(folder, design, files, **stated):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(b"")
     images = Images((folder / "in",), **stated)
-    return image_file_frames.group_exposures(image_file_frames.list_pictures(images, design), images, ANY)
+    return image_file_frames.group_images_into_exposures(
+        image_file_frames.list_image_files(images, design), images, ANY
+    )
 
 
 @pytest.mark.parametrize(
@@ -76,5 +78,5 @@ def test_the_settings_offered_for_two_figures_work(design, tmp_path):
     with pytest.raises(RigError) as error:
         scan(tmp_path, design, ["cam0_run3_17.png"])
     offered = [line.split("images.names=")[1].rstrip("'") for line in str(error.value).splitlines()[1:]]
-    found = [image_file_frames.list_pictures(Images((tmp_path / "in",), names), design)[0] for names in offered]
+    found = [image_file_frames.list_image_files(Images((tmp_path / "in",), names), design)[0] for names in offered]
     assert [(one.frame, one.stamp) for one in found] == [(3, None), (17, None), (None, "3"), (None, "17")]

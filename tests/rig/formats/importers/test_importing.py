@@ -10,7 +10,7 @@ import pytest
 from rig.cli.command_line import main
 from rig.errors import RigError
 from rig.formats import importers
-from rig.formats.importers import timestamps
+from rig.formats.importers import units_and_timestamps
 from rig.formats.rig_toml import design_file
 from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import said
@@ -30,11 +30,11 @@ def words(folder, files, dialect=None, *more):
 
 @pytest.mark.parametrize("dialect", DIALECTS, ids=lambda dialect: dialect.name)
 def test_a_dialect_imports_to_the_same_arrays(dialect, good, tmp_path):
-    files = export(good, tmp_path / "theirs", dialect, design_file.load(good / "rig.toml"))
+    files = export(good, tmp_path / "theirs", dialect, design_file.load_design(good / "rig.toml"))
     status, text = said(*words(good, files, dialect), "--out", tmp_path / "rec")
     assert status == 0, text
     assert text.splitlines()[0].startswith("imported: 60 frames, ") and "60 poses" in text.splitlines()[0]
-    same(recording_folder.load(good), recording_folder.load(tmp_path / "rec"))
+    same(recording_folder.load_recording(good), recording_folder.load_recording(tmp_path / "rec"))
     assert said("import", "--recipe", tmp_path / "rec.import.toml", "--out", tmp_path / "again")[0] == 0
     for name in ("commands", "poses", "sensors", "frames"):
         assert (tmp_path / "again" / f"{name}.csv").read_text() == (tmp_path / "rec" / f"{name}.csv").read_text()
@@ -84,7 +84,7 @@ AMBIGUOUS = {
 @pytest.mark.parametrize("name", AMBIGUOUS)
 def test_what_is_ambiguous_is_refused_with_what_decides(name, good, tmp_path):
     how, settings = AMBIGUOUS[name]
-    c = recording_folder.load(good).commands
+    c = recording_folder.load_recording(good).commands
     sep, time, values = (
         how.get("separator", ","),
         how.get("time", str),
@@ -106,27 +106,29 @@ def test_what_is_ambiguous_is_refused_with_what_decides(name, good, tmp_path):
 def test_times_without_a_unit_are_told_by_what_can_be_or_refused():
     cells = [str(k * 20) for k in range(9)]
     assert (
-        timestamps.read_times(cells, "commands", "x", None, None, 0.0, lambda t: t[-1] < 1 and t[-1] > 0.01).unit
+        units_and_timestamps.read_times(
+            cells, "commands", "x", None, None, 0.0, lambda t: t[-1] < 1 and t[-1] > 0.01
+        ).unit
         == "ms"
     )
     with pytest.raises(
         RigError, match=r"160 s in all: --set 'commands.time_unit=s'(.|\n)*0.16 s in all: --set 'commands.time_unit=ms'"
     ):
-        timestamps.read_times(cells, "commands", "x", None, None, 0.0)
+        units_and_timestamps.read_times(cells, "commands", "x", None, None, 0.0)
     for unit, per in (("s", 1), ("ms", 10**3), ("us", 10**6), ("ns", 10**9)):
         cells = [str(1763800000 * per + k * per // 4) if per > 1 else f"{1763800000 + k / 4}" for k in range(3)]
-        read = timestamps.read_times(cells, "commands", "x", None, None, 0.0)
+        read = units_and_timestamps.read_times(cells, "commands", "x", None, None, 0.0)
         assert read.unit == unit and read.floats().tolist() == [0, 0.25, 0.5]
 
 
 def test_iso_times_keep_nanoseconds_and_zones():
-    read = timestamps.read_times(
+    read = units_and_timestamps.read_times(
         ["2026-01-31T12:00:00.000000001+01:00", "2026-01-31 11:00:00,5Z"], "x", "x", None, None, 0.0
     )
     assert read.floats().tolist() == [0, 0.499999999]
     with pytest.raises(RigError, match="some times state a time zone"):
-        timestamps.read_times(["2026-01-31T12:00:00Z", "2026-01-31T12:00:00"], "x", "x", None, None, 0.0)
-    assert "UTC" in timestamps.read_times(["2026-01-31T12:00:00"], "x", "x", None, None, 0.0).said[-1]
+        units_and_timestamps.read_times(["2026-01-31T12:00:00Z", "2026-01-31T12:00:00"], "x", "x", None, None, 0.0)
+    assert "UTC" in units_and_timestamps.read_times(["2026-01-31T12:00:00"], "x", "x", None, None, 0.0).said[-1]
 
 
 def test_rotations_that_nothing_decides_are_refused(good, tmp_path):
@@ -142,7 +144,7 @@ def test_rotations_that_nothing_decides_are_refused(good, tmp_path):
 
 
 def test_an_import_is_told_to_programs(good, tmp_path, capsys):
-    files = export(good, tmp_path / "theirs", DIALECTS[0], design_file.load(good / "rig.toml"))
+    files = export(good, tmp_path / "theirs", DIALECTS[0], design_file.load_design(good / "rig.toml"))
     assert main([str(word) for word in (*words(good, files), "--out", tmp_path / "rec", "--json")]) == 0
     out, said_of_it = capsys.readouterr()
     told = json.loads(out)
@@ -178,4 +180,4 @@ def test_what_is_imported_is_never_written_over(good, tmp_path):
     )
     status, text = said("import", "--recipe", recipe, "--out", tmp_path / "in", "--force")
     assert status == 1 and (tmp_path / "in" / "poses.csv").read_bytes() == (good / "poses.csv").read_bytes()
-    assert importers.load(recipe).poses.rotation == "rotvec"
+    assert importers.load_recipe(recipe).poses.rotation == "rotvec"

@@ -46,14 +46,14 @@ def test_a_tum_trajectory_is_read_with_and_without_its_header(header, good, tmp_
     }
     status, text = said(*words(good, files, None, "commands.unit=m"), "--out", tmp_path / "rec")
     assert status == 0 and ("a trajectory as TUM's" in text) != header, text
-    same(recording_folder.load(good), recording_folder.load(tmp_path / "rec"))
+    same(recording_folder.load_recording(good), recording_folder.load_recording(tmp_path / "rec"))
     assert said("import", "--recipe", tmp_path / "rec.import.toml", "--out", tmp_path / "again")[0] == 0
 
 
 def test_a_tum_trajectory_goes_out(good, tmp_path):
     assert said("export", good, "--format", "tum", "--out", tmp_path / "poses.tum")[0] == 0
     rows = np.loadtxt(tmp_path / "poses.tum")
-    there = recording_folder.load(good)
+    there = recording_folder.load_recording(good)
     T = RigidTransform.from_components(rows[:, 1:4], Rotation.from_quat(rows[:, 4:]))
     apart = there.poses.T_base_platform.inv() * T
     assert len(rows) == 60 and np.abs(apart.translation).max() < 1e-11 and apart.rotation.magnitude().max() < 1e-11
@@ -87,7 +87,7 @@ def test_samples_of_linuxcnc_are_commands_at_their_times(good, tmp_path):
     status, text = said(*words(good, files, None, *settings), "--out", tmp_path / "rec")
     assert "samples were lost 2 times, first at line" in text, text
     assert status == 0, text
-    found = recording_folder.load(tmp_path / "rec").commands
+    found = recording_folder.load_recording(tmp_path / "rec").commands
     c = columns(good / "commands.csv")
     for t, row in zip(found.t, found.values):
         wanted = [np.interp(t, np.array(c["t"], float), np.array(c[f"l{i}"], float)) for i in range(1, 7)]
@@ -143,7 +143,7 @@ def test_parquet_tables_come_in_as_csv_does(good, tmp_path):
     files = {"commands": tmp_path / "c.parquet", "poses": tmp_path / "p.parquet"}
     status, text = said(*words(good, files, None, "poses.rotation=rotvec", "poses.unit=m"), "--out", tmp_path / "rec")
     assert status == 0, text
-    a, b = recording_folder.load(good), recording_folder.load(tmp_path / "rec")
+    a, b = recording_folder.load_recording(good), recording_folder.load_recording(tmp_path / "rec")
     assert (
         np.abs(a.commands.values - b.commands.values).max() < 1e-12 and np.abs(a.commands.t - b.commands.t).max() < 2e-9
     )
@@ -187,4 +187,4 @@ def test_what_is_no_parquet_is_refused_and_a_missing_library_says_what_installs_
 
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(MissingLibrary, match=r"pip install 'rig\[parquet\]'"):
-        parquet_table.read_cells(tmp_path / "half.parquet")
+        parquet_table.read_parquet_cells(tmp_path / "half.parquet")

@@ -47,7 +47,7 @@ def test_twenty_images_become_a_calibration(tmp_path):
     )
     assert status == 0 and text.startswith("imported: 20 frames, 60 images of 3 cameras, 42 commands"), text
     assert "names of images: times are milliseconds since 1970" in text and "to look at" not in text
-    ours, good = recording_folder.load(tmp_path / "rec"), recording_folder.load(BENCH / "fit")
+    ours, good = recording_folder.load_recording(tmp_path / "rec"), recording_folder.load_recording(BENCH / "fit")
     assert (
         np.abs(ours.exposures.times()[1] - good.exposures.times()[1]).max() < 1e-3
         and ours.exposures.camera == good.exposures.camera

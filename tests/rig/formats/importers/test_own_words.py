@@ -34,7 +34,7 @@ def theirs(folder, design, count=4):
 
 
 def test_an_owners_own_words(good, tmp_path):
-    theirs(tmp_path, design_file.load(good / "rig.toml"))
+    theirs(tmp_path, design_file.load_design(good / "rig.toml"))
     made = [
         "import",
         tmp_path / "Bilder Größe A",
@@ -55,7 +55,7 @@ def test_an_owners_own_words(good, tmp_path):
     status, text = said(*made, "--skip-unreadable")
     assert status == 0 and "left out: " in text, text
     assert "Bilder.csv names images that are not there, 1 of 8: Kamera links/Aufnahme Prüfung 2.png" in text, text
-    found = recording_folder.load(tmp_path / "rec")
+    found = recording_folder.load_recording(tmp_path / "rec")
     assert list(zip(found.exposures.frame.tolist(), found.exposures.camera)) == [
         (1, "cam0"),
         (1, "cam1"),
@@ -68,7 +68,7 @@ def test_an_owners_own_words(good, tmp_path):
 
 
 def test_a_shift_of_images_moves_the_times_that_a_table_gives_them(good, tmp_path):
-    theirs(tmp_path, design_file.load(good / "rig.toml"))
+    theirs(tmp_path, design_file.load_design(good / "rig.toml"))
     made = [
         "import",
         tmp_path / "Bilder Größe A",

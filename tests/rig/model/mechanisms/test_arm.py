@@ -9,7 +9,7 @@ import pytest
 from rig.errors import Unreachable
 from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
-from rig.model.mechanisms import arm_dynamics, deficient_arm, kinematics_of
+from rig.model.mechanisms import arm_dynamics, kinematics_of, numerical_arm_inverse
 from rig.model.pose import exp, log, pose_difference
 from tests.numeric import jacobian
 from tests.rig.arms import GANTRY, SCARA, SEVEN, STANFORD, UR10, configurations, random_arm
@@ -90,7 +90,7 @@ def test_a_pose_out_of_reach_is_named():
 def test_angles_are_wrapped_into_the_limits_near_the_guess():
     q = np.array([[7.0, -7.0, -0.1, 0.2, 12.0, 0.0]])
     near = np.array([[0.0, 0.0, 6.0, 0.0, 0.0, -6.0]])
-    found = mechanism.nearest_turn(q, UR10, near)
+    found = mechanism.nearest_equivalent_angles(q, UR10, near)
     np.testing.assert_allclose(np.sin(found), np.sin(q), atol=1e-12)
     assert (mechanism.limits(found, UR10) == 0).all() and abs(found[0, 2] - 6.0) < 0.5 and abs(found[0, 5] + 6.0) < 0.5
 
@@ -129,7 +129,7 @@ def test_a_link_that_grows_takes_its_slide_along():
     rng, arm = np.random.default_rng(10), ARMS["random slides"]
     q, share = rng.normal(size=(5, 6)), 1e-7 * rng.normal(size=(5, 6))
     T = mechanism.forward(q, arm)
-    deviation, sway = mechanism.grown(T, q, arm, share)
+    deviation, sway = mechanism.growth_deviation_and_sway(T, q, arm, share)
     assert not deviation.any()
     for k in range(5):
         rows = arm.rows.copy()
@@ -145,20 +145,20 @@ def test_few_joints_come_as_near_as_they_can_and_say_what_is_left(name, reached)
     arm, rng = ARMS[name], np.random.default_rng(11)
     q = configurations(arm, 200, rng, 0.7)
     q[:, 1] = np.abs(q[:, 1]) + 0.7  # not stretched
-    count = deficient_arm.reachable_directions(arm)
+    count = numerical_arm_inverse.reachable_direction_counts(arm)
     assert count == (3, len(reached) - 3)
     off = np.zeros((200, 6))
     off[:, [3, 4]] = 2e-3 * rng.normal(size=(200, 2))
     asked = 1e-2 * np.eye(6)[list(reached)].T @ rng.normal(size=(len(reached), 200))
     wanted = mechanism.forward(q, arm) * exp(asked.T) * exp(off)
-    found, rest, settled = deficient_arm.nearest_configuration(wanted, arm, q, count)
+    found, rest, settled = numerical_arm_inverse.nearest_joint_values(wanted, arm, q, count)
     assert settled.all() and np.abs(rest[:, :3]).max() < 1e-12
     np.testing.assert_allclose(pose_difference(mechanism.forward(found, arm), wanted), rest, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(rest[:, 3:], axis=1), np.linalg.norm(off[:, 3:], axis=1), atol=1e-5)
     beyond = replace(
         arm, joints=arm.rows + 1e-3 * rng.normal(size=arm.rows.shape)
     )  # askew: no direction more to be led in
-    found, rest, settled = deficient_arm.nearest_configuration(wanted, beyond, q, count)
+    found, rest, settled = numerical_arm_inverse.nearest_joint_values(wanted, beyond, q, count)
     assert settled.all() and np.abs(rest[:, :3]).max() < 1e-12 and np.abs(found - q).max() < 0.4
 
 
@@ -169,5 +169,5 @@ def test_an_arm_of_few_joints_has_no_joint_values_for_a_pose_it_cannot_take():
 
 
 def test_whole_turns_are_of_joints_that_turn():
-    found = mechanism.nearest_turn(np.array([7.0, -7.0, 7.0, 7.0]), SCARA, np.zeros(4))
+    found = mechanism.nearest_equivalent_angles(np.array([7.0, -7.0, 7.0, 7.0]), SCARA, np.zeros(4))
     np.testing.assert_allclose(found, [7 - 2 * np.pi, 2 * np.pi - 7, 7.0, 7 - 2 * np.pi])

@@ -18,7 +18,7 @@ def test_every_branch_is_read_joint_by_joint_and_returns_to_zero(name):
     found = six_joint_inverse.inverse(T, six)
     zero = six.hand + (six.key - six.hand[0])
     for i, b in np.argwhere(found.there):
-        steps = arm_kinematics_steps.inverse(T[i], six, found.q[i, b])
+        steps = arm_kinematics_steps.inverse_steps(T[i], six, found.q[i, b])
         assert [step.joint for step in steps] == list(range(7))
         np.testing.assert_allclose(
             np.exp(1j * np.array([step.value for step in steps[1:]])), np.exp(1j * found.q[i, b]), atol=1e-8
@@ -41,7 +41,7 @@ def test_the_points_of_a_branch_are_hand_worked():
     axes 5 and 6.
     """
     six = six_joint_inverse.six_joint_arm(UR10)
-    steps = arm_kinematics_steps.inverse(mechanism.forward(np.zeros(6), UR10), six, np.zeros(6))
+    steps = arm_kinematics_steps.inverse_steps(mechanism.forward(np.zeros(6), UR10), six, np.zeros(6))
     assert (
         steps[1].names == ("A", "B", "C", "D", "E")
         and steps[3].names == ("A", "B", "C", "D")
@@ -57,7 +57,7 @@ def test_the_points_of_a_branch_are_hand_worked():
 def test_forward_by_points_is_the_chain(arm):
     """A, B, C turned and moved about the axes at zero, the last joint first, are those of the hand."""
     q = np.random.default_rng(4).uniform(*arm.limits.T)
-    steps = arm_kinematics_steps.forward(q, arm)
+    steps = arm_kinematics_steps.forward_steps(q, arm)
     assert [step.joint for step in steps] == [0, *range(len(q), 0, -1)]
     frame = six_joint_inverse.global_frame(arm)
     start, end = mechanism.forward(0 * q, arm), mechanism.forward(q, arm)
@@ -74,6 +74,6 @@ def test_singular_poses_take_what_the_solution_has():
     T = mechanism.forward(q, ARMS["puma"])
     found = six_joint_inverse.inverse(T, six, near=q)
     b = int(np.nanargmin(np.abs(found.q - q).max(axis=1)))
-    steps = arm_kinematics_steps.inverse(T, six, found.q[b])
+    steps = arm_kinematics_steps.inverse_steps(T, six, found.q[b])
     np.testing.assert_allclose([step.value for step in steps[1:]], q, atol=1e-6)
     np.testing.assert_allclose(steps[-1].points, six.hand + (six.key - six.hand[0]), atol=1e-9)

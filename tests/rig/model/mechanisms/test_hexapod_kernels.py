@@ -5,12 +5,12 @@ solve.
 import numpy as np
 
 from rig.model.mechanisms import hexapod, hexapod_kernels
-from rig.planning.plan import low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
 from tests.calib.designs import machine
 
 
 def test_a_pose_comes_out_the_same_to_the_last_bit_whatever_stands_beside_it(design, monkeypatch):
-    commands = low_discrepancy(design.mechanism.strut_range, 300, 0.95)
+    commands = sobol_configurations(design.mechanism.strut_range, 300, 0.95)
     together = hexapod.forward(commands, design.mechanism).as_matrix()
     alone = np.stack([hexapod.forward(one, design.mechanism).as_matrix() for one in commands[:40]])
     assert (together[:40] == alone).all() and (

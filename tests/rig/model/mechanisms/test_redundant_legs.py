@@ -17,7 +17,7 @@ from calib.online import measuring_limbs_file
 from rig.cli.command_line import main
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod, redundant_legs
-from rig.planning.plan import low_discrepancy
+from rig.planning.configuration_sets import sobol_configurations
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,11 @@ def machine(limbed):
     """(strut and limb Hexapods as they truly are, poses (40,))"""
     true = limbed[2].world.true
     limbs = measuring_limbs.limb_hexapod(true)
-    return true.mechanism, limbs, hexapod.forward(low_discrepancy(true.mechanism.strut_range, 40, 0.8), true.mechanism)
+    return (
+        true.mechanism,
+        limbs,
+        hexapod.forward(sobol_configurations(true.mechanism.strut_range, 40, 0.8), true.mechanism),
+    )
 
 
 def legs(machine, sigma=(1e-6, 1e-6), covariance=None):
@@ -86,9 +90,9 @@ def test_the_best_six_are_the_best_of_all(machine):
         six: min(np.linalg.svd(one[list(six)], compute_uv=False)[-1] for one in J)
         for six in list(combinations(range(12), 6))[::7]
     }
-    best = redundant_legs.best_six(of, T)
+    best = redundant_legs.best_six_legs(of, T)
     assert min(np.linalg.svd(one[best], compute_uv=False)[-1] for one in J) >= max(least.values())
-    assert not set(range(6)) & set(redundant_legs.best_six(legs(machine, (1e-3, 1e-6)), T).tolist()), (
+    assert not set(range(6)) & set(redundant_legs.best_six_legs(legs(machine, (1e-3, 1e-6)), T).tolist()), (
         "struts that nobody knows are not chosen"
     )
 

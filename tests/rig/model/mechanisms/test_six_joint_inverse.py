@@ -15,7 +15,7 @@ from rig.model.mechanisms import six_joint_inverse
 from rig.model.pose import pose_difference
 from tests.rig.arms import HALF, SEVEN, UR10, random_arm
 
-PUMA = design_file.load(files("rig") / "arms" / "puma560.toml").mechanism
+PUMA = design_file.load_design(files("rig") / "arms" / "puma560.toml").mechanism
 OFFSET = Arm(
     [
         [0, 0.29, 0.15, -HALF],
@@ -105,7 +105,9 @@ def test_a_spherical_wrist_over_two_parallel_axes_has_eight_branches():
     found = six_joint_inverse.inverse(T, six)
     for i in range(5):
         many = mechanism.forward(np.tile(q[i], (150, 1)), OFFSET)
-        numeric, left = mechanism.solve(many, OFFSET, np.random.default_rng(3).uniform(-3, 3, (150, 6)), starts=0)
+        numeric, left = mechanism.solve_inverse(
+            many, OFFSET, np.random.default_rng(3).uniform(-3, 3, (150, 6)), starts=0
+        )
         numeric = numeric[left < 1e-10]
         apart = np.abs(np.exp(1j * numeric[:, None]) - np.exp(1j * found.q[i])).max(axis=-1)
         assert np.nanmin(apart, axis=1).max() < 1e-7  # nothing beyond the listed

@@ -1,0 +1,183 @@
+"""Units and conventions written by mistake: commands in other units or origins, poses in other conventions."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rig.checks.user_mistake import Mistake
+from rig.model import mechanisms
+from rig.model.design import Design
+from rig.recording.recording_folder import Commands
+
+UNITS = {"millimetres": 1e3, "centimetres": 1e2, "micrometres": 1e6, "inches": 1 / 0.0254}  # per metre
+FEW = 1 / 3  # of the axes, beyond whose ranges alone no unit and no origin of all commands leads
+MUCH = 0.1  # share of commands beyond the range by more than a tenth of it, that is no slip of a limit
+
+
+def command_unit_mistakes(commands: Commands, design: Design) -> Iterator[Mistake]:
+    """Mistakes of the unit or origin of commands, from values (n, axes) outside the design's ranges."""
+    m = design.mechanism
+    if m.kind == "arm":
+        yield from _angles(commands.values[:, ~m.slides], m.limits[~m.slides])
+        yield from _slides(commands.values[:, m.slides], m.limits[m.slides])
+    elif m.kind in ("hexapod", "planar2"):
+        home = mechanisms.kinematics_of(m).inverse(m.home, m) if m.kind == "hexapod" else m.strut_range.mean(axis=1)
+        yield from _lengths(commands.values, m.strut_range, home)
+
+
+def _outside(values: np.ndarray, ranges: np.ndarray) -> np.ndarray:
+    """(n, axes) whether values lie outside their ranges (axes, 2) by more than a tenth of these."""
+    low, high = ranges.T
+    slack = 0.1 * (high - low)
+    return (values < low - slack) | (values > high + slack)
+
+
+def _beyond(values: np.ndarray, ranges: np.ndarray) -> float:
+    """Share of the values (n, axes) that lie so."""
+    return float(_outside(values, ranges).mean())
+
+
+def _lengths(q: np.ndarray, ranges: np.ndarray, home: np.ndarray) -> Iterator[Mistake]:
+    outside, axes = _beyond(q, ranges), _outside(q, ranges).any(axis=0)
+    if outside == 0:
+        return
+    advice = "commands.csv holds joint centre to joint centre, in metres"
+    said = f"{q.min():.6g} to {q.max():.6g}, where rig.toml's strut_range is {ranges.min():.6g} to {ranges.max():.6g} m"
+    if axes.mean() <= FEW:
+        which = ", ".join(str(k + 1) for k in np.flatnonzero(axes))
+        yield Mistake(
+            f"commands.csv: lengths of strut {which} alone lie outside strut_range ({outside:.1%} of all): {said}",
+            "Look at its zero, at its strut_range or at those rows",
+            bool(outside > MUCH),
+            0.3,
+        )
+        return
+    for unit, per_metre in UNITS.items():
+        if _beyond(q / per_metre, ranges) <= outside / 4:
+            yield Mistake(
+                f"commands.csv: lengths are in {unit}: {said}", f"Divide them by {per_metre:.6g}; {advice}", True, 0.95
+            )
+            return
+    for text, mended, how in (
+        ("relative to home", q + home, "Add each strut's length at home"),
+        ("relative to the shortest length", q + ranges[:, 0], "Add each strut's shortest length"),
+        ("of the wrong sign", -q, "Turn their sign"),
+        ("relative to home and of the wrong sign", home - q, "Subtract them from each strut's length at home"),
+        ("relative to the longest length", ranges[:, 1] - q, "Subtract them from each strut's longest length"),
+    ):
+        if _beyond(mended, ranges) <= outside / 4:
+            yield Mistake(f"commands.csv: lengths are {text}: {said}", f"{how}; {advice}", True, 0.9)
+            return
+    for unit, per_metre in UNITS.items():
+        if (
+            _beyond(q / per_metre + home, ranges) <= outside / 4
+            and np.ptp(q) > 0.02 * per_metre * np.ptp(ranges, axis=1).min()
+        ):
+            yield Mistake(
+                f"commands.csv: lengths are in {unit} and relative to home: {said}",
+                f"Divide them by {per_metre:.6g} and add the home lengths; {advice}",
+                True,
+                0.9,
+            )
+            return
+    if np.median(np.abs(q)) > 10 * ranges.max():
+        yield Mistake(
+            f"commands.csv: lengths are in steps or counts: {said}",
+            f"Divide them by the steps per metre; {advice}",
+            True,
+            0.7,
+        )
+    elif outside > MUCH:
+        yield Mistake(
+            f"commands.csv: {outside:.0%} of the lengths lie outside strut_range: {said}",
+            f"Look at the unit, at the zero and at strut_range; {advice}",
+            True,
+            0.5,
+        )
+    else:
+        yield Mistake(
+            f"commands.csv: some lengths ({outside:.1%}) lie outside strut_range: {said}",
+            "Look at strut_range or at those rows",
+            False,
+            0.3,
+        )
+
+
+def _slides(q: np.ndarray, limits: np.ndarray) -> Iterator[Mistake]:
+    """What an arm's slides (n, k) are commanded beyond their limits (k, 2) m."""
+    if not q.size or (outside := _beyond(q, limits)) == 0:
+        return
+    said = f"{q.min():.6g} to {q.max():.6g}, where rig.toml's limits are {limits.min():.6g} to {limits.max():.6g} m"
+    for unit, per_metre in UNITS.items():
+        if _beyond(q / per_metre, limits) <= outside / 4:
+            yield Mistake(
+                f"commands.csv: slides are in {unit}: {said}",
+                f"Divide them by {per_metre:.6g}; slides are in metres",
+                True,
+                0.95,
+            )
+            return
+    yield Mistake(
+        f"commands.csv: {outside:.1%} of the slides' positions lie outside the limits: {said}",
+        "Look at their unit, zeros and limits",
+        outside > MUCH,
+        0.5 if outside > MUCH else 0.3,
+    )
+
+
+def _angles(q: np.ndarray, limits: np.ndarray) -> Iterator[Mistake]:
+    if not q.size:
+        return
+    outside = _beyond(q, limits)
+    said = f"{q.min():.6g} to {q.max():.6g}, where rig.toml's limits are {limits.min():.6g} to {limits.max():.6g} rad"
+    if outside > 0 and _beyond(np.radians(q), limits) <= outside / 4 and np.abs(q).max() > 2.5 * np.pi:
+        yield Mistake(f"commands.csv: joint angles are in degrees: {said}", "State them in radians", True, 0.95)
+    elif outside > MUCH:
+        yield Mistake(
+            f"commands.csv: {outside:.0%} of the joint angles lie outside the limits: {said}",
+            "Look at their unit, zeros and limits",
+            True,
+            0.5,
+        )
+    elif outside > 0:
+        yield Mistake(
+            f"commands.csv: some joint angles ({outside:.1%}) lie outside the limits: {said}",
+            "Look at limits or at those rows",
+            False,
+            0.3,
+        )
+
+
+def poses_in_other_conventions(columns: np.ndarray) -> Iterator[tuple[str, RigidTransform]]:
+    """(convention, RigidTransform (n,)) of poses whose columns (n, 6) are read in other conventions."""
+    p, r = columns[:, :3], columns[:, 3:]
+    vectors = Rotation.from_rotvec(r)
+    yield "poses are inverted (base in platform)", RigidTransform.from_components(p, vectors).inv()
+    yield "rotations are inverted", RigidTransform.from_components(p, vectors.inv())
+    yield "rotation vectors are in degrees", RigidTransform.from_components(p, Rotation.from_rotvec(np.radians(r)))
+    for unit, factor in (("millimetres", 1e-3), ("centimetres", 1e-2), ("inches", 0.0254)):
+        yield f"positions are in {unit}", RigidTransform.from_components(p * factor, vectors)
+    for degrees, unit in ((False, ""), (True, " in degrees")):
+        for seq in ("xyz", "zyx", "XYZ", "ZYX", "zxz", "ZYZ"):
+            named = f"{seq.lower()} {'about fixed axes' if seq.islower() else 'about moving axes'}"
+            yield (
+                f"rotations are Euler angles ({named}{unit}), not rotation vectors",
+                RigidTransform.from_components(p, Rotation.from_euler(seq, r, degrees=degrees)),
+            )
+        yield (
+            f"rotations are Euler angles (rz ry rx as columns{unit}), not rotation vectors",
+            RigidTransform.from_components(p, Rotation.from_euler("ZYX", r, degrees=degrees)),
+        )
+    if (np.linalg.norm(r, axis=1) <= 1 + 1e-6).all():
+        w = np.sqrt(np.maximum(1 - (r**2).sum(axis=1), 0))
+        yield (
+            "rotations are the vector part of quaternions, not rotation vectors",
+            RigidTransform.from_components(p, Rotation.from_quat(np.column_stack([r, w]))),
+        )
+    for order, names in (((1, 0, 2), "x and y"), ((0, 2, 1), "y and z"), ((2, 1, 0), "x and z")):
+        yield f"{names} of positions are exchanged", RigidTransform.from_components(p[:, order], vectors)
+    for axis in range(3):
+        turned = p.copy()
+        turned[:, axis] *= -1
+        yield f"the sign of {'xyz'[axis]} is reversed", RigidTransform.from_components(turned, vectors)

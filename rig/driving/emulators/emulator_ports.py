@@ -1,0 +1,191 @@
+"""Ports of an emulator: in the same process, at a pseudo-terminal, or on TCP."""
+
+import os
+import select
+import socket
+import tty
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+from rig.driving.clock import SimulatedClock
+from rig.driving.emulators.controller_emulator import Emulator
+from rig.errors import RigError
+
+INSTANT = 1e-6  # s; a sum of times may round to just before
+
+
+class EmulatorPort:
+    """See rig.driving.controller_link.Port. emulator : its clock must be the one given."""
+
+    def __init__(self, emulator: Emulator, clock: SimulatedClock) -> None:
+        self._emulator, self._clock = emulator, clock
+        emulator.due()  # what was said before anybody listened is gone, and a cut line raises
+
+    def write(self, data: bytes) -> None:
+        self._emulator.receive(data)
+
+    def read(self, until: float) -> bytes:
+        while not (data := self._emulator.due()):
+            if self._clock.now() >= until:
+                return b""
+            come = self._emulator.next()
+            self._clock.sleep(max(min(until, until if come is None else come) - self._clock.now(), 0.0) + INSTANT)
+        return data
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+MOST = 4096  # bytes of a read
+IDLE = 0.2  # s between looks at whether to end
+
+
+class Wire(Protocol):
+    """What carries an emulator's bytes to whoever is there."""
+
+    name: str
+
+    def wait(self, seconds: float) -> bytes:
+        """Bytes that came within a time (s), b"" for none."""
+
+    def send(self, data: bytes) -> None:
+        """Send bytes; those that nobody takes are lost."""
+
+    def cut(self) -> None:
+        """Pull the plug."""
+
+    def plug(self) -> None:
+        """Plug in again; the name may be another then."""
+
+    def close(self) -> None:
+        """End."""
+
+
+class Terminal:
+    """A pseudo-terminal. name : of the end to open; link : a symlink that is kept pointing at it, or None."""
+
+    def __init__(self, link: Path | None = None) -> None:
+        self._link, self._next = link, os.openpty()
+        self.plug()
+
+    def plug(self) -> None:
+        self._master, self._slave = self._next
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.name = os.ttyname(self._slave)
+        if self._link is not None:
+            if self._link.exists() and not self._link.is_symlink():
+                raise RigError(f"{self._link} is there and is no link")
+            part = self._link.with_name(self._link.name + ".part")
+            part.unlink(missing_ok=True)
+            part.symlink_to(self.name)
+            part.replace(self._link)
+
+    def wait(self, seconds: float) -> bytes:
+        if not select.select([self._master], [], [], max(seconds, 0))[0]:
+            return b""
+        return os.read(self._master, MOST)
+
+    def send(self, data: bytes) -> None:
+        try:
+            os.write(self._master, data)
+        except BlockingIOError:
+            return  # nobody reads, as on a line where nobody listens
+
+    def cut(self) -> None:
+        self._next = os.openpty()  # before the old one is free, so that the name is another
+        os.close(self._master)
+        os.close(self._slave)
+
+    def close(self) -> None:
+        for end in (self._master, self._slave):
+            os.close(end)
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+
+
+class Tcp:
+    """A TCP port; a new caller takes the line over. address : (host, port), port 0 for any that is free."""
+
+    def __init__(self, address: tuple[str, int]) -> None:
+        try:
+            self._listening = socket.create_server(address)
+        except OSError as error:
+            raise RigError(f"cannot listen at {address[0]}:{address[1]}: {error}") from None
+        self._caller: socket.socket | None = None
+        host, port = self._listening.getsockname()[:2]
+        self.name = f"socket://{host}:{port}"
+
+    def plug(self) -> None:
+        """The address stays."""
+
+    def wait(self, seconds: float) -> bytes:
+        ends = [self._listening, *([self._caller] if self._caller else [])]
+        ready = select.select(ends, [], [], max(seconds, 0))[0]
+        if self._listening in ready:
+            self.cut()
+            self._caller = self._listening.accept()[0]
+            self._caller.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            return b""
+        if not ready or self._caller is None:
+            return b""
+        try:
+            data = self._caller.recv(MOST)
+        except OSError:
+            data = b""
+        if not data:
+            self.cut()
+        return data
+
+    def send(self, data: bytes) -> None:
+        if self._caller is not None:
+            try:
+                self._caller.sendall(data)
+            except OSError:
+                self.cut()
+
+    def cut(self) -> None:
+        if self._caller is not None:
+            self._caller.close()
+        self._caller = None
+
+    def close(self) -> None:
+        self.cut()
+        self._listening.close()
+
+
+def serve_emulator(
+    emulator: Emulator,
+    wire: Wire,
+    is_running: Callable[[], bool],
+    print_line: Callable[[str], None],
+    after_motion: Callable[[], None],
+) -> None:
+    """Serve an emulator on a wire (pseudo-terminal or TCP) while is_running() is true.
+
+    print_line : takes a line whenever the wire has a name to open; after_motion : called after whatever may have moved
+        the axes
+    """
+    plugged, count = True, emulator.replugged
+    print_line(wire.name)
+    emulator.greet()
+    while is_running():
+        if plugged != emulator.plugged or count != emulator.replugged:
+            if plugged:
+                wire.cut()
+            plugged = emulator.plugged
+            if plugged:
+                count = emulator.replugged
+                wire.plug()
+                print_line(wire.name)
+        come = emulator.next()
+        pause = IDLE if come is None else min(max(come - emulator.now, 0.0), IDLE)
+        if not plugged:
+            emulator.clock.sleep(min(pause, 0.02) or 0.001)
+            continue
+        if data := wire.wait(pause):
+            emulator.receive(data)
+        if emulator.plugged and (data := emulator.due()):
+            wire.send(data)
+        after_motion()

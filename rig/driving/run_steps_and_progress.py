@@ -1,0 +1,159 @@
+"""Steps of a run from its plan, checked before motion; progress of the run from its journal."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.driving.run_journal import Arrival, Began, Departure, Ended, Exposed, Readings, Remark, Resumed, Row
+from rig.errors import RigError, Unreachable
+from rig.planning.plan import Plan
+
+STANDING = 1e-9  # m; commands that differ by less are one place
+INSTANT = 1e-6  # s about an exposure in which the struts must not move
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """One move and what follows it. goal : (axes,) m; frames : how many exposures are taken there, 0 for a place passed
+    on the way.
+    """
+
+    goal: np.ndarray
+    frames: int
+
+
+def steps_of_plan(plan: Plan) -> tuple[Step, ...]:
+    """Steps of a plan: each goal where its commands turn or dwell, and the number of frames exposed there.
+
+    Raises RigError for a plan that exposes while the struts move, or that changes the payload: a run waits until the
+    struts stand, and nobody is asked to load the platform.
+    """
+    if (plan.payload[:, 1] > 0).any():
+        raise RigError(
+            f"the plan changes the payload ({plan.payload[:, 1].max():g} kg); a run does not load the "
+            "platform: run it in parts"
+        )
+    rows = plan.commands.values
+    moved = np.r_[True, np.abs(np.diff(rows, axis=0)).max(axis=1) > STANDING]
+    place = np.cumsum(moved) - 1  # of each row
+    goals = rows[moved]
+    exposed = np.zeros(len(goals), int)
+    for t in plan.t:
+        after = min(int(np.searchsorted(plan.commands.t, t + INSTANT, side="left")), len(rows) - 1)
+        before = max(int(np.searchsorted(plan.commands.t, t - INSTANT, side="right")) - 1, 0)
+        if place[after] != place[before]:
+            raise RigError(
+                f"the plan exposes at t = {t:g} s while the struts move; a run exposes where they stand "
+                "(leave out moving and zigzag)"
+            )
+        exposed[place[before]] += 1
+    last = np.flatnonzero(exposed)[-1]
+    return tuple(Step(goal, int(count)) for goal, count in zip(goals[: last + 1], exposed))
+
+
+def check_steps(
+    steps: tuple[Step, ...], start: np.ndarray, check_move: Callable[[np.ndarray, np.ndarray], None]
+) -> None:
+    """Check all steps, goals and paths, from start (axes,) m on, before anything moves.
+
+    check_move : (start, goal) -> None, raises RigError where the move may not be made. Raises Unreachable listing all
+        that may not.
+    """
+    refused, at = [], start
+    for k, step in enumerate(steps):
+        try:
+            check_move(at, step.goal)
+        except RigError as error:
+            refused.append((k, f"step {k}: {error}"))
+        at = step.goal
+    if refused:
+        raise Unreachable(
+            f"{len(refused)} of {len(steps)} moves of the plan cannot be made; nothing has moved:",
+            [k for k, _ in refused],
+            [line for _, line in refused],
+        )
+
+
+def step_distances(steps: tuple[Step, ...], start: np.ndarray) -> np.ndarray:
+    """Distance (steps,) m of each step: that of the strut that moves most."""
+    goals = np.array([start, *(step.goal for step in steps)])
+    return np.abs(np.diff(goals, axis=0)).max(axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Progress:
+    """step : index of the one that is under way or next; frames : exposures taken at it; number : of the next frame
+    position : (axes,) m, where the struts were last known to stand; pending : the Departure that has no arrival, or
+        None
+    arrived : whether they stand at the step's goal; t : s of the last row; ended : why the run ended, None while it has
+        not"""
+
+    step: int
+    frames: int
+    number: int
+    position: np.ndarray
+    pending: Departure | None
+    arrived: bool
+    t: float
+    ended: str | None
+
+
+def progress_from_journal(journal_rows: list[Row], steps: tuple[Step, ...]) -> Progress:
+    """Progress of a run from its journal rows. Raises RigError for rows that do not match the planned steps.
+    Raises RigError for rows that no run of this plan leaves.
+    """
+    if not journal_rows or not isinstance(journal_rows[0], Began):
+        raise RigError("the journal holds no beginning of a run")
+    if journal_rows[0].steps != len(steps):
+        raise RigError(f"the journal is of a plan of {journal_rows[0].steps} steps, this one has {len(steps)}")
+    step = frames = number = 0
+    pending, arrived, ended, position = None, False, None, np.array(journal_rows[0].position)
+    for row in journal_rows:
+        ended = row.reason if isinstance(row, Ended) else None if not isinstance(row, Remark | Readings) else ended
+        if isinstance(row, Departure):
+            if row.step != step:  # the one before was done
+                if row.step != step + 1 or frames < steps[step].frames:
+                    raise RigError(
+                        f"the journal leaves step {step} with {frames} of {steps[step].frames} frames for "
+                        f"step {row.step}"
+                    )
+                step, frames = row.step, 0
+            pending, arrived, position = row, False, np.array(row.start)
+        elif isinstance(row, Arrival):
+            pending, arrived, position = None, row.reached, np.array(row.position)
+        elif isinstance(row, Resumed):
+            position = np.array(row.position)
+            arrived = arrived and bool(np.abs(position - steps[step].goal).max() <= 0)
+        elif isinstance(row, Exposed):
+            frames, number = frames + 1, row.frame + 1
+    return Progress(step, frames, number, position, pending, arrived, journal_rows[-1].t, ended)
+
+
+def interrupted_move_result(
+    progress: Progress, steps: tuple[Step, ...], position: np.ndarray, tolerance: float
+) -> tuple[str, bool]:
+    """Result of an interrupted move from the position read after a crash: (text, whether the goal is reached).
+
+    tolerance : m, of a read-back
+    """
+
+    def near(place: object) -> bool:
+        return bool(np.abs(position - np.asarray(place)).max() <= tolerance)
+
+    def off(place: object) -> str:
+        return f"{np.abs(position - np.asarray(place)).max() * 1e3:.3f} mm"
+
+    goal = steps[progress.step].goal
+    if progress.pending is not None:
+        if near(goal):
+            return f"the move of step {progress.step} was done: the struts stand at its goal", True
+        if near(progress.pending.start):
+            return f"the move of step {progress.step} was not made: the struts stand where they were", False
+        return f"the move of step {progress.step} was broken off, {off(goal)} before its goal", False
+    if near(progress.position):
+        return "the struts stand where they were left", progress.arrived
+    return (
+        f"the struts stand {off(progress.position)} from where they were left: somebody moved them",
+        progress.arrived and near(goal),
+    )

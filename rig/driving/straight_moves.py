@@ -1,0 +1,137 @@
+"""Straight moves of all axes: segment at a share of full speed, trapezoidal profile, check of the path."""
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig.driving.operator_advice import OUT_OF_RANGE
+from rig.driving.protocols.protocol_interface import Segment
+from rig.errors import NotConverged, Unreachable
+from rig.model import mechanisms
+from rig.model.controller_settings import Controller
+from rig.model.design import Hexapod, Planar2
+
+Way = tuple[tuple[float, float], ...]
+PIECES = 8  # straight pieces to a ramp: they leave the curve by less than a five hundredth of what is travelled in it
+
+
+def trapezoidal_profile(start_time: float, end_time: float, cruise_time: float, ramp_time: float | None) -> Way:
+    """Trapezoidal speed profile of a move: ((s, share of the path), ..) between start and end time.
+
+    cruise_time : s that the way would take at full speed alone; ramp_time : s from standing to full speed, or None
+        where the
+    controller keeps its acceleration to itself: then what the move took beyond `cruise_time` is taken to be the ramp
+    A move too short for full speed is a triangle. What was not needed is waiting at its end.
+    """
+    whole = end_time - start_time
+    if whole <= 0 or cruise_time <= 0:
+        return ()
+    if ramp_time is None:
+        ramp_time = max(whole - cruise_time, 0.0)
+    if ramp_time >= cruise_time:  # full speed is never reached
+        moving = min(2 * np.sqrt(ramp_time * cruise_time), whole)
+        ramp_time = moving / 2
+    else:
+        moving = min(cruise_time + ramp_time, whole)
+        ramp_time = min(ramp_time, moving / 2)
+    up = np.linspace(0, ramp_time, PIECES + 1)[1:]
+    top = 1 / (moving - ramp_time)  # share per s at full speed
+    if ramp_time > 0:
+        rising = top * up**2 / (2 * ramp_time)
+        t = np.concatenate([up, moving - up[::-1], [moving]])
+        share = np.concatenate([rising, 1 - rising[::-1], [1.0]])
+    else:
+        t, share = np.array([moving]), np.array([1.0])
+    keep = np.r_[True, np.diff(t) > 1e-9] & (t < whole - 1e-9)
+    return tuple((float(start_time + at), float(min(max(part, 0.0), 1.0))) for at, part in zip(t[keep], share[keep]))
+
+
+def straight_move_segment(
+    start: np.ndarray, target: np.ndarray, speed_share: float, controller: Controller, mechanism: Hexapod | Planar2
+) -> Segment:
+    """Segment of a straight move of all axes, which begin and arrive simultaneously, at a share of full speed.
+    start, target : (n,) m, lengths; speed_share : of the greatest speeds, above 0 and at most 1.
+    """
+    way = np.abs(target - start)
+    duration = max(float((way / (speed_share * controller.max_speed)).max()), 1e-6)
+    acceleration = None
+    if controller.max_acceleration is not None and way.any():
+        acceleration = way * (controller.max_acceleration[way > 0] / way[way > 0]).min()
+    pose = mechanisms.kinematics_of(mechanism).forward(target, mechanism) if controller.kinematics == "world" else None
+    return Segment(start - controller.zero, target - controller.zero, duration, way / duration, acceleration, pose)
+
+
+SPACING = 2e-3  # m of the strut that moves most, between the places looked at
+FEWEST, MOST = 3, 200  # of them, beside the start
+
+
+def require_lengths_in_range(lengths: np.ndarray, mechanism: Hexapod | Planar2) -> np.ndarray:
+    """The lengths (n,) m, if they are finite and in the strut ranges; raises Unreachable for those out of range.
+    Raises ValueError, Unreachable naming each strut beyond its range.
+    """
+    lengths = np.array(lengths, float)
+    if lengths.shape != (len(mechanism.axes),) or not np.isfinite(lengths).all():
+        raise ValueError(f"expected {len(mechanism.axes)} finite lengths in m, got {lengths.tolist()}")
+    beyond = mechanisms.kinematics_of(mechanism).limits(lengths, mechanism)
+    if beyond.any():
+        low, high = mechanism.strut_range.T
+        lines = [
+            f"strut {i + 1}: {lengths[i]:.6f} m is outside {low[i]:g} .. {high[i]:g} m" for i in np.flatnonzero(beyond)
+        ]
+        raise Unreachable("not moved: the lengths are beyond what the struts reach", [0], lines)
+    return lengths
+
+
+def require_safe_path(
+    start: np.ndarray,
+    target: np.ndarray,
+    mechanism: Hexapod | Planar2,
+    singularity_margin: float,
+    max_step: float | None,
+) -> None:
+    """Raise Unreachable unless the straight path is safe: ranges, largest step, workspace, singularities.
+
+    start, target : (n,) m, start as read back, which may lie outside the range as long as the way leads inwards
+    singularity_margin : least singular value of the Jacobian as a share of that at home; max_step : m, or None
+    """
+    step = np.abs(target - start).max()
+    if max_step is not None and step > max_step:
+        raise Unreachable(
+            "not moved: the step is too large",
+            [0],
+            [f"{1e3 * step:.3f} mm, [controller] max_step allows {1e3 * max_step:.3f} mm"],
+        )
+    count = int(np.clip(np.ceil(step / SPACING), FEWEST, MOST))
+    share = np.linspace(0.0, 1.0, count + 1)
+    way = start + share[:, None] * (target - start)
+    module = mechanisms.kinematics_of(mechanism)
+    home = (
+        mechanism.home if mechanism.kind == "hexapod" else module.forward(mechanism.strut_range.mean(axis=1), mechanism)
+    )
+    try:
+        poses = module.forward(way, mechanism)
+    except NotConverged as error:
+        k = int(np.min(error.index))
+        where = [f"{share[k]:.0%} along: {error}", *([OUT_OF_RANGE] if k == 0 else [])]
+        raise Unreachable("not moved: the way leaves the workspace", [k], where) from None
+    least = _dexterity(module, poses, mechanism) / _dexterity(module, home, mechanism)
+    if least.min() < singularity_margin:
+        k = int(np.argmin(least))
+        raise Unreachable(
+            "not moved: the way comes too near a singularity",
+            [k],
+            [
+                f"{share[k]:.0%} along, at lengths {way[k].round(6).tolist()} m: {least[k]:.3f} of the "
+                "Jacobian's least singular "
+                f"value at home is left, [controller] margin asks for {singularity_margin:g}"
+            ],
+        )
+
+
+def _dexterity(module: Any, poses: RigidTransform, mechanism: Hexapod | Planar2) -> np.ndarray:
+    """(...) least singular value of the Jacobian, turns taken as lengths at the platform joints' mean radius."""
+    J = module.jacobian(poses, mechanism)
+    if mechanism.kind == "hexapod":
+        J = J / np.r_[1, 1, 1, np.full(3, np.linalg.norm(mechanism.platform_joints, axis=1).mean())]
+    return np.linalg.svd(J, compute_uv=False)[..., -1]

@@ -1,0 +1,154 @@
+"""Interface between effects and a diagnosis: recording context, search candidates, covariates of residuals."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.parameter import Parameter
+from rig.errors import RigError
+from rig.model.design import Design
+from rig.recording.recording_folder import Sensors
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Context:
+    """design : Design as its owner states it; t : (n,) s, the exposures; sensors : Sensors or None
+    motion : Motion at the measured poses, no effects; None where nothing was commanded
+    cameras : names of those that saw something; moving : of those on a mount that moves; markers : ids seen;
+        targets : names seen
+    """
+
+    design: Design
+    t: np.ndarray
+    sensors: Sensors | None
+    motion: Motion | None
+    cameras: tuple[str, ...] = ()
+    moving: tuple[str, ...] = ()
+    markers: tuple[int, ...] = ()
+    targets: tuple[str, ...] = ()
+
+    def moved(self) -> Motion:
+        """The Motion. Raises RigError where nothing was commanded."""
+        if self.motion is None:
+            raise RigError("nothing was commanded")
+        return self.motion
+
+    def logged(self, *names: str) -> bool:
+        """Whether any of these sensor channels was logged."""
+        return self.sensors is not None and bool(set(names) & set(self.sensors.channels))
+
+
+PLOT_UNITS = {"m": (1e3, "mm"), "rad": (180 / np.pi, "degrees")}  # of an axis' travel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Covariate:
+    """values : (n,) or (n, axes) in the unit in which they are drawn; label : in words, with that unit."""
+
+    values: np.ndarray
+    label: str
+
+
+def travel_covariate(values: np.ndarray, motion: Motion, label: str, per: str = "") -> Covariate:
+    """Covariate of travel values (n, axes) in the unit of each axis (m or rad), with a label."""
+    scale = np.array([PLOT_UNITS[unit][0] for unit in motion.units])
+    words = " or ".join(dict.fromkeys(PLOT_UNITS[unit][1] for unit in motion.units))
+    return Covariate(values * scale, f"{label}, {words}{per}")
+
+
+def load_covariate(values: np.ndarray, motion: Motion, label: str) -> Covariate:
+    """Covariate of load: values (n, axes) N or N m that the axes carry, with a label."""
+    kind = motion.kind
+    per = {"m": ("force", "N"), "rad": ("torque", "N m")}
+    names, units = (dict.fromkeys(per[unit][k] for unit in motion.units) for k in (0, 1))
+    return Covariate(values, f"{' or '.join(names)}, {label.format(unit=' or '.join(units), axis=kind.AXIS)}")
+
+
+def time_covariate(motion: Motion) -> Covariate:
+    """Covariate of time: minutes since the first exposure."""
+    return Covariate((motion.t - motion.t[0]) / 60, "time, min")
+
+
+def temperature_covariate(values: np.ndarray, part: str) -> Covariate:
+    """Covariate of temperature: values (n,) or (n, axes) of a part in degrees Celsius."""
+    return Covariate(values, f"temperature of {part}, °C")
+
+
+if TYPE_CHECKING:
+    from rig.effects.framework.effect import Effect
+
+QUADRATURE = "_quadrature"  # the cosine beside the sine of a sinusoid: stands for its phase
+COUNT = "_count"  # in a node: how many numbers a vector of any length has
+
+
+class Linear(NamedTuple):
+    """A column of the model: a parameter's name (or QUADRATURE), which number of a vector or None, and a small step of
+    it.
+    """
+
+    name: str
+    entry: int | None
+    step: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """An effect at a place with the values of its nonlinear parameters among which to search.
+
+    kind : class of the effect; place; grid : [{parameter: value}], in the order of the search
+    linear : [Linear] of the columns, none where the effect's size is part of its node
+    label : which variant; extra : how many nonlinear parameters the search chooses
+    tied : how many of the columns' coefficients the others determine
+    spacing : between values of the one parameter of the grid that are even multiples of it, 0 for all others
+    """
+
+    kind: "type[Effect]"
+    place: str
+    grid: list[dict]
+    linear: list[Linear]
+    label: str = ""
+    extra: int = 0
+    tied: int = 0
+    spacing: float = 0.0
+
+    @property
+    def plane(self) -> str:
+        """Plane "struts" for what moves the platform, "view" for what changes only what is seen."""
+        return "view" if self.kind.stage in ("targets", "view") else "struts"
+
+    def effect(self, node: dict, coefficients: np.ndarray) -> "Effect":
+        """The effect of a node with coefficients (q,) of its linear parameters."""
+        return self.kind.composed(self, node, coefficients)
+
+    def deviation(self, node: dict, motion: Motion) -> np.ndarray:
+        """(n, axes, q) m or rad per unit of each linear parameter that the axes deviate at a Motion; (n, axes, 1) whole
+        where the size is part of the node. For effects that neither shift time nor change the path: see
+        Effect.follow."""
+        return self.kind.columns(self, node, motion)
+
+
+def parameter_values(
+    linear: Sequence[Linear], node: dict, coefficients: np.ndarray, parameters: Sequence[Parameter]
+) -> dict[str, Any]:
+    """{parameter: value} of an effect, from a grid node and coefficients (q,) of its linear columns."""
+    values, by = dict(node), {p.name: p for p in parameters}
+    vectors = {name: np.zeros(by[name].size or node[COUNT]) for name, index, _ in linear if index is not None}
+    for (name, index, _), c in zip(linear, coefficients):
+        if name == QUADRATURE:
+            amplitude = next(p.name for p in parameters if p.role == "linear")
+            phase = next(p.name for p in parameters if p.role == "phase")
+            values[amplitude], values[phase] = (
+                float(np.hypot(values[amplitude], c)),
+                float(np.arctan2(c, values[amplitude])),
+            )
+        elif index is not None:
+            vectors[name][index] = c
+        elif by[name].role == "inverse":
+            values[name] = 1 / c if c else np.inf
+        else:
+            values[name] = float(c)
+    values.pop(COUNT, None)
+    return {**values, **{name: tuple(v.tolist()) for name, v in vectors.items()}}

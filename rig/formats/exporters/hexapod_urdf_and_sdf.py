@@ -1,0 +1,177 @@
+"""URDF (a tree) and SDF (with closed loops) of a hexapod, its struts as simulators model them."""
+
+from dataclasses import dataclass
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rig.errors import RigError
+from rig.formats.exporters.arm_urdf import origin_element, roll_pitch_yaw
+from rig.model.design import Hexapod
+
+LEAST = 1e-9  # m or rad
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Strut:
+    """T_base_cross : at home, x and y its two axes; tilt : rad, about y from there to the strut; home : m, joint to
+    joint; zero : m, of what is commanded, home less zero; limits : (2,) m, as commanded; T_platform_joint : unrotated
+    to the platform"""
+
+    T_base_cross: RigidTransform
+    tilt: float
+    home: float
+    zero: float
+    limits: np.ndarray
+    T_platform_joint: RigidTransform
+
+    def T_base_strut(self) -> RigidTransform:
+        """z along the strut, at home."""
+        return self.T_base_cross * RigidTransform.from_rotation(Rotation.from_rotvec([0, self.tilt, 0]))
+
+
+def simulator_struts(hexapod: Hexapod) -> list[Strut]:
+    """The struts of a Hexapod as simulators model them: universal joint, slide, ball joint.
+    Raises RigError for a base joint on the z axis, or a strut along its cardan's first axis: no cardan is there.
+    """
+    found = []
+    ends = hexapod.home.apply(hexapod.platform_joints)
+    for i, (base, end) in enumerate(zip(hexapod.base_joints, ends)):
+        along = (end - base) / np.linalg.norm(end - base)
+        first = np.array([-base[1], base[0], 0.0])
+        if np.linalg.norm(first) < LEAST:
+            raise RigError(
+                f"strut {i + 1}: its base joint lies on the z axis, so that a cardan's tangential axis has no direction"
+            )
+        first /= np.linalg.norm(first)
+        second = np.cross(along, first)
+        if np.linalg.norm(second) < LEAST:
+            raise RigError(f"strut {i + 1} runs along its cardan's first axis at home")
+        second /= np.linalg.norm(second)
+        R = np.column_stack([first, second, np.cross(first, second)])
+        inside = R.T @ along  # no y: the second axis is perpendicular to the strut
+        found.append(
+            Strut(
+                RigidTransform.from_components(base, Rotation.from_matrix(R)),
+                float(np.arctan2(inside[0], inside[2])),
+                float(np.linalg.norm(end - base)),
+                float(hexapod.strut_zeros[i]),
+                np.array(hexapod.strut_range[i]),
+                RigidTransform.from_translation(hexapod.platform_joints[i]),
+            )
+        )
+    return found
+
+
+HERE = RigidTransform.identity()
+TURN = np.pi  # rad, to either side: what a joint may do, of which a rig.toml says nothing
+
+
+def hexapod_urdf(hexapod: Hexapod, name: str = "hexapod") -> str:
+    """URDF of a Hexapod: links base, strut_N, strut_N_rod, platform; the loops are listed for the simulator.
+    Raises RigError where no cardan can be.
+    """
+    all_struts = simulator_struts(hexapod)
+    links, joints = ["base", "ball_x", "ball_y", "platform"], []
+    for n, strut in enumerate(all_struts, 1):
+        links += [f"strut_{n}_cross", f"strut_{n}", f"strut_{n}_rod", f"strut_{n}_tip", f"platform_joint_{n}"]
+        slide = RigidTransform.from_rotation(
+            Rotation.from_rotvec([0, strut.tilt, 0])
+        ) * RigidTransform.from_translation([0, 0, strut.zero])
+        joints += [
+            _joint(
+                f"strut_{n}_turn", "revolute", "base", f"strut_{n}_cross", strut.T_base_cross, (1, 0, 0), (-TURN, TURN)
+            ),
+            _joint(f"strut_{n}_tilt", "revolute", f"strut_{n}_cross", f"strut_{n}", HERE, (0, 1, 0), (-TURN, TURN)),
+            _joint(f"l{n}", "prismatic", f"strut_{n}", f"strut_{n}_rod", slide, (0, 0, 1), tuple(strut.limits)),
+            _joint(f"strut_{n}_end", "fixed", f"strut_{n}_rod", f"strut_{n}_tip", HERE),
+        ]
+        joints += (
+            []
+            if n == 1
+            else [_joint(f"platform_end_{n}", "fixed", "platform", f"platform_joint_{n}", strut.T_platform_joint)]
+        )
+    at_home = RigidTransform.from_rotation(all_struts[0].T_base_strut().rotation.inv() * hexapod.home.rotation)
+    joints += [
+        _joint("platform_x", "revolute", "strut_1_tip", "ball_x", at_home, (1, 0, 0), (-TURN, TURN)),
+        _joint("platform_y", "revolute", "ball_x", "ball_y", HERE, (0, 1, 0), (-TURN, TURN)),
+        _joint("platform_z", "revolute", "ball_y", "platform_joint_1", HERE, (0, 0, 1), (-TURN, TURN)),
+        _joint("platform_end_1", "fixed", "platform_joint_1", "platform", all_struts[0].T_platform_joint.inv()),
+    ]
+    lines = [
+        '<?xml version="1.0"?>',
+        "<!-- loops to close: strut_N_tip and platform_joint_N coincide, N = 2 .. 6 -->",
+        f"<robot name={quoteattr(name)}>",
+    ]
+    return "\n".join([*lines, *(f'  <link name="{link}"/>' for link in links), *joints, "</robot>"]) + "\n"
+
+
+def _joint(
+    name: str,
+    kind: str,
+    parent: str,
+    child: str,
+    T: RigidTransform,
+    axis: tuple[int, ...] = (),
+    limits: tuple[float, ...] = (),
+) -> str:
+    lines = [
+        f'  <joint name="{name}" type="{kind}">',
+        f'    <parent link="{parent}"/>',
+        f'    <child link="{child}"/>',
+        f"    {origin_element(T)}",
+    ]
+    if axis:
+        lines += [
+            f'    <axis xyz="{" ".join(map(str, axis))}"/>',
+            f'    <limit lower="{limits[0]:.12g}" upper="{limits[1]:.12g}" effort="0" velocity="0"/>',
+        ]
+    return "\n".join([*lines, "  </joint>"])
+
+
+def hexapod_sdf(hexapod: Hexapod, name: str = "hexapod") -> str:
+    """SDF of a Hexapod: links base, strut_N, strut_N_rod and platform, frames at home.
+    Raises RigError where no cardan can be.
+    """
+    lines = [
+        '<?xml version="1.0"?>',
+        '<sdf version="1.9">',
+        f"  <model name={quoteattr(name)}>",
+        '    <link name="base"/>',
+        f'    <link name="platform">{_pose(hexapod.home)}</link>',
+        '    <joint name="ground" type="fixed"><parent>world</parent><child>base</child></joint>',
+    ]
+    for n, strut in enumerate(simulator_struts(hexapod), 1):
+        lines += _strut(n, strut)
+    return "\n".join([*lines, "  </model>", "</sdf>"]) + "\n"
+
+
+def _strut(n: int, strut: Strut) -> list[str]:
+    """Links and joints of one strut; a joint's frame is its child's link."""
+    standing, R = strut.T_base_strut(), strut.T_base_cross.rotation.as_matrix()
+    end = standing * RigidTransform.from_translation([0, 0, strut.home])
+    low, high = strut.limits + strut.zero - strut.home
+    axes = "".join(
+        f'<axis{k or ""}><xyz expressed_in="__model__">{_figures(R[:, column])}</xyz></axis{k or ""}>'
+        for column, k in ((0, ""), (1, 2))
+    )
+    return [
+        f'    <link name="strut_{n}">{_pose(standing)}</link>',
+        f'    <link name="strut_{n}_rod">{_pose(end)}</link>',
+        f'    <joint name="strut_{n}_base" '
+        f'type="universal"><parent>base</parent><child>strut_{n}</child>{axes}</joint>',
+        f'    <joint name="l{n}" type="prismatic"><parent>strut_{n}</parent><child>strut_{n}_rod</child>'
+        f"<axis><xyz>0 0 1</xyz><limit><lower>{low:.12g}</lower><upper>{high:.12g}</upper></limit></axis></joint>",
+        f'    <joint name="strut_{n}_platform" type="ball"><pose '
+        f'relative_to="strut_{n}_rod"/><parent>strut_{n}_rod</parent>'
+        "<child>platform</child></joint>",
+    ]
+
+
+def _pose(T: RigidTransform) -> str:
+    return f"<pose>{_figures(T.translation)} {_figures(roll_pitch_yaw(T.rotation))}</pose>"
+
+
+def _figures(values: np.ndarray) -> str:
+    return " ".join(f"{value:.16g}" for value in values)

@@ -1,0 +1,169 @@
+"""Camera calibration files of other programs read, and their cameras written into a rig.toml."""
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig.errors import FileError, RigError
+from rig.formats import json_file, yaml_file
+from rig.formats.checked_entries import LARGEST_RIG, Entries, name_problem
+from rig.formats.importers.camera_calibrations import caliscope, kalibr, multical, opencv_and_ros
+from rig.formats.importers.camera_calibrations.foreign_camera_and_fisheye_lens import ForeignCamera
+from rig.formats.importers.import_recipe import Cameras
+from rig.formats.input_files import read_text, short_repr
+from rig.formats.number_parsing_and_rounding import parse_numbers
+from rig.formats.rig_toml.design_text_edits import camera_toml, replace_cameras
+from rig.formats.toml_positions import value_positions
+from rig.model.design import Camera
+from rig.model.pose import pose
+
+KINDS = {"Kalibr": kalibr, "multical": multical, "caliscope": caliscope, "ROS camera_info or OpenCV": opencv_and_ros}
+LARGEST = 1 << 22  # bytes
+
+
+def read_camera_calibration(path: Path) -> tuple[str, list[ForeignCamera]]:
+    """Camera calibration file read: (program that wrote it, its ForeignCameras).
+    Raises FileError, with line and key, for anything that cannot be used.
+    """
+    root = _root(path)
+    for kind, module in KINDS.items():
+        if module.recognises(root):
+            return kind, module.read(root)
+    target = (
+        f"; it holds a target of Kalibr ({root.tree['target_type']}), the cameras are in its camchain"
+        if "target_type" in root.tree
+        else ""
+    )
+    raise FileError(
+        path,
+        f"holds no cameras as {', '.join(KINDS)} write "
+        f"them{target or '; its keys are ' + ', '.join(list(root.tree)[:8])}",
+    )
+
+
+def _root(path: Path) -> Entries:
+    suffix = path.suffix.lower()
+    if suffix == ".json":
+        return json_file.load(path, "calibration of cameras")
+    if suffix != ".toml":
+        if suffix == ".xml":
+            raise FileError(
+                path, "XML of OpenCV is not read here; write it as .yml (cv2.FileStorage takes the name's end)"
+            )
+        return yaml_file.load(path)
+    text = read_text(path, LARGEST)
+    try:
+        return Entries(tomllib.loads(text), (), path, value_positions(text))
+    except (ValueError, RecursionError) as error:
+        raise FileError(path, f"not valid TOML: {str(error) or 'nested too deep'}") from None
+
+
+def rig_toml_with_cameras(
+    settings: Cameras, text: str, present_cameras: Sequence[Camera]
+) -> tuple[str, tuple[str, ...]]:
+    """rig.toml text with imported cameras replaced or added, and sentences on what was found.
+
+    text : a valid rig.toml; present_cameras : its cameras. Raises RigError where names or places are not told, and for
+        another size of image
+    """
+    known = {camera.name: camera for camera in present_cameras}
+    said: tuple[str, ...] = ()
+    changed: list[Camera] = []
+    for file in settings.files:
+        kind, found = read_camera_calibration(file)
+        named = {_ours(one, settings, known, alone=len(found) * len(settings.files) == 1): one for one in found}
+        if len(named) < len(found):
+            raise RigError(f"{file}: two of its cameras would be one: --set cameras.names.THEIRS=OURS tells them apart")
+        T_base, told = _anchor(named, known, settings, file)
+        changed += [_camera(name, one, known.get(name), T_base) for name, one in named.items()]
+        said += (f"{file.name} is a result of {kind}: {len(found)} camera{'s' * (len(found) > 1)}", *told)
+        said += tuple(line for one in found for line in one.said)
+    names = [camera.name for camera in changed]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice:
+        raise RigError(f"camera {twice} is told of twice; --set cameras.names.THEIRS=OURS tells cameras apart")
+    added = [camera for camera in changed if camera.name not in known]
+    if len(added) < len(changed):
+        text = replace_cameras(text, [camera for camera in changed if camera.name in known])
+    for camera in added:
+        text = text.rstrip("\n") + "\n\n" + camera_toml(camera, has_pose=True)
+    return text, said + ((f"added to rig.toml: {', '.join(camera.name for camera in added)}",) if added else ())
+
+
+def _ours(one: ForeignCamera, stated: Cameras, known: dict[str, Camera], alone: bool) -> str:
+    """Our name of a camera: as stated, the same, or the only one there is."""
+    name = dict(stated.names).get(one.name)
+    if name is None and (one.name in known or not known):
+        name = one.name
+    if name is None and alone and len(known) == 1:
+        name = next(iter(known))
+    if name is None:
+        setting = f"--set cameras.names.{one.name}="
+        one.at.fail(
+            f"camera {short_repr(one.name)} is none of rig.toml's, {', '.join(known)}: "
+            f"{setting}{next(iter(known))} says which it is, "
+            f"{setting}{one.name} adds it"
+        )
+    if name_problem(name):
+        one.at.fail(f"camera {name_problem(name)}: --set cameras.names.{one.name}=cam0 gives it another", value=name)
+    return name
+
+
+def _anchor(
+    named: dict[str, ForeignCamera], known: dict[str, Camera], stated: Cameras, file: Path
+) -> tuple[RigidTransform | None, tuple[str, ...]]:
+    """(T_base_reference of a file's cameras, sentences); None where it tells no places."""
+    placed = {name: one.T for name, one in named.items() if one.T is not None}
+    if not placed:
+        return None, ()
+    if stated.at is not None:
+        name, T = next(iter(placed.items()))
+        return _pose(stated.at) * T.inv(), (f"camera {name} stands where cameras.at has it",)
+    name = next((name for name in placed if name in known), "")
+    if not name:
+        raise RigError(
+            f"{file}: where its cameras stand to each other is told, but not where in the base frame: --set "
+            "'cameras.at=X Y Z RX RY RZ' "
+            f"places {next(iter(placed))} (camera in base, m and rad, x right, y down, z ahead)"
+        )
+    return known[name].pose * placed[name].inv(), (
+        f"camera {name} stands where rig.toml has it, the others as {file.name} has them about it",
+    )
+
+
+def _pose(text: str) -> RigidTransform:
+    try:
+        figures = parse_numbers(text.replace(",", " ").split())
+    except ValueError:
+        figures = []
+    if len(figures) != 6 or not np.isfinite(figures).all() or np.abs(figures[:3]).max() > LARGEST_RIG:
+        raise RigError(f"cameras.at takes six figures, x y z rx ry rz in m and rad, not {short_repr(text)}")
+    return pose(figures[:3], figures[3:])
+
+
+def _camera(name: str, one: ForeignCamera, there: Camera | None, T_base: RigidTransform | None) -> Camera:
+    """The camera as rig.toml will have it. there : of that name, or None"""
+    placed = None if one.T is None or T_base is None else T_base * one.T
+    if there is not None:
+        if one.size not in (None, (there.width, there.height)):
+            width, height = one.size or (0, 0)
+            one.at.fail(
+                f"camera {name} was calibrated at {width}x{height} px, and rig.toml has "
+                f"{there.width}x{there.height}: a lens holds for one "
+                "size of image"
+            )
+        return replace(
+            there, matrix=one.matrix, distortion=one.distortion, pose=there.pose if placed is None else placed
+        )
+    if placed is None or one.size is None:
+        lacks = "where it stands" if placed is None else "its size"
+        one.at.fail(
+            f"camera {name} is not in rig.toml, and {one.at.file.name} does not tell {lacks}: write a "
+            "[[camera]] of that name with the pose "
+            "that you believe"
+        )
+    return Camera(name, *one.size, one.matrix, one.distortion, placed)

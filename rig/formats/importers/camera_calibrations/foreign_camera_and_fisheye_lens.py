@@ -1,0 +1,176 @@
+"""Camera of a foreign calibration (ForeignCamera), its checks, and fisheye lens conversion to rational."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rig.formats.checked_entries import Entries
+from rig.formats.input_files import short_repr
+from rig.formats.rig_toml.camera_instrument_and_cube_entries import LARGEST_IMAGE
+from rig.model.design import DISTORTION_TERMS
+
+ORTHOGONAL = 1e-3  # that a rotation's product with its transpose may differ from one: files have six digits at times
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForeignCamera:
+    """name : theirs; size : width and height, px, or None; matrix : (3, 3) px; distortion : OpenCV's order, of a length
+    that a rig.toml takes
+    T : T_reference_camera, the reference being their own, or None where nothing tells; said : what became of its lens;
+        at : where it stands"""
+
+    name: str
+    size: tuple[int, int] | None
+    matrix: np.ndarray
+    distortion: np.ndarray
+    T: RigidTransform | None
+    at: Entries
+    said: tuple[str, ...] = ()
+
+
+def checked_image_size(entries: Entries, key: str) -> tuple[int, int]:
+    """Image size (width, height) px, checked. Raises FileError for anything else."""
+    found = entries.wholes(key, 1)
+    if len(found) != 2 or max(found) > LARGEST_IMAGE:
+        entries.fail(f"{entries.name(key)} must be width and height in px, not {short_repr(entries.get(key))}", key)
+    return found[0], found[1]
+
+
+def checked_camera_matrix(entries: Entries, key: str, matrix: np.ndarray) -> np.ndarray:
+    """Camera matrix (3, 3) px, checked. Raises FileError for a skew or an invalid matrix.
+    Raises FileError for a skew, and for what is no camera's matrix.
+    """
+    off = matrix.copy()
+    off[0, 0], off[1, 1], off[:2, 2], off[2, 2] = 0, 0, 0, matrix[2, 2] - 1
+    if off[0, 1] and np.count_nonzero(off) == 1:
+        entries.fail(
+            f"{entries.name(key)} has a skew of {off[0, 1]:g}, which a camera here has not: calibrate with none",
+            key,
+            value=off[0, 1],
+        )
+    if off.any() or min(matrix[0, 0], matrix[1, 1]) <= 0:
+        entries.fail(
+            f"{entries.name(key)} must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with focal lengths above 0, not "
+            f"{short_repr(matrix.tolist())}",
+            key,
+        )
+    return matrix
+
+
+def checked_distortion(entries: Entries, key: str, values: np.ndarray) -> np.ndarray:
+    """Distortion terms (n,), checked; none means four zeros. Raises FileError for a count that OpenCV lacks.
+    Raises FileError for a number of them that OpenCV has not.
+    """
+    if not len(values):
+        return np.zeros(4)
+    if len(values) not in DISTORTION_TERMS:
+        entries.fail(
+            f"{entries.name(key)} must have {', '.join(map(str, DISTORTION_TERMS))} terms in OpenCV's order, got "
+            f"{len(values)}",
+            key,
+        )
+    return values
+
+
+def checked_camera_transform(entries: Entries, key: str, R: np.ndarray, t: np.ndarray) -> RigidTransform:
+    """Camera transform (RigidTransform) of a rotation matrix R and a position t (3,) m, checked.
+    Raises FileError for a matrix that is no rotation.
+    """
+    worst = max(float(np.abs(R @ R.T - np.eye(3)).max()), abs(float(np.linalg.det(R)) - 1))
+    if worst > ORTHOGONAL:
+        entries.fail(
+            f"{entries.name(key)} is no rotation: its product with its transpose is {worst:.2g} away from one", key
+        )
+    return RigidTransform.from_components(t, Rotation.from_matrix(R))
+
+
+FOLLOWS = 0.02  # px that the rational lens may be off, anywhere in the image
+WIDEST = np.radians(80)  # off the axis; beyond, a plane of ideal image points is no picture any more
+POINTS = 400  # along the radius
+ROUNDS = 8  # of the fit, weighted by the last one's denominator
+
+
+def rational_lens_of_fisheye(
+    entries: Entries, key: str, fisheye_terms: np.ndarray, matrix: np.ndarray, size: tuple[int, int]
+) -> tuple[np.ndarray, float]:
+    """Rational lens of a fisheye: (distortion (8,) in OpenCV's order, largest deviation in px).
+
+    matrix : (3, 3) px; size : (width, height) px. Raises FileError where no rational lens follows it, with how far one
+        does
+    """
+    corners = np.array([[u, v] for u in (0, size[0] - 1) for v in (0, size[1] - 1)], float)
+    focal = np.array([matrix[0, 0], matrix[1, 1]])
+    reach = float(np.linalg.norm((corners - matrix[:2, 2]) / focal, axis=1).max())
+    theta = np.linspace(0, WIDEST, 20 * POINTS)
+    radius = theta * (
+        1
+        + fisheye_terms[0] * theta**2
+        + fisheye_terms[1] * theta**4
+        + fisheye_terms[2] * theta**6
+        + fisheye_terms[3] * theta**8
+    )
+    grows = np.diff(radius) > 0
+    last = int(np.argmin(grows)) if not grows.all() else len(radius) - 1
+    if radius[last] < reach:
+        entries.fail(
+            f"{entries.name(key)}: an equidistant lens that reaches more than {np.degrees(theta[last]):.0f} "
+            "degrees off the axis in the image's corners "
+            "has no place here: OpenCV's rational lens, which a rig.toml takes, cannot follow it",
+            key,
+        )
+    angle = np.interp(np.linspace(0, reach, POINTS + 1)[1:], radius[: last + 1], theta[: last + 1])
+    wanted = angle * (
+        1
+        + fisheye_terms[0] * angle**2
+        + fisheye_terms[1] * angle**4
+        + fisheye_terms[2] * angle**6
+        + fisheye_terms[3] * angle**8
+    )
+    coefficients = _fitted(np.tan(angle), wanted)
+    off = float(np.abs(_radius(np.tan(angle), coefficients) - wanted).max() * focal.max())
+    if not off <= FOLLOWS:
+        entries.fail(
+            f"{entries.name(key)}: an equidistant lens, which reaches {np.degrees(angle[-1]):.0f} degrees off the "
+            "axis: OpenCV's rational lens, which a "
+            f"rig.toml takes, follows it to {off:.2g} px only, more than {FOLLOWS:g} px; `rig lens` fits "
+            "another to photographs of a board",
+            key,
+        )
+    a, d = coefficients[:3], coefficients[3:]
+    return np.array([a[0], a[1], 0, 0, a[2], *d]), off
+
+
+def require_four_fisheye_terms(entries: Entries, key: str, values: np.ndarray) -> None:
+    """Raise FileError unless the terms (n,) are the four of a fisheye lens."""
+    if len(values) != 4:
+        entries.fail(f"{entries.name(key)}: a fisheye has 4 terms, got {len(values)}", key)
+
+
+def conversion_sentence(camera_name: str, error_px: float) -> str:
+    """Sentence about a camera whose fisheye lens was converted to a rational lens. error_px : px
+    error_px : px
+    """
+    return (
+        f"{camera_name}: its fisheye becomes OpenCV's rational lens, which follows it to {error_px:.2g} px in "
+        "the whole image"
+    )
+
+
+def _radius(r: np.ndarray, c: np.ndarray) -> np.ndarray:
+    s = r**2
+    return r * (1 + s * (c[0] + s * (c[1] + s * c[2]))) / (1 + s * (c[3] + s * (c[4] + s * c[5])))
+
+
+def _fitted(r: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """(6,) of a numerator and a denominator, linear least squares in turn: each round's error is divided by the last
+    one's denominator.
+    """
+    scale = r[-1] ** 2
+    s = r**2 / scale
+    columns = np.stack([s, s**2, s**3, *(-(wanted / r) * s**n for n in (1, 2, 3))], axis=1)
+    weight = r
+    for _ in range(ROUNDS):
+        found = np.linalg.lstsq(columns * weight[:, None], (wanted / r - 1) * weight, rcond=None)[0]
+        weight = r / np.abs(1 + s * (found[3] + s * (found[4] + s * found[5])))
+    return found / np.tile(scale ** np.arange(1, 4), 2)

@@ -1,0 +1,226 @@
+"""Units of columns and timestamps of foreign tables; an error that lists all readings where ambiguous."""
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta, timezone
+from decimal import Decimal
+
+import numpy as np
+
+from rig.errors import RigError
+from rig.formats.input_files import short_repr
+from rig.recording.time_origin import DIGITS
+
+
+def ambiguity_error(subject: str, readings: Iterable[tuple[str, str]]) -> RigError:
+    """Error about an ambiguous input that lists all readings, each with the setting that selects it.
+    readings : (what it would mean, "key=value" that decides for it)
+    """
+    return RigError("\n".join([f"{subject}:", *(f"  {reading}: --set '{setting}'" for reading, setting in readings)]))
+
+
+LENGTHS = {"m": 1.0, "mm": 1e3, "cm": 1e2, "um": 1e6, "in": 1 / 0.0254}  # per metre
+ANGLES = {"rad": 1.0, "deg": 180 / np.pi, "mrad": 1e3}  # per radian
+TIMES = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}  # per second
+ALL = (*LENGTHS, *ANGLES, "steps")
+OTHER = ("C", "K", "F", "kg", "g")
+SAME = {
+    "µm": "um",
+    "μm": "um",
+    "µs": "us",
+    "μs": "us",
+    "°": "deg",
+    "degrees": "deg",
+    "degree": "deg",
+    "radians": "rad",
+    "meter": "m",
+    "metre": "m",
+    "inch": "in",
+    "inches": "in",
+    "sec": "s",
+    "seconds": "s",
+    "msec": "ms",
+    "usec": "us",
+    "counts": "steps",
+    "step": "steps",
+    "°c": "C",
+    "degc": "C",
+    "celsius": "C",
+    "c": "C",
+    "k": "K",
+    "kelvin": "K",
+    "°f": "F",
+    "degf": "F",
+    "fahrenheit": "F",
+    "f": "F",
+}
+BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]\s*$")
+TAIL = re.compile(r"^(.*\S)\s*[_/ ]\s*([^\s_/]+)$")
+MOST_BEYOND = 0.1  # of its range that a command may lie beyond it
+LEAST_TRAVEL = 0.02  # of its range that a strut moves in a recording
+
+
+def split_header(header: str) -> tuple[str, str | None]:
+    """Header split into (name, unit or None): `L1 [mm]`, `t (s)`, `l1_mm`, `x/m`."""
+    found = BRACKETS.match(header)
+    if found and found[1]:
+        return found[1].strip(), parse_unit(found[2])
+    found = TAIL.match(header)
+    if (
+        found
+        and parse_unit(found[2]) is not None
+        and not (len(found[2]) == 1 and found[2].upper() == found[2] and "temp" not in header.lower())
+    ):
+        return found[1].rstrip("_/ "), parse_unit(found[2])
+    return header, None
+
+
+def parse_unit(word: str) -> str | None:
+    """The unit that a word means, or None."""
+    word = word.strip()
+    if word in (*ALL, *TIMES, *OTHER):
+        return word
+    return SAME.get(word.lower()) or (word.lower() if word.lower() in (*ALL, *TIMES) else None)
+
+
+def fits_ranges(values: np.ndarray, ranges: np.ndarray) -> bool:
+    """Whether values (n, axes) fit the ranges (axes, 2), with a tolerance of a tenth."""
+    low, high = np.asarray(ranges).T
+    slack = MOST_BEYOND * (high - low)
+    return bool(((values >= low - slack) & (values <= high + slack)).all())
+
+
+def likely_length_units(
+    values: np.ndarray, ranges: np.ndarray, home_lengths: np.ndarray, units: Sequence[str], relative: Sequence[str]
+) -> list[tuple[str, str]]:
+    """Likely units and zeros (unit, "zero" or "home") that bring lengths (n, axes) into their ranges (axes, 2) m.
+    home_lengths : (axes,) m
+    """
+    return [
+        (u, r)
+        for u in units
+        for r in relative
+        if fits_ranges(values / LENGTHS[u] + (home_lengths if r == "home" else 0.0), ranges)
+    ]
+
+
+def is_likely_length_unit(values: np.ndarray, ranges: np.ndarray, unit: str, relative: str) -> bool:
+    """Whether a unit is likely for lengths (n, axes): they travel a plausible share of their ranges (axes, 2) m."""
+    travel = np.ptp(values)
+    about_zero = values.min() <= MOST_BEYOND * travel and values.max() >= -MOST_BEYOND * travel
+    return bool(
+        travel / LENGTHS[unit] >= LEAST_TRAVEL * np.ptp(ranges, axis=1).max() and (relative == "zero" or about_zero)
+    )
+
+
+def likely_angle_units(values: np.ndarray, limits: np.ndarray, units: Sequence[str]) -> list[str]:
+    """Likely units of angles (n, axes): those that keep them within their limits (axes, 2) rad."""
+    return [u for u in units if fits_ranges(values / ANGLES[u], limits)]
+
+
+ISO = re.compile(r"(\d{4}-?\d\d-?\d\d[T _]\d\d:?\d\d(?::?\d\d)?)([.,]\d{1,18})?\s*(Z|z|[+-]\d\d:?\d\d)?")
+ZONE = re.compile(r"([+-])(\d\d):?(\d\d)|Z|UTC")
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+SINCE, UNTIL = 946684800, 4102444800  # s; 2000 and 2100: what lies between counts from 1970
+NAMES = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds", "iso": "ISO 8601"}
+
+
+@dataclass(frozen=True, slots=True)
+class Times:
+    """seconds : exact; unit : one of s, ms, us, ns, iso; zone : of ISO times that state none, or None;
+    said : sentences.
+    """
+
+    seconds: list[Decimal]
+    unit: str
+    zone: str | None
+    said: tuple[str, ...]
+
+    def floats(self) -> np.ndarray:
+        """(n,) s from the first."""
+        return np.array([float(DIGITS.subtract(t, self.seconds[0])) for t in self.seconds])
+
+
+def read_times(
+    cells: list[str],
+    section: str,
+    subject: str,
+    unit: str | None,
+    time_zone: str | None,
+    shift: float,
+    are_plausible: Callable[[np.ndarray], bool] = lambda t: True,
+) -> Times:
+    """Times read from text cells: in s, ms, us, ns, since 1970 or a start, or as ISO 8601.
+    section : of the section, as settings call it; subject : is read, in words; unit : stated, or None; shift : s added
+
+    are_plausible : whether (n,) s from the first can be so
+    Raises RigError for texts that are no times, and where several units can be meant
+    """
+    numeric = all(re.fullmatch(r"[+-]?\d{1,30}(\.\d{0,30})?([eE][+-]?\d{1,2})?", cell) for cell in cells)
+    by = Decimal(repr(float(shift)))
+    if unit == "iso" or (unit is None and not numeric):
+        return _iso(cells, section, subject, time_zone, by, () if unit else (f"{subject}: times are ISO 8601",))
+    if not numeric:
+        bad = next(cell for cell in cells if not re.fullmatch(r"[+-]?\d{1,30}(\.\d{0,30})?([eE][+-]?\d{1,2})?", cell))
+        raise RigError(f"{subject}: {short_repr(bad)} is no time in {NAMES[unit or 's']}")
+    values = [Decimal(cell) for cell in cells]
+    found, said = _unit(values, section, subject, are_plausible) if unit is None else (unit, ())
+    return Times([DIGITS.add(DIGITS.divide(value, TIMES[found]), by) for value in values], found, None, said)
+
+
+def _unit(
+    values: list[Decimal], name: str, what: str, plausible: Callable[[np.ndarray], bool]
+) -> tuple[str, tuple[str, ...]]:
+    for unit, per_second in TIMES.items():
+        if all(SINCE * per_second < value < UNTIL * per_second for value in values):
+            return unit, (f"{what}: times are {NAMES[unit]} since 1970",)
+    t = np.array([float(value - values[0]) for value in values])
+    fit = [unit for unit in TIMES if plausible(t / TIMES[unit])]
+    span = abs(t[-1])
+    if len(fit) == 1 and span:
+        return fit[0], (f"{what}: times are {NAMES[fit[0]]}, as in others speeds or spans could not be",)
+    raise ambiguity_error(
+        f"{what}: the unit of its times is not stated, and they run from {values[0]} to {values[-1]}",
+        [(f"{span / TIMES[unit]:.4g} s in all", f"{name}.time_unit={unit}") for unit in fit or TIMES],
+    )
+
+
+def _iso(cells: list[str], name: str, what: str, zone: str | None, by: Decimal, said: tuple[str, ...]) -> Times:
+    read = [ISO.fullmatch(cell) for cell in cells]
+    found = [one for one in read if one is not None]
+    if len(found) < len(cells):
+        bad = next(cell for cell, one in zip(cells, read) if one is None)
+        raise RigError(
+            f"{what}: {short_repr(bad)} is no time: times are numbers, or ISO 8601 as 2026-01-31T12:00:00.25Z"
+        )
+    zones = {one[3] is None for one in found}
+    if len(zones) > 1:
+        raise RigError(f"{what}: some times state a time zone and some do not")
+    if zones == {True} and zone is None:
+        zone, said = (
+            "UTC",
+            (*said, f"{what}: times state no time zone and are taken as UTC (--set {name}.zone=+01:00 says otherwise)"),
+        )
+    seconds = [_seconds(one, zone, what) for one in found]
+    return Times([DIGITS.add(t, by) for t in seconds], "iso", zone if zones == {True} else None, said)
+
+
+def _seconds(found: re.Match, zone: str | None, what: str) -> Decimal:
+    try:
+        at = datetime.fromisoformat(found[1].replace("_", "T"))
+        at = at.replace(tzinfo=_zone(found[3] or zone or "UTC"))
+        whole = at - EPOCH
+    except (ValueError, OverflowError) as error:
+        raise RigError(f"{what}: {short_repr(found[0])} is no time: {error}") from None
+    return Decimal(whole.days * 86400 + whole.seconds) + Decimal((found[2] or ".0").replace(",", "."))
+
+
+def _zone(word: str) -> timezone:
+    found = ZONE.fullmatch(word.upper())
+    if found is None:
+        raise RigError(f"a time zone is +01:00, -05:00 or UTC, not {short_repr(word)}")
+    if found[1] is None:
+        return UTC
+    away = timedelta(hours=int(found[2]), minutes=int(found[3]))
+    return timezone(-away if found[1] == "-" else away)

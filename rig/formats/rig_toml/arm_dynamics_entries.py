@@ -1,0 +1,90 @@
+"""Table [dynamics] of an arm's rig.toml: link masses, joint torque limits, friction, sensor noise."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rig.errors import RigError
+from rig.formats.checked_entries import Entries
+from rig.formats.rig_toml import design_file
+from rig.model.design import Arm, Design
+from rig.model.mechanisms.arm_dynamics import Links
+
+HEAVIEST = 1e5  # kg, and kg m^2
+STRONGEST = 1e7  # N m or N
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmDynamics:
+    """What is stated of an arm of n joints; None where it is not.
+
+    links : Links, rows of mass (kg), centre x y z (m), inertia xx yy zz xy xz yz (kg m^2); torque_limits : (n,) N m, of
+        slides N
+    torque_constants : (n,) N m at the joint per A of its motor; friction : (n, 2) N m (Coulomb) and N m s/rad (viscous)
+    torque_sigma : (n,) N m, of one reading; angle_sigma : (n,) rad or m, of one; speed_sigma : (n,) rad/s or m/s, of
+        one
+    """
+
+    links: Links | None
+    torque_limits: np.ndarray | None
+    torque_sigma: np.ndarray | None
+    torque_constants: np.ndarray | None
+    friction: np.ndarray | None
+    angle_sigma: np.ndarray | None
+    speed_sigma: np.ndarray | None
+
+    def need(self, name: str, path: Path | str) -> np.ndarray:
+        """A figure that a command cannot do without. Raises RigError where it is not stated; path : of the file that
+        should state it.
+        """
+        value: np.ndarray | None = getattr(self, name)
+        if value is None:
+            raise RigError(f"{path}: [dynamics] states no {name}, and this takes it")
+        return value
+
+
+def load_arm_dynamics(path: Path | str) -> tuple[Design, ArmDynamics]:
+    """Load (Design, ArmDynamics) of an arm's rig.toml; what [dynamics] lacks is None.
+    Raises FileError with line and column for figures that cannot be, RigError for a mechanism that is no arm cannot
+    be, RigError for a mechanism that is no arm
+    """
+    root = design_file.load_entries(path)
+    design = design_file.design_of_entries(root)
+    if not isinstance(design.mechanism, Arm):
+        raise RigError(f"{path} has a mechanism of kind {design.mechanism.kind!r}; forces at the hand are for arms")
+    return design, dynamics_of_table(root.table("dynamics", optional=True), len(design.mechanism.axes))
+
+
+def dynamics_of_table(table: Entries, joint_count: int) -> ArmDynamics:
+    """ArmDynamics of the table [dynamics] of an arm. Raises FileError with line and column.
+    Raises FileError with line and column for figures that cannot be
+    """
+    table.refuse_misspelt(design_file.DYNAMICS)
+    each = {
+        name: table.each(name, joint_count, None, above=0, most=STRONGEST)
+        for name in design_file.DYNAMICS
+        if name not in ("links", "friction")
+    }
+    friction = table.array("friction", (joint_count, 2), None)
+    for i, j in np.argwhere(friction < 0) if friction is not None else ():
+        table.fail(f"friction[{i + 1}] must not be negative, not {friction[i, j]:g}", "friction", int(i), int(j))
+    return ArmDynamics(links=_links(table, joint_count), friction=friction, **each)
+
+
+def _links(table: Entries, n: int) -> Links | None:
+    """Links of rows mass, centre x y z, inertia xx yy zz xy xz yz; None where none are stated."""
+    rows = table.array("links", (n, 10), None)
+    if rows is None:
+        return None
+    inertia = np.empty((n, 3, 3))
+    for k, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
+        inertia[:, i, j] = inertia[:, j, i] = rows[:, 4 + k]
+    for i, (mass, least) in enumerate(zip(rows[:, 0], np.linalg.eigvalsh(inertia)[:, 0])):
+        if not 0 <= mass <= HEAVIEST:
+            table.fail(f"links[{i + 1}] has a mass of {mass:g} kg", "links", i, 0)
+        if least < -1e-9 * HEAVIEST or least < -1e-6 * np.abs(inertia[i]).max():
+            table.fail(
+                f"links[{i + 1}] has an inertia that no body has: a principal moment is {least:g} kg m^2", "links", i
+            )
+    return Links(rows[:, 0], rows[:, 1:4], inertia)

@@ -1,0 +1,200 @@
+"""Tables [[camera]], [instrument], [experiment] and [turned] (cubes) of rig.toml, read with checks."""
+
+import math
+from dataclasses import fields, replace
+
+from rig.formats.checked_entries import REQUIRED, Entries
+from rig.model.cube_remounting import find_cube, parse_cube_turn_permission
+from rig.model.design import DISTORTION_TERMS, PERMITTED, SOURCES, TURN, Camera, Free, Instrument, Permission, Target
+from rig.model.mechanism_kinds import Mechanism
+
+LARGEST_IMAGE = 100_000  # px along a side
+
+
+def cameras_of_tables(tables: list[Entries]) -> tuple[Camera, ...]:
+    """The Cameras of [[camera]] tables. Raises FileError with line and column.
+    Raises FileError with line and column for anything that is no camera.
+    """
+    found: list[Camera] = []
+    for table in tables:
+        table.refuse_misspelt(
+            ("name", "width", "height", "matrix", "distortion", "pose", "shutter", "row_time", "mount", "source")
+        )
+        name = table.identifier("name")
+        if name in [camera.name for camera in found]:
+            table.fail(f"camera {name!r} is listed twice", "name", value=name)
+        matrix = table.array("matrix", (3, 3))
+        for (i, j), want in {(0, 1): 0, (1, 0): 0, (2, 0): 0, (2, 1): 0, (2, 2): 1}.items():
+            if matrix[i, j] != want:
+                table.fail(
+                    f"{table.name('matrix')} must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]; "
+                    f"row {i + 1}, column {j + 1} is {matrix[i, j]:g}",
+                    "matrix",
+                    i,
+                    j,
+                    value=matrix[i, j],
+                )
+        for i in (0, 1):
+            if matrix[i, i] <= 0:
+                table.fail(
+                    f"{table.name('matrix')}: the focal length must be positive px, not {matrix[i, i]:g}",
+                    "matrix",
+                    i,
+                    i,
+                )
+        distortion = table.array("distortion", (None,))
+        if len(distortion) not in DISTORTION_TERMS:
+            table.fail(
+                f"{table.name('distortion')} must have {', '.join(map(str, DISTORTION_TERMS))} terms (OpenCV order), "
+                f"got {len(distortion)}",
+                "distortion",
+            )
+        shutter = table.text("shutter", ("global", "rolling"), default="global")
+        row_time = table.number(
+            "row_time", default=REQUIRED if shutter == "rolling" else 0.0, least=0, most=1, unit="s"
+        )
+        width, height = (table.whole(key, 1, most=LARGEST_IMAGE) for key in ("width", "height"))
+        found.append(
+            Camera(
+                name,
+                width,
+                height,
+                matrix,
+                distortion,
+                table.pose("pose"),
+                shutter,
+                row_time,
+                table.text("mount", ("fixed", "moving", "hand"), default="fixed"),
+                _source(table),
+            )
+        )
+    return tuple(found)
+
+
+def check_hand_mounted_cameras(
+    root: Entries, cameras: tuple[Camera, ...], targets: tuple[Target, ...], mechanism: Mechanism
+) -> None:
+    """Raise FileError for hand-mounted cameras that these targets or this mechanism do not support."""
+    held = [camera.mount == "hand" for camera in cameras]
+    for table, camera, mine in zip(root.tables("camera"), cameras, held):
+        if any(held) and not mine:
+            table.fail(
+                f"camera {camera.name!r} is {camera.mount} and others are in the hand: a rig has all of its "
+                "cameras there, or none",
+                "name",
+            )
+        if mine and camera.shutter != "global":
+            table.fail(
+                f"camera {camera.name!r} is in the hand, where rows of a rolling shutter cannot be told from "
+                "the hand's own way",
+                "shutter",
+            )
+        if mine and isinstance(mechanism, Free):
+            table.fail(
+                f'camera {camera.name!r}: a mechanism of kind "free" has no hand; a camera that is moved '
+                'about is "moving"',
+                "mount",
+            )
+    for table, target in zip(root.tables("target"), targets):
+        if any(held) and target.body != "base":
+            table.fail(
+                f"target {target.name!r} is on the {target.body}, and the platform carries the cameras: they "
+                "see the base's targets alone",
+                "body",
+            )
+
+
+def check_stage_targets(root: Entries, cameras: tuple[Camera, ...], targets: tuple[Target, ...]) -> None:
+    """Raise FileError for targets on a stage of a chain that is seen by a moving camera."""
+    moving = [camera.name for camera in cameras if camera.mount == "moving"]
+    for table, target in zip(root.tables("target"), targets):
+        if moving and target.stage:
+            table.fail(
+                f"target {target.name!r} is on {target.body}, which cameras that stand still measure, and "
+                f"camera {moving[0]!r} moves",
+                "body",
+            )
+
+
+def _source(table: Entries) -> str | None:
+    """What a camera is opened by, "KIND:PLACE", or None."""
+    source = table.text("source", default=None)
+    if source is not None and (source.partition(":")[0] not in SOURCES or not source.partition(":")[2]):
+        table.fail(
+            f'{table.name("source")} must be written as "KIND:PLACE" with a kind out of '
+            f"{', '.join(SOURCES)}, not {source!r}",
+            "source",
+            value=source,
+        )
+    return source
+
+
+INSTRUMENT_KINDS = ("pose", "orientation", "distance")
+
+
+def instrument_of_table(table: Entries) -> Instrument:
+    """Instrument of the table [instrument]. Raises FileError for missing or implausible figures.
+    Raises FileError for figures that are missing, implausible or of what its kind does not see.
+    """
+    table.refuse_misspelt([field.name for field in fields(Instrument)])
+    kind = table.text("kind", INSTRUMENT_KINDS, default="pose")
+    for key, seen in (("position_sigma", kind != "orientation"), ("rotation_sigma", kind != "distance")):
+        if key in table.tree and not seen:
+            table.fail(
+                f"an instrument of kind {kind!r} sees no "
+                f"{'positions' if key == 'position_sigma' else 'rotations'}; leave out "
+                f"{table.name(key)}",
+                key,
+            )
+    position = table.number("position_sigma", above=0, most=1, unit="m") if kind != "orientation" else math.inf
+    if kind == "orientation":
+        rotation = table.number("rotation_sigma", above=0, most=1, unit="rad")
+    else:
+        rotation = table.number("rotation_sigma", None, above=0, most=1, unit="rad")
+    return Instrument(
+        table.text("base", ("free", "rig")), table.text("tool", ("free", "rig")), position, rotation, kind
+    )
+
+
+def experiment_permission(table: Entries, targets: tuple[Target, ...]) -> Permission:
+    """Permission of the table [experiment]: what experiments may do, and to which cubes.
+    Raises FileError for what is none of it.
+    """
+    table.refuse_misspelt(("may",))
+    may = table.get("may", [])
+    words = (*map(repr, PERMITTED), f"'{TURN}NAME'")
+    if not isinstance(may, list) or not all(
+        isinstance(word, str) and (word in PERMITTED or word.startswith(TURN)) for word in may
+    ):
+        table.fail(
+            f"{table.name('may')} must list what experiments may do, of {', '.join(words)}, not {may!r}",
+            "may",
+            value=may,
+        )
+    out = []
+    for i, word in enumerate(may):
+        allowed, problem = parse_cube_turn_permission(word, targets)
+        if problem:
+            table.fail(f"{table.name('may')}[{i + 1}]: {problem}", "may", i, value=word)
+        out.append(allowed)
+    return Permission(tuple(out))
+
+
+def turned_targets(table: Entries, targets: tuple[Target, ...]) -> tuple[Target, ...]:
+    """The targets with the quarter turns of the table [turned] applied to their cubes.
+    Raises FileError for one that there is not.
+    """
+    out, places = list(targets), {}
+    for key in table.tree:
+        name, problem = find_cube(key, targets)
+        if problem:
+            table.fail(f"turned: {problem}", key, value=key)
+        at = places[key] = next(k for k, target in enumerate(targets) if target.name == name)
+        out[at] = replace(targets[at], turned=table.whole(key, 0, most=3))
+    for key, at in places.items():
+        body = targets[at].body
+        if all(target.turned is not None for target in out if target.body == body):
+            table.fail(
+                f"turned: all targets of the {body} were taken off, so that nothing holds its frame", key, value=key
+            )
+    return tuple(out)

@@ -1,0 +1,243 @@
+"""Compiled closed-form inverses of six-joint arms: spherical wrist, or three parallel axes."""
+
+import numpy as np
+
+from rig.compute.numba_kernels import njit
+from rig.model.mechanisms.joint_angle_kernels import (
+    ELBOW,
+    FREE,
+    OFF_AXIS,
+    SHOULDER,
+    SINGULAR,
+    SLACK,
+    TOO_FAR,
+    TOO_NEAR,
+    TURNED_AWAY,
+    WRIST,
+    Vector,
+    add_scaled,
+    angle_about_axis,
+    cosine_equation_angles,
+    cross,
+    dot,
+    elbow_points,
+    matrix_row,
+    rotate_point,
+    rotate_vector,
+    shoulder_angles,
+    vector_from_axes,
+    wrap_angle,
+)
+
+Found = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # solutions, their flags, reasons, gaps
+
+
+@njit(cache=True, error_model="numpy")
+def _across(a: Vector, u: Vector) -> Vector:
+    """The part of a across the unit vector u."""
+    return add_scaled(a, u, -dot(a, u))
+
+
+@njit(cache=True, error_model="numpy")
+def _set(t: float) -> tuple[float, float, float, float]:
+    """An angle that is chosen, as `angle` returns one that is read."""
+    return t, np.cos(t), np.sin(t), 1.0
+
+
+@njit(cache=True, error_model="numpy")
+def _hand(hands: np.ndarray, m: int, key: Vector) -> tuple[Vector, Vector, Vector, Vector]:
+    """(key point, hand's x, y, z) where the hand's points number m are; key : from A, at zero."""
+    A = matrix_row(hands[m], 0)
+    ez, ey = add_scaled(matrix_row(hands[m], 1), A, -1.0), add_scaled(matrix_row(hands[m], 2), A, -1.0)
+    ex = cross(ey, ez)
+    return add_scaled(vector_from_axes(key, ex, ey, ez), A, 1.0), ex, ey, ez
+
+
+@njit(cache=True, error_model="numpy")
+def _bend(axis: Vector, u5: Vector, u6: Vector) -> tuple[float, float, float, float]:
+    """What joint 5 is read from: cos and sine parts of axis . turned(u6), and how far r + product and r - product are
+    from 1.
+    """
+    a, b = dot(_across(axis, u5), _across(u6, u5)), dot(axis, cross(u5, u6))
+    r, tilt = np.sqrt(a * a + b * b), dot(axis, u5) * dot(u6, u5)
+    return a, b, r + tilt - 1, r - tilt - 1
+
+
+@njit(cache=True, error_model="numpy")
+def _wrist(axis: Vector, v: Vector, bend: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    """Joint 5 from where axis 6 points, v, against another axis: (first, second, sine between, miss)."""
+    apart, together = add_scaled(v, axis, -1.0), add_scaled(v, axis, 1.0)
+    less, more = 0.5 * dot(apart, apart) + bend[2], 0.5 * dot(together, together) + bend[3]
+    first, second, h = cosine_equation_angles(bend[0], bend[1], less, more)
+    return first, second, h, -min(less, more)
+
+
+@njit(cache=True, error_model="numpy")
+def spherical_wrist_inverse(
+    hands: np.ndarray, points: np.ndarray, axes: np.ndarray, hand: np.ndarray, key: np.ndarray, near: np.ndarray
+) -> Found:
+    """Inverse of arms with a spherical wrist (axes 4, 5, 6 cross in `key`), axes 2 and 3 parallel.
+
+    hands : (m, 3, 3) points A, B, C wanted, AB and AC of length 1, hand : (3, 3) the same at zero; key : (3,) at zero
+    near : (6,) rad, taken where a joint is free
+    Returns q (m, 8, 6) rad, flags (m, 8), -1 for a branch that is not there, reason (m,) and gap (m,) m or rad
+    """
+    q, flags = np.full((len(hands), 8, 6), np.nan), np.full((len(hands), 8), -1)
+    reason, gap = np.zeros(len(hands), np.int64), np.zeros(len(hands))
+    o1, o2, o3 = matrix_row(points, 0), matrix_row(points, 1), matrix_row(points, 2)
+    u1, u2, u3, u4, u5, u6 = (
+        matrix_row(axes, 0),
+        matrix_row(axes, 1),
+        matrix_row(axes, 2),
+        matrix_row(axes, 3),
+        matrix_row(axes, 4),
+        matrix_row(axes, 5),
+    )
+    k0 = (key[0], key[1], key[2])
+    arm, fore = _across(add_scaled(o3, o2, -1.0), u2), _across(add_scaled(k0, o3, -1.0), u2)
+    upper, lower, level = np.sqrt(dot(arm, arm)), np.sqrt(dot(fore, fore)), dot(u2, add_scaled(k0, o1, -1.0))
+    reach, mark, bend = add_scaled(k0, matrix_row(hand, 0), -1.0), cross(u6, u5), _bend(u4, u5, u6)
+    for m in range(len(hands)):
+        W, ex, ey, ez = _hand(hands, m, reach)
+        first, second, h1, miss, span1 = shoulder_angles(W, o1, u1, u2, level)
+        if miss > SLACK:
+            reason[m], gap[m] = OFF_AXIS, miss
+            continue
+        worst, why = np.inf, TOO_FAR
+        for n1 in range(2):
+            t1 = near[0] if span1 < FREE else (first if n1 == 0 else second)
+            c, s = np.cos(t1), -np.sin(t1)
+            W1, x1, y1, z1 = (
+                rotate_point(W, o1, u1, c, s),
+                rotate_vector(ex, u1, c, s),
+                rotate_vector(ey, u1, c, s),
+                rotate_vector(ez, u1, c, s),
+            )
+            e1, e2, h2, far, close, span = elbow_points(o2, u2, upper, lower, W1)
+            if max(far, close) > SLACK:
+                if max(far, close) < worst:
+                    worst, why = max(far, close), TOO_FAR if far > close else TOO_NEAR
+                continue
+            for n2 in range(2):
+                t2, c, s, _ = _set(near[1]) if span < FREE else angle_about_axis(arm, e1 if n2 == 0 else e2, u2)
+                t3, d, e, _ = angle_about_axis(fore, add_scaled(rotate_point(W1, o2, u2, c, -s), o3, -1.0), u3)
+                s, e = -s, -e
+                x, y, z = (
+                    rotate_vector(rotate_vector(x1, u2, c, s), u3, d, e),
+                    rotate_vector(rotate_vector(y1, u2, c, s), u3, d, e),
+                    rotate_vector(rotate_vector(z1, u2, c, s), u3, d, e),
+                )
+                v, w = vector_from_axes(u6, x, y, z), vector_from_axes(mark, x, y, z)
+                first5, second5, h5, miss = _wrist(u4, v, bend)
+                if miss > SLACK:
+                    if worst == np.inf:
+                        worst, why = miss, TURNED_AWAY
+                    continue
+                for n5 in range(2):
+                    t5 = first5 if n5 == 0 else second5
+                    c, s = np.cos(t5), np.sin(t5)
+                    t4, d, e, size = angle_about_axis(rotate_vector(u6, u5, c, s), v, u4)
+                    if size < FREE**2:
+                        t4, d, e, _ = _set(near[3])
+                    t6 = angle_about_axis(mark, rotate_vector(rotate_vector(w, u4, d, -e), u5, c, -s), u6)[0]
+                    b = 4 * n1 + 2 * n2 + n5
+                    q[m, b, 0], q[m, b, 1], q[m, b, 2], q[m, b, 3], q[m, b, 4], q[m, b, 5] = t1, t2, t3, t4, t5, t6
+                    flags[m, b] = SHOULDER * (h1 < SINGULAR) + ELBOW * (h2 < SINGULAR) + WRIST * (h5 < SINGULAR)
+        if (flags[m] < 0).all():
+            reason[m], gap[m] = why, worst
+    return q, flags, reason, gap
+
+
+@njit(cache=True, error_model="numpy")
+def _within(turn: float, point: Vector, last: Vector, u: Vector, upper: float, fore: float) -> float:
+    """The turn itself where it leaves point - turned(last) within the elbow's reach, else one that brings it there if
+    any does.
+    """
+    flat, span = _across(point, u), _across(last, u)
+    a, b = np.sqrt(dot(flat, flat)), np.sqrt(dot(span, span))
+    least, most = max(abs(upper - fore), abs(a - b)), min(upper + fore, a + b)
+    d = add_scaled(flat, rotate_vector(span, u, np.cos(turn), np.sin(turn)), -1.0)
+    reach = np.sqrt(dot(d, d))
+    if a * b < FREE or least > most or abs(upper - fore) <= reach <= upper + fore:
+        return turn
+    middle = 0.5 * (least + most)
+    return angle_about_axis(span, flat, u)[0] + np.arccos(
+        min(max((a * a + b * b - middle * middle) / (2 * a * b), -1.0), 1.0)
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def parallel_axes_inverse(
+    hands: np.ndarray, points: np.ndarray, axes: np.ndarray, hand: np.ndarray, key: np.ndarray, near: np.ndarray
+) -> Found:
+    """Inverse of arms whose axes 2, 3, 4 are parallel and 5 and 6 cross in `key`: q (m, 8, 6), flags, reasons."""
+    q, flags = np.full((len(hands), 8, 6), np.nan), np.full((len(hands), 8), -1)
+    reason, gap = np.zeros(len(hands), np.int64), np.zeros(len(hands))
+    o1, o2, o3, o4 = matrix_row(points, 0), matrix_row(points, 1), matrix_row(points, 2), matrix_row(points, 3)
+    u1, u2, u3, u4, u5, u6 = (
+        matrix_row(axes, 0),
+        matrix_row(axes, 1),
+        matrix_row(axes, 2),
+        matrix_row(axes, 3),
+        matrix_row(axes, 4),
+        matrix_row(axes, 5),
+    )
+    k0 = (key[0], key[1], key[2])
+    arm, fore, last = (
+        _across(add_scaled(o3, o2, -1.0), u2),
+        _across(add_scaled(o4, o3, -1.0), u2),
+        add_scaled(k0, o4, -1.0),
+    )
+    upper, lower, level = np.sqrt(dot(arm, arm)), np.sqrt(dot(fore, fore)), dot(u2, add_scaled(k0, o1, -1.0))
+    reach, mark, bend = add_scaled(k0, matrix_row(hand, 0), -1.0), cross(u6, u5), _bend(u2, u5, u6)
+    sign3, sign4 = dot(u3, u2), dot(u4, u2)
+    for m in range(len(hands)):
+        P, ex, ey, ez = _hand(hands, m, reach)
+        first, second, h1, miss, span1 = shoulder_angles(P, o1, u1, u2, level)
+        if miss > SLACK:
+            reason[m], gap[m] = OFF_AXIS, miss
+            continue
+        worst, why = np.inf, TOO_FAR
+        for n1 in range(2):
+            t1 = near[0] if span1 < FREE else (first if n1 == 0 else second)
+            c, s = np.cos(t1), -np.sin(t1)
+            P1, x, y, z = (
+                rotate_point(P, o1, u1, c, s),
+                rotate_vector(ex, u1, c, s),
+                rotate_vector(ey, u1, c, s),
+                rotate_vector(ez, u1, c, s),
+            )
+            v, w = vector_from_axes(u6, x, y, z), vector_from_axes(mark, x, y, z)
+            first5, second5, h5, miss = _wrist(u2, v, bend)
+            if miss > SLACK:
+                if worst == np.inf:
+                    worst, why = miss, TURNED_AWAY
+                continue
+            for n5 in range(2):
+                t5 = first5 if n5 == 0 else second5
+                c, s = np.cos(t5), np.sin(t5)
+                turn, d, e, size = angle_about_axis(rotate_vector(u6, u5, c, s), v, u2)
+                if (
+                    size < FREE**2
+                ):  # axis 6 along 2: one motion of all four leaves the hand still, so take a place of it that can be
+                    turn = angle_about_axis(
+                        rotate_vector(rotate_vector(mark, u6, np.cos(near[5]), np.sin(near[5])), u5, c, s), w, u2
+                    )[0]
+                    turn, d, e, _ = _set(_within(turn, add_scaled(P1, o2, -1.0), last, u2, upper, lower))
+                t6 = angle_about_axis(mark, rotate_vector(rotate_vector(w, u2, d, -e), u5, c, -s), u6)[0]
+                D = add_scaled(P1, rotate_vector(last, u2, d, e), -1.0)
+                e1, e2, h2, far, close, span = elbow_points(o2, u2, upper, lower, D)
+                if max(far, close) > SLACK:
+                    if max(far, close) < worst:
+                        worst, why = max(far, close), TOO_FAR if far > close else TOO_NEAR
+                    continue
+                for n2 in range(2):
+                    t2, f, g, _ = _set(near[1]) if span < FREE else angle_about_axis(arm, e1 if n2 == 0 else e2, u2)
+                    t3 = angle_about_axis(fore, add_scaled(rotate_point(D, o2, u2, f, -g), o3, -1.0), u3)[0]
+                    t4 = wrap_angle(wrap_angle(sign4 * (turn - t2 - sign3 * t3)))
+                    b = 4 * n1 + 2 * n2 + n5
+                    q[m, b, 0], q[m, b, 1], q[m, b, 2], q[m, b, 3], q[m, b, 4], q[m, b, 5] = t1, t2, t3, t4, t5, t6
+                    flags[m, b] = SHOULDER * (h1 < SINGULAR) + ELBOW * (h2 < SINGULAR) + WRIST * (h5 < SINGULAR)
+        if (flags[m] < 0).all():
+            reason[m], gap[m] = why, worst
+    return q, flags, reason, gap

@@ -1,0 +1,162 @@
+"""Shipped arms (rig/arms): names, files, and rig.toml layouts with cameras and cubes."""
+
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rig.errors import RigError
+from rig.formats.rig_toml import design_file
+from rig.model.design import Arm, Design
+from rig.model.mechanism_kinds import require_arm
+from rig.model.mechanisms import arm as mechanism
+from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.layout.camera_and_cube_placement import (
+    FACES,
+    Ring,
+    camera_pose,
+    camera_ring_lines,
+    check_layout,
+    cube_lines,
+    cube_ring_lines,
+    single_camera_lines,
+)
+
+INSTRUMENT = """
+[instrument]            # a laser tracker with a probe of six degrees of freedom
+base = "free"           # where it stands is unknown and solved for; "rig" where poses.csv is in the arm's own base
+tool = "free"           # where its target sits on the hand, likewise
+position_sigma = 2e-5   # m
+rotation_sigma = 1e-4   # rad
+"""
+
+
+def shipped_arm_names() -> list[str]:
+    """Names of the shipped arms, sorted."""
+    return sorted(
+        entry.name.removesuffix(".toml") for entry in (files("rig") / "arms").iterdir() if entry.name.endswith(".toml")
+    )
+
+
+def shipped_arm_path(path_or_name: str) -> Path:
+    """Path of the rig.toml of a shipped arm by its name, or the path itself. Raises RigError.
+    Raises RigError for what is neither.
+    """
+    if Path(path_or_name).exists() or Path(path_or_name).suffix:
+        return Path(path_or_name)
+    if path_or_name not in shipped_arm_names():
+        raise RigError(
+            f"there is no file {path_or_name!r}, nor is it one of the shipped arms: {', '.join(shipped_arm_names())}"
+        )
+    return Path(str(files("rig") / "arms" / f"{path_or_name}.toml"))
+
+
+def load_shipped_arm(path_or_name: str) -> Design:
+    """Load the Design of a shipped arm by its name, or of a rig.toml by its path.
+    Raises RigError for what is neither, FileError as rig.formats.rig_toml.design_file.load_design.
+    rig.formats.rig_toml.design_file.load_design.
+    """
+    return design_file.load_design(shipped_arm_path(path_or_name))
+
+
+def shipped_arm_rig_toml(name: str) -> str:
+    """rig.toml text of a shipped arm measured by an instrument. Raises RigError for an unknown name.
+    Raises RigError for a name that there is not.
+    """
+    if name not in shipped_arm_names():
+        raise RigError(f"there is no arm {name!r}; there are {', '.join(shipped_arm_names())}")
+    return (files("rig") / "arms" / f"{name}.toml").read_text(encoding="utf-8") + INSTRUMENT
+
+
+TRIED = 400  # postures, of which the one with the best conditioned Jacobian is taken
+TURNS = {"cubes": 0.45, "hand": 0.3}  # rad either way that every joint may turn, by what is carried
+SLIDES = 0.15  # of a slide's stroke either way
+WIDE = 0.75  # rad to either side that a camera in the hand sees
+
+
+def arm_layout_rig_toml(
+    name: str, hand_mounted: str, cameras: int, size: tuple[int, int], cubes: int, dictionary: str
+) -> str:
+    """rig.toml text of the layout of a shipped arm with cameras and cubes.
+
+    hand_mounted : "cubes" or "hand", for cameras in the hand; cameras : how many; size : px of the images; cubes : how
+        many
+    in the hand and on the base, or three times as many before the hand
+    Raises RigError for a name that there is not, a dictionary with too few identities, or figures that make no rig
+    """
+    text = shipped_arm_rig_toml(name).replace(INSTRUMENT, "")
+    arm = _posed(require_arm(load_shipped_arm(name).mechanism), TURNS[hand_mounted])
+    check_layout(1.0, cameras, cubes if hand_mounted == "cubes" else -(-3 * cubes // 2), dictionary)
+    lines = [_narrowed(text, arm).rstrip(), ""]
+    T = mechanism.forward(sobol_configurations(arm.limits, 64, 1.0), arm)
+    middle = T.translation.mean(axis=0)
+    reach = float(np.linalg.norm(T.translation - middle, axis=1).max())
+    lines += (
+        _cubes_in_hand(middle, reach, cameras, size, cubes, dictionary)
+        if hand_mounted == "cubes"
+        else _cameras_in_hand(
+            mechanism.forward(arm.limits.mean(axis=1), arm), reach, cameras, size, 3 * cubes, dictionary
+        )
+    )
+    return "\n".join(lines) + "\n"
+
+
+def _posed(arm: Arm, turn: float) -> Arm:
+    """The arm with limits about its best conditioned posture, of those tried."""
+    reach = np.where(arm.slides, SLIDES * np.ptp(arm.limits, axis=1), np.minimum(turn, np.ptp(arm.limits, axis=1) / 2))
+    inner = np.stack([arm.limits[:, 0] + reach, arm.limits[:, 1] - reach], axis=1)
+    q = sobol_configurations(np.clip(inner, -np.pi, np.pi), TRIED, 0.9)
+    q = np.where(inner[:, 0] < inner[:, 1], np.clip(q, inner[:, 0], inner[:, 1]), inner.mean(axis=1))
+    least = np.linalg.svd(mechanism.jacobian(q, arm), compute_uv=False)[:, -1]
+    best = q[np.argmax(least)].round(2)
+    return Arm(arm.joints, np.stack([best - reach, best + reach], axis=1).round(4), arm.base, arm.tool, arm.slides)
+
+
+def _narrowed(text: str, arm: Arm) -> str:
+    """A shipped arm's text with these limits."""
+    import tomlkit
+
+    document = tomlkit.parse(text)
+    limits = tomlkit.item(arm.limits.tolist())
+    limits.comment("narrowed to where hand and cubes are seen; the arm's own are wider")
+    document["mechanism"]["limits"] = limits
+    return tomlkit.dumps(document)
+
+
+def _cubes_in_hand(
+    middle: np.ndarray, reach: float, cameras: int, size: tuple[int, int], cubes: int, dictionary: str
+) -> list[str]:
+    edge_platform, edge_base = (share * reach * (2 / np.sqrt(max(cubes, 4))) for share in (0.24, 0.3))
+    low = middle - [0, 0, 0.8 * reach - edge_base / 2]
+    return camera_ring_lines(middle, reach, cameras, *size) + cube_ring_lines(
+        cubes,
+        dictionary,
+        Ring(np.array([0, 0, edge_platform / 2]), 0.22 * reach, edge_platform, 0.35),
+        Ring(low, reach, edge_base, 0.35),
+    )
+
+
+def _cameras_in_hand(
+    T: RigidTransform, reach: float, cameras: int, size: tuple[int, int], cubes: int, dictionary: str
+) -> list[str]:
+    """Cameras that look out of the hand, along its z, and cubes in a field before it, their +z towards it."""
+    lines, apart = list[str](), 0.12 * reach
+    for i in range(cameras):
+        angle = 2 * np.pi * i / cameras
+        at = RigidTransform.from_translation(
+            apart * np.array([np.cos(angle), np.sin(angle), 0]) if cameras > 1 else [0.0, 0, 0]
+        )
+        lines += single_camera_lines(f"cam{i}", at, WIDE, size, "hand")
+    ahead = T.rotation.apply([0, 0, 1.0])
+    far = 1.6 * reach
+    field = camera_pose(T.translation + far * ahead, ahead).rotation
+    wide = int(np.ceil(np.sqrt(cubes * 4 / 3)))
+    facing = field * Rotation.from_rotvec([np.pi, 0, 0])  # z back to the hand
+    for i in range(cubes):
+        across, up = i % wide - (wide - 1) / 2, i // wide - (-(-cubes // wide) - 1) / 2
+        depth = 0.12 * far * ((i * 2) % 3 - 1)
+        place = T.translation + (far + depth) * ahead + 0.42 * far * field.apply([across, up, 0.0])
+        turn = (facing * Rotation.from_rotvec([0, 0, 0.4 * i])).as_rotvec()
+        lines += cube_lines(f"B{i + 1}", "base", dictionary, len(FACES) * i, 0.17 * far, place, turn)
+    return lines

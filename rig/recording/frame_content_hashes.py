@@ -1,0 +1,138 @@
+"""Content hashes of frames, by which data already used for learning or fitting are recognised."""
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+
+from rig.compute.worker_processes import worker_count
+from rig.errors import FileError
+from rig.formats.output_files.folder_manifest import file_digest, load_manifest
+from rig.model.pose import pose_to_vector
+from rig.recording.recording_folder import LIMB, Recording
+
+LENGTH = 16  # hexadecimal digits of a mark: two of a million alike in one case of 4e7
+Marks = dict[int, frozenset[str]]  # of each frame that has any
+
+
+def content_hashes(recording: Recording) -> Marks:
+    """Content hashes of a recording's frames, and of the data they were measured from. Raises FileError.
+    Raises FileError for an image that cannot be read.
+    """
+    if recording.parts:
+        return {
+            part.frames + frame: own
+            for part in recording.parts
+            for frame, own in content_hashes(part.recording).items()
+        }
+    with start_content_hashing(recording) as marked:
+        return marked()
+
+
+@contextmanager
+def start_content_hashing(recording: Recording) -> Iterator[Callable[[], Marks]]:
+    """Start hashing a recording's frames in background threads; returns a function that gives the hashes.
+    any.
+    """
+    paths = [recording.folder / name for name in recording.exposures.image if name]
+    if worker_count() < 2:
+        yield lambda: _marks(recording, dict(zip(paths, map(file_digest, paths))))
+        return
+    pool = ThreadPoolExecutor(worker_count())
+    try:
+        digests = pool.map(file_digest, paths)
+        yield lambda: _marks(recording, dict(zip(paths, digests)))
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _marks(recording: Recording, digests: dict[Path, str]) -> Marks:
+    """digests : of the images' files"""
+    found = [
+        *_images(recording, digests),
+        *((frame, mark) for part in (_corners, _poses, _limbs) for frame, mark in part(recording)),
+    ]
+    often = Counter(mark for _, mark in found)
+    out = defaultdict(set)
+    for frame, mark in found:
+        if often[mark] == 1:
+            out[frame].add(mark)
+    origin = load_manifest(recording.folder).origin
+    for line in origin.data if origin is not None else ():
+        number, _, mark = line.partition(" ")
+        if number.isdigit():
+            out[int(number)].add(mark)
+    return {frame: frozenset(own) for frame, own in out.items()}
+
+
+def hash_lines(hashes: Marks) -> tuple[str, ...]:
+    """Lines of hashes for a manifest, "frame hash" each."""
+    return tuple(f"{frame} {mark}" for frame, own in sorted(hashes.items()) for mark in sorted(own))
+
+
+def hashes_of_frames(hashes: Marks, frames: Iterable[int] | None = None) -> list[str]:
+    """Hashes of some frames, all by default, in order."""
+    return sorted(set().union(*(own for frame, own in hashes.items() if frames is None or frame in set(frames))))
+
+
+def frames_with_known_hashes(hashes: Marks, known_hashes: Collection[str]) -> list[int]:
+    """Frames that have known hashes."""
+    known_hashes = frozenset(known_hashes)
+    return sorted(frame for frame, own in hashes.items() if own & known_hashes)
+
+
+def _images(recording: Recording, digests: dict[Path, str]) -> list[tuple[int, str]]:
+    out = []
+    for frame, name in zip(recording.exposures.frame.tolist(), recording.exposures.image):
+        if name:
+            whole = digests[recording.folder / name]
+            if not whole:
+                raise FileError(recording.folder / name, "cannot be read")
+            out.append((frame, whole[:LENGTH]))
+    return out
+
+
+def _corners(recording: Recording) -> list[tuple[int, str]]:
+    c = recording.corners
+    if c is None:
+        return []
+    seen = defaultdict(list)
+    for frame, camera, marker, corner, (u, v) in zip(
+        c.frame.tolist(), c.camera, c.marker.tolist(), c.corner.tolist(), c.uv
+    ):
+        seen[frame, camera].append((marker, corner, f"{u:.5f} {v:.5f}"))
+    return [(frame, _mark("corners", sorted(rows))) for (frame, _), rows in seen.items()]
+
+
+def _poses(recording: Recording) -> list[tuple[int, str]]:
+    p = recording.poses
+    if p is None:
+        return []
+    rows = np.atleast_2d(pose_to_vector(p.T_base_platform))
+    return [(frame, _mark("pose", [f"{value:.9f}" for value in row])) for frame, row in zip(p.frame.tolist(), rows)]
+
+
+def _limbs(recording: Recording) -> list[tuple[int, str]]:
+    log = recording.sensors
+    names = (
+        sorted((name for name in log.channels if LIMB.fullmatch(name)), key=lambda name: int(name[1:]))
+        if log is not None
+        else []
+    )
+    if log is None or not names:
+        return []
+    frames, t = recording.exposures.times()
+    within = (log.t[0] <= t) & (t <= log.t[-1])
+    lengths = np.stack([np.interp(t[within], log.t, log.channels[name]) for name in names], axis=1)
+    return [
+        (frame, _mark("limbs", [f"{value:.8f}" for value in row]))
+        for frame, row in zip(frames[within].tolist(), lengths)
+    ]
+
+
+def _mark(kind: str, content: list) -> str:
+    return sha256(repr((kind, content)).encode()).hexdigest()[:LENGTH]

@@ -1,0 +1,222 @@
+"""Emulated cameras and sensors of a rig: images rendered at its true pose, served over TCP."""
+
+import json
+import queue
+import socket
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from rig.driving.cameras.emulated_camera_client import USUAL
+from rig.driving.clock import Clock
+from rig.errors import RigError
+from rig.model import motion_simulation
+from rig.model.pose import transform_points
+from rig.planning.plan import Plan
+from rig.recording.recording_folder import Commands, Sensors
+from synthetic import secret_machine as worlds
+from synthetic.image_simulation import Images, render_image
+from synthetic.recording_simulation import Simulation
+from synthetic.secret_machine import World, remount_cubes
+
+LONGEST = 24 * 3600.0  # s that the temperatures lasts; beyond it stays as it was
+SOON, LATE = (
+    0.02,
+    20.0,
+)  # s between looks at the history for what the struts did up to a moment, and until that is given up
+Told = Callable[[], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Temperatures:
+    """true, log : Sensors, as it truly is and as thermometers have it."""
+
+    true: Sensors
+    log: Sensors
+
+
+class EmulatedCameras:
+    """What cameras and sensors of a world show. images : Images; seed : of temperatures and noise
+    told : the struts' history so far, (k,) s and (k, n) m, straight between; it is waited for until it reaches the
+        moment of asking."""
+
+    def __init__(self, world: World, images: Images, seed: int, told: Told, clock: Clock) -> None:
+        self._clock = clock
+        self.world, self._images, self._seed, self._told, self._count = remount_cubes(world, {}), images, seed, told, 0
+        self._temperatures = Temperatures(
+            *worlds.draw_temperatures(LONGEST, np.random.default_rng(seed), len(world.true.mechanism.axes))
+        )
+        self._start: float | None = None
+
+    def image(self, name: str, t: float, exposure: float) -> np.ndarray:
+        """The image of a camera exposed at t (s, the history's clock) for so long (s; USUAL gives the stated
+        brightness).
+
+        Raises RigError for a camera that there is not, and where nobody says where the struts stood.
+        """
+        names = [camera.name for camera in self.world.true.cameras]
+        if name not in names:
+            raise RigError(f"no camera {name!r}; there are {', '.join(names)}")
+        sensor = replace(self._images.sensor, gain=self._images.sensor.gain * exposure / USUAL)
+        self._count += 1
+        return render_image(
+            self._now(t), 0, names.index(name), replace(self._images, sensor=sensor), self._seed + self._count
+        )
+
+    def pose(self, t: float) -> np.ndarray:
+        """(4, 4) T_base_platform as it truly is at t (s)."""
+        return self._now(t).run.T_base_platform.as_matrix()[0]
+
+    def sensors(self, t: float) -> dict[str, float]:
+        """{channel: value} as thermometers and measuring limbs read at t (s)."""
+        now = self._now(t)
+        log = {
+            name: float(np.interp(now.plan.t[0], self._temperatures.log.t, values))
+            for name, values in self._temperatures.log.channels.items()
+        }
+        limbs = self.world.true.insitu
+        if limbs is None:
+            return log
+        self._count += 1
+        noise = limbs.length_sigma * np.random.default_rng([self._seed, self._count]).normal(size=len(limbs.channels))
+        legs = transform_points(now.run.T_base_platform, limbs.platform_joints)[0] - limbs.base_joints
+        read = np.linalg.norm(legs, axis=-1) - limbs.zeros + noise
+        return log | dict(zip(limbs.channels, read.tolist()))
+
+    def _now(self, t: float) -> Simulation:
+        """The machine at t (s), after all that its struts have done."""
+        times, lengths = self._told()
+        while times[-1] < t:  # where they stand at t is not known before
+            if self._clock.now() > t + LATE:
+                raise RigError(
+                    f"what the struts did is told up to {t - times[-1]:.1f} s before the exposure, and no "
+                    f"further for {LATE:g} s"
+                )
+            self._clock.sleep(SOON)
+            times, lengths = self._told()
+        self._start = float(times[0]) if self._start is None else self._start
+        past = times < t
+        at = np.array([np.interp(t, times, column) for column in lengths.T])
+        commands = Commands(np.r_[times[past], t] - self._start, np.vstack([lengths[past], at]))
+        when, warmth = np.array([t - self._start]), self._temperatures.true
+        plan = Plan(commands, when, np.array([(0.0, 0.0)]))
+        loaded = replace(warmth, channels={**warmth.channels, "payload_mass_kg": np.zeros(len(warmth.t))})
+        run = motion_simulation.run_machine(
+            self.world.true,
+            commands,
+            when,
+            self.world.effects,
+            loaded,
+            rates=motion_simulation.has_rolling_shutter(self.world.true, self.world.effects),
+        )
+        return Simulation(self.world, plan, loaded, self._temperatures.log, run)
+
+
+class HistoryFromFile:
+    """The history that an emulator writes as it happens (rig.driving.emulators.TrueCommandsLog), read on from where it
+    was left.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._at, self._rest = Path(path), 0, ""
+        self._rows: list[list[float]] = []
+
+    def __call__(self) -> tuple[np.ndarray, np.ndarray]:
+        """((k,) s, (k, n) m) so far. Raises RigError where there is nothing yet."""
+        with open(self._path, encoding="utf-8") as file:
+            file.seek(self._at)
+            text = file.read()
+            self._at = file.tell()
+        *lines, self._rest = (self._rest + text).split("\n")
+        for line in lines:
+            if line and not line.startswith("t,"):
+                row = [float(cell) for cell in line.split(",")]
+                if len(self._rows) > 1 and row[1:] == self._rows[-1][1:] == self._rows[-2][1:]:
+                    self._rows.pop()  # struts that go on standing need no more rows
+                self._rows.append(row)
+        if not self._rows:
+            raise RigError(f"{self._path} says nothing yet of where the struts stand")
+        rows = np.array(self._rows)
+        return rows[:, 0], rows[:, 1:]
+
+
+LONGEST_REQUEST = 200  # bytes of a request
+LOOK = 0.2  # s between looks at whether to go on
+
+
+class CameraServer:
+    """Listens at an address (host, port; 0: any). Requests are taken, and the exposure's moment with them, while a
+    picture is being drawn; pictures are drawn one after the other in the thread that calls `serve`: OpenGL wants
+    that."""
+
+    def __init__(self, eyes: EmulatedCameras, address: tuple[str, int], clock: Clock) -> None:
+        self._eyes, self._clock = eyes, clock
+        try:
+            self._listening = socket.create_server(address)
+        except OSError as error:
+            raise RigError(f"cannot listen at {address[0]}:{address[1]}: {error}") from None
+        self.name = "{}:{}".format(*self._listening.getsockname()[:2])
+        self._asked: queue.Queue[tuple[socket.socket, str, float]] = queue.Queue()
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def serve(self, going: Callable[[], bool]) -> None:
+        """Answer while going() says so."""
+        while going():
+            try:
+                caller, line, t = self._asked.get(timeout=LOOK)
+            except queue.Empty:
+                continue
+            try:
+                data = self._reply(line.split(), t)
+            except RigError as error:
+                data = json.dumps({"error": str(error)}).encode() + b"\n"
+            try:
+                caller.sendall(data)
+            except OSError:
+                caller.close()  # who asked is gone
+
+    def close(self) -> None:
+        """Listen no longer."""
+        self._listening.close()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                caller = self._listening.accept()[0]
+            except OSError:
+                return  # closed
+            caller.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            threading.Thread(target=self._listen, args=(caller,), daemon=True).start()
+
+    def _listen(self, caller: socket.socket) -> None:
+        """Take a caller's requests as they come, until he hangs up or sends what is none."""
+        with caller, caller.makefile("rb") as stream:
+            try:
+                while (line := stream.readline(LONGEST_REQUEST)).endswith(b"\n"):
+                    self._asked.put((caller, line.decode("latin-1"), self._clock.now()))
+            except OSError:
+                return  # the line broke; there is nobody to answer
+
+    def _reply(self, words: list[str], t: float) -> bytes:
+        if words == ["sensors"]:
+            return (",".join(f"{value:.9g}" for value in self._eyes.sensors(t).values()) + "\n").encode()
+        if len(words) != 3 or words[0] != "expose":
+            raise RigError(f"expected `expose CAMERA SECONDS` or `sensors`, got {' '.join(words)!r}")
+        try:
+            exposure = float(words[2])
+        except ValueError:
+            exposure = np.nan
+        if not 0 < exposure < 100:
+            raise RigError(f"an exposure of {words[2]} s is none")
+        image = self._eyes.image(words[1], t, exposure)
+        eight = image.dtype == np.uint8
+        head = {
+            "width": image.shape[1],
+            "height": image.shape[0],
+            "bits": 8 if eight else 12,
+            "age": self._clock.now() - t,
+        }
+        return json.dumps(head).encode() + b"\n" + image.astype("u1" if eight else "<u2").tobytes()

@@ -1,0 +1,180 @@
+"""Rulers and legend of printed sheets, and the page that shows how cubes are assembled and where they stand."""
+
+import textwrap
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Polygon, Rectangle
+from scipy.spatial.transform import RigidTransform
+
+from rig.model.design import Design, Target
+
+MARGIN, LEFT, FOOT = (
+    10.0,
+    17.0,
+    20.0,
+)  # mm: at the edges; at the left, with its ruler; above the lower margin, for ruler, legend and label
+RULER = 100  # mm, of each ruler
+
+
+def usable_area(paper: tuple[float, float]) -> tuple[float, float]:
+    """Usable area (width, height) mm of a sheet of paper (width, height) mm."""
+    return paper[0] - LEFT - MARGIN, paper[1] - FOOT - 2 * MARGIN
+
+
+def cut_line_style() -> dict[str, Any]:
+    """Line style of a cut line, as matplotlib arguments."""
+    return {"color": "black", "lw": 0.5, "ls": "-"}
+
+
+def fold_line_style() -> dict[str, Any]:
+    """Line style of a fold line, as matplotlib arguments."""
+    return {"color": "0.45", "lw": 0.5, "ls": (0, (4, 3))}
+
+
+def draw_rulers_and_legend(axes: Axes, paper: tuple[float, float], label: str) -> None:
+    """Draw the rulers, the legend and the label of a sheet. paper : (width, height) mm"""
+    for along in (0, 1):
+        start = (LEFT, MARGIN) if along == 0 else (MARGIN, MARGIN + FOOT)
+        _ruler(axes, start, along)
+    x, y = LEFT + RULER + 6, MARGIN + 2
+    for text, style in (("cut", cut_line_style()), ("fold", fold_line_style())):
+        axes.plot([x, x + 10], [y, y], **style)
+        axes.text(x + 11.5, y, text, fontsize=7, va="center")
+        x += 21
+    axes.add_patch(Rectangle((x, y - 1.5), 8, 3, fc="0.93", ec="none"))
+    axes.text(x + 9.5, y, "glue", fontsize=7, va="center")
+    axes.text(LEFT, MARGIN + 13.5, label, fontsize=7)
+    axes.text(
+        LEFT,
+        MARGIN + 9.5,
+        f"Both rulers are {RULER} mm long when printed at 100 %; if not, the markers are off by as much: "
+        "measure them, or rig check-print.",
+        fontsize=6,
+    )
+
+
+def _ruler(axes: Axes, start: tuple[float, float], along: int) -> None:
+    """A ruler of whole centimetres from start (mm), to the right (along 0) or upwards (1)."""
+    for mm in range(RULER + 1):
+        tall = 5 if mm % 10 == 0 else 3.5 if mm % 5 == 0 else 2
+        at = (start[0] + mm, start[1]) if along == 0 else (start[0], start[1] + mm)
+        axes.plot(*zip(at, (at[0], at[1] + tall) if along == 0 else (at[0] + tall, at[1])), color="black", lw=0.3)
+    last = (start[0] + RULER, start[1]) if along == 0 else (start[0], start[1] + RULER)
+    axes.plot(*zip(start, last), color="black", lw=0.3)
+
+
+BODIES = ("base", "platform")
+STEPS = (
+    "1. Print all sheets at 100 %, without fitting to the page. Measure both rulers and some markers with a "
+    "caliper, or photograph a sheet and "
+    "run rig check-print; write the side that is true into rig.toml.",
+    "2. Cut along the full black lines, flaps (grey) included. Score the dashed lines with a blunt blade, "
+    "and fold them back by "
+    "90 degrees, the print outside.",
+    "3. Glue flap by flap under the face that bears no flap at that edge; names on the faces meet as on this "
+    "page. A cube on several sheets is "
+    "put together in the same way: its faces' names (+x, +y, -x, -y, then +z on top and -z below) say what "
+    "comes beside what.",
+    "4. Better than paper alone: wrap the net around a solid body (rig print --stl writes one for each "
+    "cube). Faces must be flat and "
+    "markers without bubbles.",
+    "5. Fix each cube where the views below have it: +x along its arrow, the face that is named up. Some "
+    "millimetres do not matter: `rig measure` "
+    "finds the true places; a face turned or exchanged does matter.",
+)
+
+
+def draw_assembly_page(axes: Axes, design: Design, paper: tuple[float, float], count: int) -> None:
+    """Draw the assembly page of a design's cubes. paper : (width, height) mm; count : sheets before it"""
+    width, top = paper[0] - 2 * MARGIN, paper[1] - MARGIN
+    axes.text(MARGIN, top, f"{design.name}: {len(design.targets)} targets on {count} sheets", fontsize=12, va="top")
+    y = top - 9
+    for step in STEPS:
+        lines = textwrap.wrap(step, int(width / 1.52))
+        axes.text(MARGIN, y, "\n".join(lines), fontsize=7.5, va="top", linespacing=1.3)
+        y -= 3.6 * len(lines) + 2
+    bodies = [body for body in BODIES if any(target.body == body for target in design.targets)]
+    bodies += sorted({target.body for target in design.targets} - set(BODIES))
+    high = (y - MARGIN) / len(bodies)
+    for k, body in enumerate(bodies):
+        _body(axes, design, body, (MARGIN, y - (k + 1) * high, width, high - 4))
+
+
+def _body(axes: Axes, design: Design, body: str, frame: tuple[float, float, float, float]) -> None:
+    """One body from above, +x of its frame to the right. frame : (left, bottom, width, height) mm on the sheet"""
+    left, bottom, width, height = frame
+    targets = [target for target in design.targets if target.body == body]
+    joints = getattr(design.mechanism, {"base": "base_joints", "platform": "platform_joints"}.get(body, ""), None)
+    outlines = [target_outline(target) for target in targets]
+    points = np.concatenate([*outlines, np.zeros((1, 2)), *([] if joints is None else [np.asarray(joints)[:, :2]])])
+    low, span = points.min(axis=0), np.maximum(np.ptp(points, axis=0), 1e-3)
+    scale = min((width - 20) / span[0], (height - 22) / span[1])
+    origin = np.array([left + width / 2, bottom + (height - 8) / 2]) - scale * (low + span / 2)
+    axes.text(
+        left,
+        bottom + height - 4,
+        f"{body}, from above (+z of its frame towards you), 1 : {1e3 / scale:.2g}",
+        fontsize=9,
+    )
+    for axis, name in enumerate("xy"):
+        end = origin + 12 * np.eye(2)[axis]
+        axes.annotate("", end, origin, arrowprops={"arrowstyle": "->", "color": "0.4", "lw": 0.8})
+        axes.text(
+            end[0] + 2 * (axis == 0), end[1] + 2 * (axis == 1), name, fontsize=7, color="0.4", ha="center", va="center"
+        )
+    for number, joint in enumerate([] if joints is None else np.asarray(joints)[:, :2]):
+        place = origin + scale * joint
+        axes.plot(*place, "o", ms=3, mfc="none", mec="0.4", mew=0.6)
+        axes.text(place[0] + 1.5, place[1] + 1.5, f"joint {number + 1}", fontsize=6, color="0.4")
+    for target, shape in zip(targets, outlines):
+        _target(axes, target, origin + scale * shape)
+
+
+def _target(axes: Axes, target: Target, shape: np.ndarray) -> None:
+    """A target where its outline (n, 2) mm lies: name, what is up, and a cube's +x."""
+    middle = shape.mean(axis=0)
+    axes.add_patch(Polygon(shape, closed=True, fill=False, ec="black", lw=0.8))
+    text = target.name
+    if target.pose is not None:
+        turn = target.pose.rotation.as_matrix()
+        edge, along = np.linalg.norm(shape[1] - shape[0]), turn[:2, 0]
+        if np.linalg.norm(along) > 0.1:
+            axes.annotate(
+                "+x",
+                middle + 0.5 * edge * along,
+                middle + (0.5 * edge + 9) * along,
+                color="tab:red",
+                fontsize=7,
+                ha="center",
+                va="center",
+                arrowprops={"arrowstyle": "<-", "color": "tab:red", "lw": 0.8},
+            )
+        up = int(np.abs(turn[2]).argmax())
+        text += f"\n{'+' if turn[2, up] > 0 else '-'}{'xyz'[up]} up\nz = {target.pose.translation[2] * 1e3:.0f} mm"
+    axes.text(
+        middle[0],
+        middle[1],
+        text,
+        fontsize=6.5,
+        ha="center",
+        va="center",
+        bbox={"boxstyle": "square,pad=0", "fc": "white", "ec": "none"},
+    )
+
+
+def target_outline(target: Target) -> np.ndarray:
+    """Outline (n, 2) m of a target from above in its body's frame."""
+    if target.edge is not None and target.pose is not None:
+        turn = target.pose.rotation.as_matrix()
+        up = int(np.abs(turn[2]).argmax())
+        a, b = (axis for axis in range(3) if axis != up)
+        corners = np.zeros((4, 3))
+        corners[:, [a, b]] = target.edge / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        return target.pose.apply(corners)[:, :2]
+    poses = RigidTransform.concatenate([marker.pose for marker in target.listed])
+    half = max(marker.side for marker in target.listed) / 2
+    places = poses.translation[:, :2]
+    low, high = places.min(axis=0) - half, places.max(axis=0) + half
+    return np.array([low, (high[0], low[1]), high, (low[0], high[1])])
