@@ -23,7 +23,7 @@ from synthetic import rig_meshes
 from synthetic.image_sensor import expose_image
 from synthetic.recording_simulation import Simulation, carried_camera_poses, stage_poses_of_run
 from synthetic.renderer import SAMPLES, Renderer, import_pyrender
-from vision.predict import State, facing, predict_sightings
+from vision.predict import State, markers_facing_cameras, predict_sightings
 from vision.targets import marker_map
 
 BLEND = (
@@ -240,7 +240,7 @@ def _travel(i: int, T: RigidTransform) -> float:
     """px that the fastest corner in view of camera i moves between two poses (2,)."""
     design = _state["design"]
     state, markers = State(design.cameras, T, carried_camera_poses(design.cameras, T)), marker_map(design)
-    found = facing(state, markers)
+    found = markers_facing_cameras(state, markers)
     found = found.take((found.camera == i) & (found.frame == 0))
     if not len(found.frame):
         return 0.0

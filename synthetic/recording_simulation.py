@@ -23,7 +23,7 @@ from rig.recording.recording_tables import write_corners, write_table
 from synthetic import secret_machine as worlds
 from synthetic.occlusion import is_occluded
 from synthetic.secret_machine import remount_cubes
-from vision.predict import Sightings, State, facing, is_inside_image, predict_sightings
+from vision.predict import Sightings, State, is_inside_image, markers_facing_cameras, predict_sightings
 from vision.targets import MarkerMap, marker_map
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ def _sight_of(
     state = State(
         world.true.cameras, body.T_base_platform, carried_camera_poses(world.true.cameras, run.T_base_platform)
     )
-    found = facing(state, real, steepest)
+    found = markers_facing_cameras(state, real, steepest)
     found = found.take(real.stage[found.marker] == stage)
     uv = predict_sightings(found, state, stated, simulation.plan.t, world.effects, simulation.sensors, body)
     whole = is_inside_image(found, uv, state.cameras)

@@ -29,7 +29,7 @@ from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.planning.plan import build_plan
 from tests.vision.reading.test_camera_and_marker_alarms import sight
-from vision.reading.live_measurement import Live, sight_from_limbs
+from vision.reading.live_measurement import Live, sight_from_measuring_limbs
 
 
 class Measured:
@@ -146,7 +146,9 @@ class Told:
 
     def take(self, frame, images, expected):
         self.looked.append(frame)
-        return sight_from_limbs(frame, self.poses[frame], np.diag(np.r_[np.full(3, 4e-6), np.full(3, 2e-5)] ** 2))
+        return sight_from_measuring_limbs(
+            frame, self.poses[frame], np.diag(np.r_[np.full(3, 4e-6), np.full(3, 2e-5)] ** 2)
+        )
 
     def adjust(self):
         return None

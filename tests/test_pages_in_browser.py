@@ -22,7 +22,7 @@ from rig.cli.shared.blind_campaign_page import write_campaign_page
 from rig.report.pages.run_page_server import PageServer
 from synthetic.diagnosis_score import Case, Found, Hidden
 from tests.rig.report.pages.test_run_page_server import EVENT
-from vision.jpeg_pictures import encode_jpeg
+from vision.frame_pictures import encode_jpeg
 
 pytestmark = pytest.mark.slow
 KINDS = (

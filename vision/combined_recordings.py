@@ -1,5 +1,4 @@
-"""Several recordings of one rig -> one: each is measured alone first, and a camera that stands elsewhere than before
-becomes one of its own, as a cube does that was taken off and put back."""
+"""Combined recordings of one rig, each measured alone first to find the cameras that were moved."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -93,8 +92,8 @@ class CombinedRecordings:
 
 
 def combine_recordings(recordings: Sequence[Recording], progress: Progress | None = None) -> CombinedRecordings:
-    """CombinedRecordings of recordings of one rig, in the order in which they were taken. progress : called with
-    (label, done, of), or None
+    """CombinedRecordings of several recordings of one rig, in the order in which they were taken.
+    progress : called with (label, done, of), or None
 
     Raises RigError naming what their rig.toml contradict each other in, and what measuring raises
     """

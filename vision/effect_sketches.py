@@ -1,6 +1,4 @@
-"""Sketches of effects, made from their own models: what one does to markers in an image or, by rig.effects.sketches, to
-the machine.
-"""
+"""Sketches of effects, drawn by the effects' models: the displacement of marker corners in an image."""
 
 from dataclasses import replace
 from functools import cache
@@ -44,13 +42,13 @@ PLACES = {
 
 
 def effect_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
-    """Sketch of an effect of a kind, `factor` times as large as the largest that rigs show.
+    """Sketch of an effect of a kind, at `factor` times the largest size on real rigs.
 
     Raises RigError for an effect that neither the rig of the sketches nor its camera can have
     """
     if kind.stage in MOTION_STAGES:
         return sketches.draw_sketch(kind, factor)
-    way = effect_example(kind, PLACES[kind.places[-1]], factor, sketch_targets(), corner_displacement)
+    way = effect_example(kind, PLACES[kind.places[-1]], factor, _sketch_targets(), _corner_displacement)
     true, found = (_seen(effects, way.t, way.sensors) for effects in ([], [way.effect]))
     by = found[-1] - true[-1]
     much = enlargement_factor(float(np.linalg.norm(by, axis=-1).max()), DRAWN)
@@ -73,17 +71,17 @@ def effect_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
     return Sketch(place_and_values_text(way.effect), (picture, through))
 
 
-def corner_displacement(effect: Effect, camera: Camera) -> float:
+def _corner_displacement(effect: Effect, camera: Camera) -> float:
     """px RMS by which an effect moves corners all over the image of the sketches' camera, which is the only one there
     is.
     """
-    assert camera.name == sketch_targets().cameras[0].name
+    assert camera.name == _sketch_targets().cameras[0].name
     true, found = (_seen(effects, np.zeros(1), None) for effects in ([], [effect]))
     return float(np.sqrt(np.mean(np.sum((found - true) ** 2, axis=-1))))
 
 
 @cache
-def sketch_targets() -> Design:
+def _sketch_targets() -> Design:
     """A camera before targets of four markers each, which face it, nearer ones and farther ones side by side, all over
     its image.
     """
@@ -109,7 +107,7 @@ def sketch_targets() -> Design:
 
 def _seen(effects: list[Effect], t: np.ndarray, sensors: Sensors | None) -> np.ndarray:
     """(n, markers, 4, 2) px, all corners of the wall at exposures at t (n,) s."""
-    design, count = sketch_targets(), len(t)
+    design, count = _sketch_targets(), len(t)
     markers = marker_map(design)
     still = RigidTransform.from_matrix(np.broadcast_to(np.eye(4), (count, 4, 4)))
     moving = Run(still, np.zeros((count, 6)), np.tile([SPEED, 0, 0, 0, 0, 0], (count, 1)), np.zeros((count, 6)))

@@ -1,5 +1,4 @@
-"""Cameras that the platform carries (mount "hand"): the base is the body that is seen, and the platform stands where
-that says, inverted.
+"""Hand-mounted cameras (on the platform): the recording with base and platform exchanged, poses inverted.
 
 In the platform's own frame such a camera stands still and the base's markers move. So it is measured like any rig, with
 base and platform exchanged; the stated pose of the camera in the platform holds the platform's frame, the markers'
@@ -17,7 +16,7 @@ from vision.recording_adjustment import Measurement
 
 
 def has_hand_cameras(design: Design) -> bool:
-    """Whether a rig's cameras are carried by its platform; rig.toml has all of them there, or none."""
+    """Whether the platform carries a design's cameras (mount "hand")."""
     return any(camera.mount == "hand" for camera in design.cameras)
 
 
@@ -33,15 +32,15 @@ def recording_seen_from_hand(recording: Recording) -> Recording:
 
 
 def design_seen_from_hand(design: Design) -> Design:
-    """A design whose cameras are in the hand as seen from there, see `recording_seen_from_hand`."""
+    """The Design seen from the hand: cameras fixed, the targets on the moving body."""
     cameras = tuple(replace(camera, mount="fixed") for camera in design.cameras)
     return replace(
         design, cameras=cameras, targets=tuple(replace(target, body="platform") for target in design.targets)
     )
 
 
-def invert_measurement(measured: Measurement) -> Measurement:
-    """The Measurement of a body whose poses are the inverses: poses, covariances and what they share.
+def invert_measured_poses(measured: Measurement) -> Measurement:
+    """The Measurement with inverted poses, with their covariances.
 
     T exp(xi) of the one is T^-1 exp(-Ad xi) of the other, with Ad that of T.
     """

@@ -1,6 +1,4 @@
-"""Lenses to begin from where the stated ones lead nowhere: some of which nothing is known, some found with markers'
-places free.
-"""
+"""Initial lenses for an adjustment where the stated lenses fail."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -19,23 +17,24 @@ UNSTATED = (
 Cameras = tuple[Camera, ...]
 
 
-def initial_lenses(stated: Cameras, loosened: Callable[[Cameras], Cameras | None]) -> Iterator[Cameras]:
-    """Cameras with other lenses to begin from, as stated but for these: some of which nothing is known, then those
-    found with markers' places free.
+def alternative_initial_lenses(
+    stated: Cameras, adjust_with_free_places: Callable[[Cameras], Cameras | None]
+) -> Iterator[Cameras]:
+    """Alternative initial lenses in turn: plain ones first, then lenses adjusted with free marker places.
 
-    loosened : Cameras -> these, adjusted with markers' places free, or None where that fails
+    adjust_with_free_places : Cameras -> these, adjusted with markers' places free, or None where that fails
     A lens far from the stated one puts corners of its camera so far off that frames or the whole camera are left out;
     with places free they are not
     """
-    unknown = [unknown_lenses(stated, factor) for factor in FACTORS]
+    unknown = [_undistorted_lenses(stated, factor) for factor in FACTORS]
     yield from unknown
     for begun in (stated, unknown[0]):
-        found = loosened(begun)
+        found = adjust_with_free_places(begun)
         if found is not None:
             yield found
 
 
-def unknown_lenses(stated: Cameras, factor: float = 1.0) -> Cameras:
+def _undistorted_lenses(stated: Cameras, factor: float = 1.0) -> Cameras:
     """The same cameras with no distortion, the centre in the middle of the image and a factor times the stated focal
     length.
     """
@@ -48,9 +47,7 @@ def unknown_lenses(stated: Cameras, factor: float = 1.0) -> Cameras:
 
 
 def are_lenses_plausible(adjusted: Cameras, stated: Cameras) -> bool:
-    """Whether lenses that adjusting found from nothing known are such as cameras have: near the stated focal length,
-    centred nearly.
-    """
+    """Whether adjusted lenses are plausible: near the stated focal length, centred in the image."""
     zoomed = [abs(float(a.matrix[0, 0] / s.matrix[0, 0]) - 1) for a, s in zip(adjusted, stated)]
     aside = [
         float(np.abs(a.matrix[:2, 2] - [(s.width - 1) / 2, (s.height - 1) / 2]).max()) / s.width

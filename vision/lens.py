@@ -1,10 +1,84 @@
-"""OpenCV's lens: project with Jacobian, undistort. Points in the camera's frame (OpenCV axes: x right, y down, z
+"""OpenCV's lens model: projection with Jacobian and undistortion, with their compiled kernels.
+
+Points in the camera's frame (OpenCV axes: x right, y down, z
 ahead).
 """
 
 import numpy as np
 
-from vision import projection_kernels
+from rig.compute.numba_kernels import njit
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _project_kernel(points: np.ndarray, matrix: np.ndarray, k: np.ndarray, uv: np.ndarray) -> None:
+    """Into uv (n, 2) px the images of points (n, 3) m in the camera's frame; matrix : (3, 3) px; k : (14,) terms as
+    OpenCV orders them.
+    """
+    for n in range(len(points)):
+        x, y = points[n, 0] / points[n, 2], points[n, 1] / points[n, 2]
+        xx, xy, yy = x * x, x * y, y * y
+        r2 = xx + yy
+        radial = (1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / (1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
+        xd = x * radial + 2 * k[2] * xy + k[3] * (r2 + 2 * xx) + r2 * (k[8] + r2 * k[9])
+        yd = y * radial + k[2] * (r2 + 2 * yy) + 2 * k[3] * xy + r2 * (k[10] + r2 * k[11])
+        uv[n, 0], uv[n, 1] = matrix[0, 0] * xd + matrix[0, 2], matrix[1, 1] * yd + matrix[1, 2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _project_jacobian_kernel(
+    points: np.ndarray, matrix: np.ndarray, k: np.ndarray, uv: np.ndarray, to_point: np.ndarray, to_lens: np.ndarray
+) -> None:
+    """The same, and into to_point (n, 2, 3) px/m and to_lens (n, 2, 4 + terms) how they change with points, fx fy cx cy
+    and terms.
+    """
+    fx, fy, terms = matrix[0, 0], matrix[1, 1], to_lens.shape[2] - 4
+    row = np.zeros((2, 14))
+    for n in range(len(points)):
+        z = points[n, 2]
+        x, y = points[n, 0] / z, points[n, 1] / z
+        xx, xy, yy = x * x, x * y, y * y
+        r2 = xx + yy
+        denominator = 1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
+        radial = (1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / denominator
+        xd = x * radial + 2 * k[2] * xy + k[3] * (r2 + 2 * xx) + r2 * (k[8] + r2 * k[9])
+        yd = y * radial + k[2] * (r2 + 2 * yy) + 2 * k[3] * xy + r2 * (k[10] + r2 * k[11])
+        uv[n, 0], uv[n, 1] = fx * xd + matrix[0, 2], fy * yd + matrix[1, 2]
+        slope = (
+            (k[0] + r2 * (2 * k[1] + 3 * r2 * k[4])) - radial * (k[5] + r2 * (2 * k[6] + 3 * r2 * k[7]))
+        ) / denominator  # radial's, to r2
+        thin_x, thin_y = k[8] + 2 * r2 * k[9], k[10] + 2 * r2 * k[11]
+        cross = 2 * xy * slope + 2 * k[2] * x + 2 * k[3] * y
+        a, b = radial + 2 * xx * slope + 2 * k[2] * y + 6 * k[3] * x + 2 * x * thin_x, cross + 2 * y * thin_x
+        c, d = cross + 2 * x * thin_y, radial + 2 * yy * slope + 6 * k[2] * y + 2 * k[3] * x + 2 * y * thin_y
+        to_point[n, 0, 0], to_point[n, 0, 1], to_point[n, 0, 2] = fx * a / z, fx * b / z, -fx * (a * x + b * y) / z
+        to_point[n, 1, 0], to_point[n, 1, 1], to_point[n, 1, 2] = fy * c / z, fy * d / z, -fy * (c * x + d * y) / z
+        power = r2 / denominator
+        for i, j in ((0, 5), (1, 6), (4, 7)):
+            row[0, i], row[1, i] = x * power, y * power
+            row[0, j], row[1, j] = -x * radial * power, -y * radial * power
+            power *= r2
+        row[0, 2], row[1, 2], row[0, 3], row[1, 3] = 2 * xy, r2 + 2 * yy, r2 + 2 * xx, 2 * xy
+        row[0, 8], row[0, 9], row[1, 10], row[1, 11] = r2, r2 * r2, r2, r2 * r2
+        to_lens[n, 0, 0], to_lens[n, 1, 0], to_lens[n, 0, 1], to_lens[n, 1, 1] = xd, 0.0, 0.0, yd
+        to_lens[n, 0, 2], to_lens[n, 1, 2], to_lens[n, 0, 3], to_lens[n, 1, 3] = 1.0, 0.0, 0.0, 1.0
+        for i in range(terms):
+            to_lens[n, 0, 4 + i], to_lens[n, 1, 4 + i] = fx * row[0, i], fy * row[1, i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def transform_platform_points(
+    points: np.ndarray, Ts_base_platform: np.ndarray, frame: np.ndarray, on_platform: np.ndarray, out: np.ndarray
+) -> None:
+    """Transform the points on the platform by the pose of their frame, into out (n, 3) m; others are copied.
+    points : (n, 3) m; Ts_base_platform : (F, 4, 4); frame : (n,); on_platform : (n,) bool
+    """
+    for n in range(len(points)):
+        for i in range(3):
+            out[n, i] = points[n, i]
+            if on_platform[n]:
+                M = Ts_base_platform[frame[n]]
+                out[n, i] = M[i, 0] * points[n, 0] + M[i, 1] * points[n, 1] + M[i, 2] * points[n, 2] + M[i, 3]
+
 
 INTRINSICS = ("fx", "fy", "cx", "cy")
 DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
@@ -12,21 +86,21 @@ UNDISTORT_TOLERANCE = 1e-13  # of the focal length
 
 
 def project(points: np.ndarray, matrix: np.ndarray, distortion: np.ndarray) -> np.ndarray:
-    """Pixels (..., 2) of points (..., 3) m in the camera's frame.
+    """Project points (..., 3) m in the camera's frame to pixels (..., 2).
 
     matrix : (3, 3) px; distortion : (4, 5, 8, 12 or 14,) in OpenCV's order. A point must lie ahead (z > 0).
     Source: OpenCV, calib3d camera model
     """
     flat, matrix, k = _flat(points, matrix, distortion)
     uv, tilted = np.empty((len(flat), 2)), bool(k[12:].any())
-    projection_kernels.project(flat, np.eye(3) if tilted else matrix, k, uv)
+    _project_kernel(flat, np.eye(3) if tilted else matrix, k, uv)
     return (_on_sensor(uv, matrix, _tilt(*k[12:])) if tilted else uv).reshape(*np.shape(points)[:-1], 2)
 
 
 def project_jacobian(
     points: np.ndarray, matrix: np.ndarray, distortion: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pixels (..., 2), their Jacobian to the point (..., 2, 3) px/m and to the lens (..., 2, 4 + terms).
+    """Projected pixels (..., 2), and their Jacobian to the point (..., 2, 3) and the lens (..., 2, 4 + terms).
 
     Lens columns: fx fy cx cy (px/px), then the distortion terms in OpenCV's order.
     """
@@ -37,7 +111,7 @@ def project_jacobian(
         np.empty((len(flat), 2, 3)),
         np.empty((len(flat), 2, 4 + len(distortion))),
     )
-    projection_kernels.derivatives(flat, np.eye(3) if sensor else matrix, k, uv, to_point, to_lens)
+    _project_jacobian_kernel(flat, np.eye(3) if sensor else matrix, k, uv, to_point, to_lens)
     if sensor:
         _derivatives_on_sensor(uv, to_point, to_lens, matrix, k[12:])
         uv = _on_sensor(uv, matrix, _tilt(*k[12:]))
@@ -45,7 +119,7 @@ def project_jacobian(
 
 
 def undistort(uv: np.ndarray, matrix: np.ndarray, distortion: np.ndarray) -> np.ndarray:
-    """Ideal image coordinates x/z, y/z (..., 2) of pixels (..., 2): Newton on the lens, to 1e-13.
+    """Undistorted ideal coordinates x/z, y/z (..., 2) of pixels (..., 2), by Newton on the lens to 1e-13.
 
     Pixels to which the lens maps nothing come back as NaN.
     """
@@ -71,8 +145,10 @@ def undistort(uv: np.ndarray, matrix: np.ndarray, distortion: np.ndarray) -> np.
     return np.where(lost, np.nan, ideal)
 
 
-def terms(distortion: np.ndarray) -> tuple[str, ...]:
-    """Names of the lens's parameters in the Jacobian's order. distortion : (4, 5, 8, 12 or 14,)"""
+def lens_parameter_names(distortion: np.ndarray) -> tuple[str, ...]:
+    """Names of the lens parameters in the order of the Jacobian's columns.
+    distortion : (4, 5, 8, 12 or 14,)
+    """
     return INTRINSICS + DISTORTION[: len(distortion)]
 
 

@@ -1,6 +1,4 @@
-"""Poses that the cameras of a measured recording have yet to see: how sure they will be, and what errors they share
-with those measured already.
-"""
+"""Prediction of the uncertainty of poses not yet measured, and the errors that they share."""
 
 from dataclasses import dataclass, replace
 
@@ -10,11 +8,11 @@ from scipy.spatial.transform import RigidTransform
 from rig.errors import RigError
 from rig.model.design import Design
 from rig.model.pose import adjoint
-from vision.bundle.adjustment_unknowns import POSE_SCALE, Estimate, Unknowns
 from vision.bundle.normal_equations import linearise, normal_equations, schur_complement
+from vision.bundle.unknowns_and_estimate import POSE_SCALE, Estimate, Unknowns
 from vision.corner_observations import Observations, whitener
 from vision.hand_mounted_cameras import has_hand_cameras
-from vision.predict import Sightings, State, facing, is_inside_image, predict_sightings
+from vision.predict import Sightings, State, is_inside_image, markers_facing_cameras, predict_sightings
 from vision.recording_adjustment import Measurement
 from vision.targets import SQUARE
 
@@ -76,7 +74,7 @@ def _sightings(measured: Measurement, body: RigidTransform) -> tuple[Sightings, 
     """
     a = measured.adjustment
     state, markers = State(a.state.cameras, body, {}, a.state.placed), a.state.placed
-    found = facing(state, markers)
+    found = markers_facing_cameras(state, markers)
     found = found.take(
         np.isin(found.camera, list(a.unknowns.poses))
         & np.isin(found.marker, a.unknowns.seen)

@@ -1,4 +1,4 @@
-"""Poses and design -> corners: the one forward model of seeing."""
+"""Predicted corners of poses and a design: the one forward model of the cameras."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rig.model.design import Camera
 from rig.model.motion_simulation import Run
 from rig.model.pose import exp, transform_points
 from rig.recording.recording_folder import Sensors
-from vision import lens, projection_kernels
+from vision import lens
 from vision.targets import MarkerMap
 
 STEEPEST = np.cos(np.radians(78))  # markers seen more obliquely than this are not expected
@@ -76,17 +76,15 @@ class State:
         return State(self.cameras, self.platform[frames], {i: T[frames] for i, T in self.moving.items()}, self.markers)
 
 
-def predict(observations: ObservedCorners, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (n, 2) where the corners should be, and the points (n, 3) m in their camera's frame; z <= 0 is behind
-    it.
-    """
+def predict_corners(observations: ObservedCorners, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """Predicted pixels (n, 2) of the observed corners, and their points (n, 3) m in the camera's frame."""
     base, uv, ahead = (
-        base_points(observations, state),
+        observed_points_base(observations, state),
         np.empty((len(observations), 2)),
         np.empty((len(observations), 3)),
     )
-    for i, camera, rows in by_camera(observations, state):
-        ahead[rows] = in_camera(base[rows], observations.frame[rows], state, i)
+    for i, camera, rows in iterate_observed_cameras(observations, state):
+        ahead[rows] = points_in_camera_frame(base[rows], observations.frame[rows], state, i)
         uv[rows] = lens.project(ahead[rows], camera.matrix, camera.distortion)
     return uv, ahead
 
@@ -104,9 +102,9 @@ class Sightings:
         return Sightings(self.frame[index], self.camera[index], self.marker[index])
 
 
-def facing(state: State, markers: MarkerMap, steepest: float = STEEPEST) -> Sightings:
-    """Sightings of all markers that face a camera, lie ahead of it, and are not seen too obliquely (cosine of the
-    tilt).
+def markers_facing_cameras(state: State, markers: MarkerMap, least_cosine: float = STEEPEST) -> Sightings:
+    """Sightings of all markers facing a camera: ahead of it, not seen too obliquely.
+    least_cosine : of the tilt
     """
     base, normals = _quads(state.platform, markers)
     out = []
@@ -116,7 +114,7 @@ def facing(state: State, markers: MarkerMap, steepest: float = STEEPEST) -> Sigh
         sight = base.mean(axis=2) - eye
         cosine = -np.einsum("fmi,fmi->fm", normals, sight) / np.linalg.norm(sight, axis=2)
         depth = (sight[..., None, :] @ R)[..., 0, 2]
-        frame, marker = np.nonzero((cosine > steepest) & (depth > 2 * markers.side))
+        frame, marker = np.nonzero((cosine > least_cosine) & (depth > 2 * markers.side))
         out.append((frame, np.full(len(frame), i), marker))
     return Sightings(*(np.concatenate(column) for column in zip(*out)))
 
@@ -130,7 +128,7 @@ def predict_sightings(
     sensors: Sensors | None = None,
     run: Run | None = None,
 ) -> np.ndarray:
-    """Corners (k, 4, 2) px of sightings, with all that the effects do to markers, cameras and the moment of exposure.
+    """Predicted corners (k, 4, 2) px of sightings, with all effects on markers, cameras and exposure time.
 
     state : State; markers : MarkerMap as stated; t : (F,) s of the frames, for effects in time; sensors : Sensors or
         None
@@ -162,14 +160,13 @@ def predict_sightings(
 def visible_marker_counts(
     cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap
 ) -> np.ndarray:
-    """(F,) how many markers are seen whole, of the platform's by cameras that stand, of the base's by those in the
-    hand, at poses (F,).
+    """(F,) counts of the visible markers at poses (F,): whole in an image, occlusion ignored.
 
     What stands in the way is not looked at
     """
     held = {i: T_base_platform * camera.pose for i, camera in enumerate(cameras) if camera.mount == "hand"}
     state = State(cameras, T_base_platform, held)
-    found = facing(state, markers)
+    found = markers_facing_cameras(state, markers)
     found = found.take(markers.on_platform[found.marker] != bool(held))
     whole = is_inside_image(found, predict_sightings(found, state, markers), cameras)
     pairs = np.unique(np.stack([found.frame[whole], found.marker[whole]], axis=1), axis=0)
@@ -184,10 +181,10 @@ def is_inside_image(
     return ((uv > margin) & (uv < size[:, None] - 1 - margin)).all(axis=(1, 2))
 
 
-def expected(camera: Camera, T_base_platform: RigidTransform, marker_map: MarkerMap) -> tuple[np.ndarray, np.ndarray]:
-    """Marker rows (k,) that a fixed camera should see whole, were nothing in the way, and their corners (k, 4, 2)
-    px.
-    """
+def markers_expected_in_image(
+    camera: Camera, T_base_platform: RigidTransform, marker_map: MarkerMap
+) -> tuple[np.ndarray, np.ndarray]:
+    """Markers expected whole in a fixed camera's image: their rows (k,), and their corners (k, 4, 2) px."""
     to_camera = camera.pose.inv().as_matrix()
     matrix = np.where(marker_map.on_platform[:, None, None], to_camera @ T_base_platform.as_matrix(), to_camera)
     ahead = marker_map.corners @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3]
@@ -277,15 +274,15 @@ def _delayed(
     return np.where(on[:, None, None], base, corners)
 
 
-def by_camera(observations: ObservedCorners, state: State) -> Iterator[tuple[int, Camera, slice]]:
-    """(camera index, Camera, slice of its corners) for each camera that sees something."""
+def iterate_observed_cameras(observations: ObservedCorners, state: State) -> Iterator[tuple[int, Camera, slice]]:
+    """Iterate over the cameras with observed corners: (camera index, Camera, slice of its corners)."""
     edges = np.searchsorted(observations.camera, np.arange(len(state.cameras) + 1))
     for i, camera in enumerate(state.cameras):
         if edges[i] < edges[i + 1]:
             yield i, camera, slice(edges[i], edges[i + 1])
 
 
-def body_points(observations: ObservedCorners, state: State) -> np.ndarray:
+def observed_points_body(observations: ObservedCorners, state: State) -> np.ndarray:
     """(n, 3) m, the observed points in their body's frame."""
     return (
         observations.points
@@ -294,17 +291,19 @@ def body_points(observations: ObservedCorners, state: State) -> np.ndarray:
     )
 
 
-def base_points(observations: ObservedCorners, state: State) -> np.ndarray:
+def observed_points_base(observations: ObservedCorners, state: State) -> np.ndarray:
     """(n, 3) m, the observed points in the base frame."""
-    points = np.ascontiguousarray(body_points(observations, state))
+    points = np.ascontiguousarray(observed_points_body(observations, state))
     out = np.empty(points.shape)
-    projection_kernels.carried(points, state.platform.as_matrix(), observations.frame, observations.on_platform, out)
+    lens.transform_platform_points(
+        points, state.platform.as_matrix(), observations.frame, observations.on_platform, out
+    )
     return out
 
 
-def in_camera(points: np.ndarray, frame: np.ndarray, state: State, i: int) -> np.ndarray:
-    """Points (n, 3) m of the base, each at its frame (n,), in the frame of camera i."""
-    if i in state.moving:
-        matrix = state.moving[i].inv().as_matrix()[frame]
+def points_in_camera_frame(points: np.ndarray, frame: np.ndarray, state: State, camera_index: int) -> np.ndarray:
+    """Points (n, 3) m of the base in the frame of one camera, each at its frame (n,)."""
+    if camera_index in state.moving:
+        matrix = state.moving[camera_index].inv().as_matrix()[frame]
         return (matrix[:, :3, :3] @ points[..., None])[..., 0] + matrix[:, :3, 3]
-    return transform_points(state.cameras[i].pose.inv(), points)
+    return transform_points(state.cameras[camera_index].pose.inv(), points)

@@ -1,6 +1,4 @@
-"""The side that markers were really printed with, from a photograph in which something of known size lies in their
-plane: the sheet, or a ruler.
-"""
+"""Printed marker size from a photograph that shows markers with a sheet or ruler of known size."""
 
 from dataclasses import dataclass
 

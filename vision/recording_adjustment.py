@@ -1,4 +1,4 @@
-"""Corners of a recording -> cameras adjusted and the platform's pose in every frame, with covariance."""
+"""Adjustment of a recording's corners: cameras, and the platform's pose in every frame with covariance."""
 
 from __future__ import annotations
 
@@ -13,13 +13,19 @@ from rig.model.design import Camera, Design
 from rig.recording.recording_folder import Corners
 from rig.report.pages.html_elements import result_html
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
-from vision.bundle.printing_variance import estimate_printing_errors
-from vision.bundle.robust_adjustment import adjust_robustly, repeated_corner_error
+from vision.bundle.printing_error_estimation import adjust_with_estimated_printing_errors
+from vision.bundle.robust_adjustment import adjust_robustly, inflate_repeated_corner_covariance
 from vision.corner_observations import Observations, observations_of_frames
 from vision.pose.body_pose import FINEST
-from vision.pose.camera_placement import place_cameras_by_poses
-from vision.pose.frame_poses import Frames, Views, locate_cameras_by_body, locate_fixed_cameras, locate_frames
-from vision.predict import State, predict
+from vision.pose.camera_poses_from_body_poses import camera_poses_from_body_poses
+from vision.pose.frame_poses import (
+    Frames,
+    Views,
+    locate_cameras_without_base_targets,
+    locate_fixed_cameras,
+    locate_frames,
+)
+from vision.predict import State, predict_corners
 from vision.targets import MarkerMap
 
 FAR = 30.0  # px; a corner that lies farther from where it ought to be says no more by it
@@ -117,7 +123,7 @@ def measure(
     t: np.ndarray | None = None,
     cameras: tuple[Camera, ...] | None = None,
 ) -> Measurement:
-    """Platform poses of all frames with cameras and lenses adjusted to them, and places of markers too if asked for.
+    """Measurement of observations: platform poses with cameras, lenses and, if free, marker places adjusted.
 
     observations : Observations; design : Design, nominal; marker_map : MarkerMap as stated
     free : what is adjusted, see `adjust_bundle`; progress : called with (label, done, of), or None
@@ -151,11 +157,11 @@ def measure(
         )
         covariance = fit.covariance
         cameras, markers = fit.adjustment.state.cameras, fit.adjustment.state.placed
-    fit = fit if places else estimate_printing_errors(observations, fit, tuple(free))
+    fit = fit if places else adjust_with_estimated_printing_errors(observations, fit, tuple(free))
     solved, keep = fit.solved, np.isin(observations.frame, fit.solved)
     observations = replace(observations, covariance=fit.covariance)
     kept, good = observations_of_frames(observations, solved), fit.inliers[keep]
-    weights, standing = repeated_corner_error(kept, good, fit.adjustment.state)
+    weights, standing = inflate_repeated_corner_covariance(kept, good, fit.adjustment.state)
     result = adjust_bundle(
         replace(kept, covariance=weights).take(good),
         fit.adjustment.state,
@@ -166,7 +172,7 @@ def measure(
     numbers, covariance = observations.frames[solved], result.platform_covariance
     result, common = _in_order(result)
     residuals = np.full((len(observations), 2), np.nan)
-    residuals[keep] = kept.uv - predict(kept, result.state)[0]
+    residuals[keep] = kept.uv - predict_corners(kept, result.state)[0]
     noise = np.sqrt(np.median(np.einsum("nii->n", kept.covariance)) / 2)
     return Measurement(
         replace(design, cameras=result.state.cameras),
@@ -217,7 +223,8 @@ def _located(
     other = (
         {}
         if held is None
-        else locate_cameras_by_body(views, cameras) or place_cameras_by_poses(views, cameras, found, held, t, progress)
+        else locate_cameras_without_base_targets(views, cameras)
+        or camera_poses_from_body_poses(views, cameras, found, held, t, progress)
     )
     if not other:
         return found, cameras
@@ -233,7 +240,7 @@ def _disagreement(views: Views, frames: Frames, cameras: tuple[Camera, ...]) -> 
     unsolved frame's.
     """
     o, count = views.observations, len(views.observations.frames)
-    uv, ahead = predict(o, State(cameras, frames.all_poses(count), frames.all_moving(count), views.map))
+    uv, ahead = predict_corners(o, State(cameras, frames.all_poses(count), frames.all_moving(count), views.map))
     off = np.linalg.norm(o.uv - uv, axis=1)
     off[(ahead[:, 2] <= 0) | ~np.isfinite(off) | np.isin(o.frame, list(frames.unsolved))] = FAR
     return float(np.minimum(off, FAR).mean())

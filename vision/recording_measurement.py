@@ -1,4 +1,4 @@
-"""A recording -> its measurement, from whichever it has: corners as they stand, or images, read and looked at again."""
+"""Measurement of a recording from its corners or images: reading, adjustment, reading of missed markers."""
 
 from collections.abc import Callable, Sequence
 
@@ -7,17 +7,17 @@ import numpy as np
 from rig.errors import NotEnoughData
 from rig.model.design import Camera, Design
 from rig.recording.recording_folder import Corners, Recording
-from vision import chain_stages
+from vision import stages_and_remounted_cubes
 from vision.bundle.bundle_adjustment import NoOptimum
-from vision.bundle.marker_displacements import HALVED, are_places_doubtful, marker_displacements
+from vision.bundle.marker_displacements import HALVED, are_stated_places_doubtful, marker_displacements
 from vision.corner_observations import Observations, observations_from_corners, observations_of_frames
-from vision.hand_mounted_cameras import has_hand_cameras, invert_measurement, recording_seen_from_hand
-from vision.initial_lenses import are_lenses_plausible, initial_lenses
-from vision.reading.corner_refit import ROUNDS, SETTLED, lens_difference, refit_corners
+from vision.hand_mounted_cameras import has_hand_cameras, invert_measured_poses, recording_seen_from_hand
+from vision.initial_lenses import alternative_initial_lenses, are_lenses_plausible
+from vision.reading.corner_refit import ROUNDS, SETTLED, largest_lens_difference, refit_corners
 from vision.reading.marker_identity import LOOKED_AT, no_marker_reason
 from vision.reading.recording_corners import Collected, collect_corners, image_reader, search_missed_markers
 from vision.recording_adjustment import Measurement, measure
-from vision.remounted_cubes import is_on_remounted_cube, measure_without_remounted
+from vision.stages_and_remounted_cubes import is_on_remounted_cube, measure_without_remounted_cubes
 from vision.targets import MarkerMap, marker_map
 
 REFUSED = 0.05  # of the frames; where more show enough and are refused, the stated places are doubted
@@ -48,25 +48,27 @@ def measured(
 def measure_recording(
     recording: Recording,
     free: Sequence[str] = ("poses", "lenses"),
-    detect_anew: bool = False,
+    read_images: bool = False,
     progress: Callable[[str, int, int], None] | None = None,
     places: str = "stated",
-    look: Callable[[Corners], None] | None = None,
+    check_corners: Callable[[Corners], None] | None = None,
 ) -> tuple[Measurement, Collected | None]:
     """(Measurement, Collected or None) of a recording.
 
     free : what is adjusted, see vision.bundle.bundle_adjustment; places : whether the markers' places on their bodies
     are adjusted too: "stated", "free", or "auto": where the stated ones contradict what is seen in more than REFUSED of
     the frames, or most of the corners' scatter comes from them
-    detect_anew : read the images even where corners.csv is there
-    progress : called with (label, done, of), or None; look : called with the Corners before they are measured, or None;
-        what it raises ends it
+    read_images : read the images even where corners.csv is there
+    progress : called with (label, done, of), or None; check_corners : called with the Corners before they are measured,
+        or None; what it raises ends it
     Raises NotEnoughData for a recording with neither corners nor images, and what reading and measuring raise
     """
     if not has_hand_cameras(recording.design):
-        return _measured(recording, free, detect_anew, progress, places, look)
-    measured, collected = _measured(recording_seen_from_hand(recording), free, detect_anew, progress, places, look)
-    return invert_measurement(measured), collected
+        return _measured(recording, free, read_images, progress, places, check_corners)
+    measured, collected = _measured(
+        recording_seen_from_hand(recording), free, read_images, progress, places, check_corners
+    )
+    return invert_measured_poses(measured), collected
 
 
 def _measured(
@@ -102,9 +104,9 @@ def _measured(
         observed = observations_from_corners(corners, frames, design, markers, correlation)
         loose = is_on_remounted_cube(observed, design, markers)
         if markers.stage.any():
-            return solve(observed.take(~loose), design, markers, free, progress, t, places)
-        return measure_without_remounted(
-            observed, loose, lambda held: solve(held, design, markers, free, progress, t, places)
+            return solve_with_doubted_places(observed.take(~loose), design, markers, free, progress, t, places)
+        return measure_without_remounted_cubes(
+            observed, loose, lambda held: solve_with_doubted_places(held, design, markers, free, progress, t, places)
         )
 
     if recording.corners is not None and not detect_anew:
@@ -125,14 +127,14 @@ def _measured(
         found = again
         measured = solved(found.corners, found.correlation)
     for _ in range(ROUNDS):
-        if lens_difference(found.corners, found.cameras, measured.design.cameras) < SETTLED:
+        if largest_lens_difference(found.corners, found.cameras, measured.design.cameras) < SETTLED:
             break
         found = refit_corners(recording, found, measured.design.cameras, markers, said("placing anew"))
         measured = solved(found.corners, found.correlation)
     return measured, found
 
 
-def solve(
+def solve_with_doubted_places(
     observed: Observations,
     design: Design,
     markers: MarkerMap,
@@ -141,19 +143,19 @@ def solve(
     t: np.ndarray,
     places: str,
 ) -> Measurement:
-    """Measurement with places as stated, or free where that is asked for or the stated ones do not bear looking at.
+    """Measurement with marker places stated, or free where requested or where the stated ones are doubted.
     t : (F,) s
     """
     if markers.stage.any():
-        chain_stages.refuse_free_places(places)
-        return chain_stages.separate_stage_measurements(
+        stages_and_remounted_cubes.require_stated_places(places)
+        return stages_and_remounted_cubes.separate_stage_measurements(
             measure(
-                chain_stages.separate_stage_frames(observed, markers),
+                stages_and_remounted_cubes.separate_stage_frames(observed, markers),
                 design,
                 markers,
                 free,
                 progress,
-                chain_stages.stage_frame_times(t, markers),
+                stages_and_remounted_cubes.stage_frame_times(t, markers),
             ),
             markers,
         )
@@ -171,8 +173,12 @@ def solve(
     if begun is not None:
         other = measure(observed, design, markers, free, progress, t, begun)
         measured = other if measured is None or other.inliers.sum() > measured.inliers.sum() else measured
-    contradicted = measured is None or len(unsolved_frames(measured)) > REFUSED * len(observed.frames)
-    if measured is not None and (places == "stated" or not (contradicted or are_places_doubtful(measured, markers))):
+    contradicted = measured is None or len(unsolved_frames_with_enough_markers(measured)) > REFUSED * len(
+        observed.frames
+    )
+    if measured is not None and (
+        places == "stated" or not (contradicted or are_stated_places_doubtful(measured, markers))
+    ):
         return measured
     loosened = measure(observed, design, markers, loose, progress, t)
     if contradicted and not any(
@@ -189,7 +195,7 @@ def _contradicts(measured: Measurement) -> bool:
     set aside.
     """
     solved = np.isin(measured.observations.frames[measured.observations.frame], measured.frames)
-    return len(unsolved_frames(measured)) > REFUSED * len(measured.observations.frames) or bool(
+    return len(unsolved_frames_with_enough_markers(measured)) > REFUSED * len(measured.observations.frames) or bool(
         (~measured.inliers[solved]).mean() > ASIDE
     )
 
@@ -216,15 +222,15 @@ def _other_lenses(
         found = adjusted(cameras, (*free, "markers"))
         return None if found is None else found.design.cameras
 
-    for cameras in initial_lenses(design.cameras, loosened):
+    for cameras in alternative_initial_lenses(design.cameras, loosened):
         found = adjusted(cameras, free)
         if found is not None and not _contradicts(found) and are_lenses_plausible(found.design.cameras, design.cameras):
             return found.design.cameras
     return None
 
 
-def unsolved_frames(measured: Measurement) -> list[int]:
-    """Numbers of frames that show two markers or more of all that is needed, and are not solved."""
+def unsolved_frames_with_enough_markers(measured: Measurement) -> list[int]:
+    """Numbers of unsolved frames with enough markers: two or more of all that is needed."""
     o = measured.observations
     enough = np.ones(len(o.frames), bool)
     moving = [i for i, camera in enumerate(measured.design.cameras) if camera.mount == "moving"]

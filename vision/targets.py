@@ -1,4 +1,4 @@
-"""Where every marker of a rig sits on its body: corners in the body's frame, from cubes and from listed markers."""
+"""Targets of a rig: the place of each marker's corners on its body, from cubes and listed markers."""
 
 from dataclasses import dataclass, field
 from functools import cache
@@ -57,8 +57,9 @@ class MarkerMap:
         return np.where(own[order][at] == keys, order[at], -1)
 
 
-def markers(target: Target) -> tuple[Marker, ...]:
-    """The Marker rows of a target, a cube's faces worked out: centred, top to +z on the sides and to +y on +z and -z.
+def markers_of_target(target: Target) -> tuple[Marker, ...]:
+    """Markers of a target: its listed ones, or those on a cube's faces.
+    On faces they are centred, top to +z on the sides and to +y on +z and -z.
 
     Raises ValueError for a target that lists neither faces nor markers.
     """
@@ -75,7 +76,7 @@ def markers(target: Target) -> tuple[Marker, ...]:
 
 
 def face_pose(face: str, edge: float) -> RigidTransform:
-    """T_cube_marker of a face ("+x" .. "-z") of a cube with that edge (m): x right, y up, z out, seen from outside.
+    """Pose T_cube_marker of a face ("+x" .. "-z") on a cube of that edge (m): x right, y up, z out.
 
     Raises ValueError for a face that there is not.
     """
@@ -88,8 +89,10 @@ def face_pose(face: str, edge: float) -> RigidTransform:
 
 
 def marker_map(design: Design) -> MarkerMap:
-    """MarkerMap of a Design. Raises ValueError for a design without targets."""
-    rows = [(marker, target) for target in design.targets for marker in markers(target)]
+    """MarkerMap of all markers of a Design.
+    Raises ValueError for a design without targets.
+    """
+    rows = [(marker, target) for target in design.targets for marker in markers_of_target(target)]
     if not rows:
         raise ValueError(f"design {design.name!r} has no targets")
     return MarkerMap(
@@ -106,10 +109,8 @@ def marker_map(design: Design) -> MarkerMap:
 
 
 @cache
-def marker_cells(name: str, number: int) -> np.ndarray:
-    """(n + 4, n + 4) cells of a marker of a dictionary (OpenCV name), 1 white, with its black border and a ring of
-    white.
-    """
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+def marker_cells(dictionary_name: str, number: int) -> np.ndarray:
+    """(n + 4, n + 4) cells of a marker of a dictionary, 1 white, with black border and white ring."""
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary_name))
     bits = cv2.aruco.generateImageMarker(dictionary, number, dictionary.markerSize + 2) > 127
     return np.pad(bits, 1, constant_values=True).astype(np.float64)

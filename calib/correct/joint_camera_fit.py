@@ -22,9 +22,9 @@ from rig.model.mechanism_kinds import Struts, require_hexapod
 from rig.model.mechanisms import hexapod as mechanism
 from rig.model.pose import exp, skew
 from vision import lens
-from vision.bundle.bundle_adjustment import lens_prior
+from vision.bundle.bundle_adjustment import stated_lens_sigmas
 from vision.corner_observations import Observations
-from vision.predict import State, base_points, by_camera, in_camera
+from vision.predict import State, iterate_observed_cameras, observed_points_base, points_in_camera_frame
 from vision.recording_adjustment import Measurement
 
 
@@ -62,10 +62,10 @@ def fit_cameras_and_geometry(
     if observations.on_platform.all():
         raise RigError("a joint solve takes targets on the base: without them nothing holds the base frame")
     whitener = np.linalg.inv(np.linalg.cholesky(observations.covariance))
-    sizes = [6 + len(lens_prior(camera)) for camera in stated]
+    sizes = [6 + len(stated_lens_sigmas(camera)) for camera in stated]
     starts = 42 + np.r_[0, np.cumsum(sizes)]
     mean = np.concatenate([geometric_parameters(nominal), *[np.r_[np.zeros(6), _lens(c)] for c in stated]])
-    sigma = np.concatenate([np.full(42, PRIOR), *[np.r_[np.full(6, np.inf), lens_prior(c)] for c in stated]])
+    sigma = np.concatenate([np.full(42, PRIOR), *[np.r_[np.full(6, np.inf), stated_lens_sigmas(c)] for c in stated]])
     begin = np.concatenate(
         [
             geometric_parameters(nominal if start is None else start),
@@ -83,13 +83,13 @@ def fit_cameras_and_geometry(
         now = at(p)
         residual, J = np.empty((len(observations), 2)), np.zeros((len(observations), 2, len(p)))
         base, J_pose = (
-            base_points(observations, now),
+            observed_points_base(observations, now),
             pose_parameter_jacobian(now.platform, mechanism_with_parameters(nominal, p[:42])),
         )
         R_platform = now.platform.rotation.as_matrix()
-        for i, camera, rows in by_camera(observations, now):
+        for i, camera, rows in iterate_observed_cameras(observations, now):
             frame, on = observations.frame[rows], observations.on_platform[rows]
-            ahead = in_camera(base[rows], frame, now, i)
+            ahead = points_in_camera_frame(base[rows], frame, now, i)
             uv, J_point, J_lens = lens.project_jacobian(ahead, camera.matrix, camera.distortion)
             W = whitener[rows]
             residual[rows] = (W @ (observations.uv[rows] - uv)[..., None])[..., 0]

@@ -23,7 +23,7 @@ from rig.recording.recording_folder import Commands, Recording, Sensors
 from vision.bundle.normal_equations import linearise, normal_equations
 from vision.bundle.unknown_priors import POSE_SCALE, adjustment_unknowns
 from vision.corner_observations import whitener
-from vision.lens import terms
+from vision.lens import lens_parameter_names
 from vision.recording_adjustment import Measurement
 
 GAP = 1e-4  # m, of a worn nut: unit of its columns, and the play at which they are taken
@@ -192,7 +192,7 @@ def _by_cameras(measured: Measurement, samples: Samples, T: RigidTransform, refe
                 camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]] - was.matrix[[0, 1, 0, 1], [0, 1, 2, 2]],
                 camera.distortion - was.distortion,
             ]
-            away[frames:][u.lenses[i]] = now[: len(terms(camera.distortion))] / u.scale[u.lenses[i]]
+            away[frames:][u.lenses[i]] = now[: len(lens_parameter_names(camera.distortion))] / u.scale[u.lenses[i]]
     for name, s in u.targets.items():
         away[frames:][s] = log(estimate.target_moves[name]) / u.scale[s]
     b = N @ away + np.concatenate([blocks.own[:, :6].ravel(), blocks.common])

@@ -15,7 +15,7 @@ from rig.planning.plan import Plan, add_payload_channel
 from rig.recording.corner_and_pose_tables import Corners
 from rig.recording.recording_folder import PAYLOAD, Sensors
 from vision.corner_observations import observations_from_corners
-from vision.predict import State, facing, is_inside_image, predict_sightings
+from vision.predict import State, is_inside_image, markers_facing_cameras, predict_sightings
 from vision.targets import marker_map
 
 SEED = 0  # of the noise by which a recording that is not there yet is weighed
@@ -101,7 +101,7 @@ def predicted_operating_point(
         noise = rng.multivariate_normal(np.zeros(6), typical, F)
         return replace(here, T=T * exp(noise), own=np.broadcast_to(typical, (F, 6, 6)).copy())
     markers, state = marker_map(here.stated), State(design.cameras, T, {})
-    sightings = facing(state, markers)
+    sightings = markers_facing_cameras(state, markers)
     uv = predict_sightings(
         sightings, state, markers, plan.t, [*fit.point.effects, *here.seats], sensors, here.run(fit.point.effects)
     )

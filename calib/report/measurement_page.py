@@ -17,8 +17,8 @@ from rig.report.pages.image_plane_figures import Arrows, Cells, image_plane_figu
 from rig.report.pages.page_and_svg_templates import Link, Page, write_page
 from rig.report.pages.plots import Series, panel_row, plot_panel
 from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge_evidence
-from vision import jpeg_pictures
-from vision.bundle.held_out_frames import HeldOut, NotHeldOut
+from vision import frame_pictures
+from vision.bundle.adjustment_validation import HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places
 from vision.reading.marker_identity import Suspect
 from vision.reading.recording_corners import Collected
@@ -29,7 +29,7 @@ ENLARGED = 200.0
 
 def _frame_pictures_html(recording: Recording, measurement: Measurement, frame: int) -> list[str]:
     """HTML of the images of a frame; nothing where the recording has corners alone."""
-    images = jpeg_pictures.frame_jpegs(recording, frame)
+    images = frame_pictures.frame_jpegs(recording, frame)
     if not images:
         return []
     figures = [

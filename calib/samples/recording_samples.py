@@ -69,7 +69,7 @@ def sample_recording(
         raise NotEnoughData(
             f"{recording.folder}: there are no images, no corners.csv and no poses.csv, so nothing was measured"
         )
-    measured, collected = measure_recording(recording, free, progress=progress, look=on_corners)
+    measured, collected = measure_recording(recording, free, progress=progress, check_corners=on_corners)
     own = measured.covariance - measured.common @ np.swapaxes(measured.common, 1, 2)
     source = "images" if collected is not None else "corners.csv"
     found = pair_samples(recording, measured.frames, measured.T_base_platform, own, measured.common)

@@ -52,9 +52,9 @@ def run(arguments: argparse.Namespace) -> int:
     found += recording_checks.pose_command_mistakes(recording)
     corners = recording.corners
     if recording.has_images and (corners is None or arguments.detect):
-        from vision.checks.image_sample import read_image_sample
+        from vision.checks.image_sample import read_corners_of_image_sample
 
-        seen, more = read_image_sample(recording)
+        seen, more = read_corners_of_image_sample(recording)
         found += more
         corners = corners or seen
     if corners is not None:
@@ -70,7 +70,7 @@ def _looked(recording: "Recording", corners: "Corners") -> tuple[Mistake, ...]:
 
 def _remarks(recording: "Recording") -> tuple[str, ...]:
     """What could be better about the rig's cubes, in figures."""
-    from vision.checks.cube_layout import cube_layout_remarks
+    from vision.checks.cube_layout_remarks import cube_layout_remarks
 
     return cube_layout_remarks(recording.design)
 

@@ -42,9 +42,9 @@ def run(arguments: Namespace) -> None:
     import sys
     from dataclasses import replace
 
-    from vision.lenses.calibration_board import parse
+    from vision.lenses.calibration_board import parse_board
 
-    board = replace(parse(arguments.board), legacy=arguments.legacy)
+    board = replace(parse_board(arguments.board), legacy=arguments.legacy)
     paths = _paths(arguments.images)
     if not arguments.name or not arguments.name.isprintable() or '"' in arguments.name or "\\" in arguments.name:
         raise RigError(f"--name {arguments.name!r} is no name for a camera")

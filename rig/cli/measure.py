@@ -68,26 +68,27 @@ def run(arguments: Namespace) -> None:
         arguments.outputs.data = frame_content_hashes.hash_lines(marks())
 
     from calib.report.measurement_page import MeasurementResult, write_measurement_page
-    from vision.bundle.held_out_frames import crossvalidate
-    from vision.bundle.marker_displacements import adjusted_markers, marker_places
-    from vision.bundle.observability import determined_combinations
-    from vision.hand_mounted_cameras import has_hand_cameras, invert_measurement, recording_seen_from_hand
-    from vision.reading.marker_identity import suspects
+    from vision.bundle.adjustment_validation import crossvalidate_adjustment, determined_combinations
+    from vision.bundle.marker_displacements import adjusted_markers, compare_stated_and_adjusted_places
+    from vision.hand_mounted_cameras import has_hand_cameras, invert_measured_poses, recording_seen_from_hand
+    from vision.reading.marker_identity import find_suspicious_markers
     from vision.reading.recording_corners import image_reader
     from vision.recording_measurement import measure_recording
     from vision.targets import marker_map
 
     measured, collected = measure_recording(recording, free, arguments.detect, progress, arguments.places, look)
     held, determination = (
-        crossvalidate(measured.used(), measured.adjustment),
+        crossvalidate_adjustment(measured.used(), measured.adjustment),
         determined_combinations(measured.adjustment),
     )
-    moved = marker_places(measured, recording.exposures.times()[1]) if measured.places_free else None
+    moved = (
+        compare_stated_and_adjusted_places(measured, recording.exposures.times()[1]) if measured.places_free else None
+    )
     seen, as_seen = recording_seen_from_hand(recording), measured
     if has_hand_cameras(recording.design):
-        as_seen, determination = invert_measurement(measured), determination.from_the_hand()
+        as_seen, determination = invert_measured_poses(measured), determination.from_the_hand()
     look_at = image_reader(seen) if any(recording.exposures.image) else None
-    wrong = suspects(as_seen, marker_map(seen.design), collected.repeated if collected else (), look_at)
+    wrong = find_suspicious_markers(as_seen, marker_map(seen.design), collected.repeated if collected else (), look_at)
     text = replace_cameras(read_text(recording.folder / "rig.toml"), measured.design.cameras)
     recording_tables.write_text(
         out / "rig.toml", replace_target_markers(text, adjusted_markers(measured)) if moved else text

@@ -75,13 +75,13 @@ def _frame(arguments: Namespace) -> None:
 
     recording = read_recording(arguments)
 
-    from vision.frame_picture import check_format, frame_picture, save_pictures
+    from vision.frame_pictures import draw_frame, picture_file_suffix, save_pictures_side_by_side
 
     shown = arguments.out or Path(f"{recording.folder.resolve().name}-frame-{arguments.frame}.png")
-    check_format(shown)
+    picture_file_suffix(shown)
     out = arguments.outputs.file(shown)
 
-    text = save_pictures(out, *frame_picture(recording, arguments.frame, arguments.enlarge, Progress()))
+    text = save_pictures_side_by_side(out, *draw_frame(recording, arguments.frame, arguments.enlarge, Progress()))
     print(text)
     arguments.outputs.finish()
     print(f"written: {shown}")

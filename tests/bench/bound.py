@@ -13,7 +13,7 @@ import numpy as np
 
 from tests.vision.pictures import camera, picture, quad
 from vision.corners.marker_detection import fit_read_markers
-from vision.corners.marker_reader import Read
+from vision.corners.marker_reader import ReadMarkers
 
 NAME = "DICT_5X5_100"
 BLURS, NOISES, TILTS, SIDES = (0.5, 1.0, 1.5), (0.5, 1.0, 2.0, 4.0), (0, 35, 65), (25, 50, 120)
@@ -104,7 +104,7 @@ def _fitted(clean, scenes, noise, exact, view, markers, rng):
             image = clean[k] + rng.normal(0, noise, clean[k].shape)
             image = image if exact else np.clip(np.rint(image), 0, 255)
             found = fit_read_markers(
-                image.astype(np.float32), view, markers, Read([k], (corners + rng.normal(0, 0.3, (4, 2)))[None])
+                image.astype(np.float32), view, markers, ReadMarkers([k], (corners + rng.normal(0, 0.3, (4, 2)))[None])
             )
             theirs.append(subpix(image, corners) - corners)
             if not len(found.marker):

@@ -22,16 +22,16 @@ from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.recording import recording_folder
 from tests.conftest import SHARED
 from tests.vision.scenes import scene
+from vision.bundle.adjustment_validation import crossvalidate_adjustment
 from vision.bundle.bundle_adjustment import adjust_bundle
-from vision.bundle.estimate_update import offset_from_stated, update_estimate
-from vision.bundle.held_out_frames import crossvalidate
-from vision.bundle.marker_displacements import marker_places
+from vision.bundle.marker_displacements import compare_stated_and_adjusted_places
 from vision.bundle.unknown_priors import adjustment_unknowns
+from vision.bundle.unknowns_and_estimate import offset_from_stated, update_estimate
 from vision.corner_observations import observations_from_corners, whitener
 from vision.corners.marker_detection import detect_markers
 from vision.lenses import calibration_board as boards
-from vision.lenses.lens_calibration import calibrate, hold_out, observations_of
-from vision.predict import State, predict
+from vision.lenses.lens_calibration import calibrate_lens, cross_validate_lens, observations_from_board_views
+from vision.predict import State, predict_corners
 from vision.recording_adjustment import measure
 from vision.targets import MarkerMap, marker_map
 
@@ -49,7 +49,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
 
 
 def _chessboard():
-    board = boards.parse(BOARD)
+    board = boards.parse_board(BOARD)
     theirs = cv2.aruco.CharucoDetector(
         cv2.aruco.CharucoBoard(
             (board.columns, board.rows),
@@ -75,14 +75,14 @@ def _chessboard():
         ours.append(boards.BoardView(both, view.uv[np.searchsorted(view.corner, both)], even, ()))
         opencv.append(boards.BoardView(both, np.array([corners[ids == k][0] for k in both]).reshape(-1, 2), even, ()))
     yield f"photos/charuco, {len(images)} photographs: corners found, ours / OpenCV's", f"{found} / {there}", ""
-    seen = [observations_of(views, board) for views in (ours, opencv)]
+    seen = [observations_from_board_views(views, board) for views in (ours, opencv)]
     for terms in (4, 5):
-        fits = [calibrate(o, width, height, terms) for o in seen]
+        fits = [calibrate_lens(o, width, height, terms) for o in seen]
         for name, inliers in (
             ("inliers of both", fits[0].inliers & fits[1].inliers),
             ("every common corner", np.ones(len(seen[0]), bool)),
         ):
-            held = [hold_out(o, width, height, terms, inliers).rms for o in seen]
+            held = [cross_validate_lens(o, width, height, terms, inliers).rms for o in seen]
             yield (
                 f"photos/charuco: held out, {terms} terms, {inliers.sum()} corners ({name}), ours / OpenCV's ChArUco",
                 f"{held[0]:.4f} / {held[1]:.4f} px = {held[0] / held[1]:.3f}",
@@ -153,7 +153,7 @@ def _adjustment():
         f"{np.median(spent):.2f} s ({np.median(busy):.2f} s of processor)",
         "<= 4 s",
     )
-    held = crossvalidate(observations, result)
+    held = crossvalidate_adjustment(observations, result)
     yield (
         "held-out stretches: residuals over the covariance predicted for them",
         f"{held.ratio:.3f} +- {2 * held.scatter:.3f}",
@@ -184,7 +184,7 @@ def _adjustment():
 
 def _cost(observations, state):
     W = whitener(observations)
-    return float((W(observations.uv - predict(observations, state)[0]) ** 2).sum())
+    return float((W(observations.uv - predict_corners(observations, state)[0]) ** 2).sum())
 
 
 def _scipys(observations, begin, stated):
@@ -196,7 +196,7 @@ def _scipys(observations, begin, stated):
 
     def residual(p):
         moved = update_estimate(estimate, u, u.basis @ p[:k], p[k:].reshape(frames, u.local))
-        seen = W(observations.uv - predict(observations, moved.state)[0]).ravel()
+        seen = W(observations.uv - predict_corners(observations, moved.state)[0]).ravel()
         return np.r_[seen, (u.prior * offset_from_stated(moved, stated, u))[u.prior > 0]]
 
     return (
@@ -221,7 +221,7 @@ def _block():
     plain, free = (
         measure(observed, block.design, markers, groups, t=t) for groups in (("lenses",), ("lenses", "markers"))
     )
-    found, held = marker_places(free, t), crossvalidate(free.used(), free.adjustment)
+    found, held = compare_stated_and_adjusted_places(free, t), crossvalidate_adjustment(free.used(), free.adjustment)
     yield (
         "tumbling-block: frames solved, places as stated / as adjusted",
         f"{len(plain.frames)} / {len(free.frames)} of {len(frames)}",

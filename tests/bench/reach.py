@@ -118,7 +118,7 @@ def _rendered(design, rng):
     from synthetic import rig_meshes
     from synthetic.image_sensor import expose_image
     from synthetic.renderer import SAMPLES, Renderer
-    from vision.predict import expected
+    from vision.predict import markers_expected_in_image
     from vision.targets import marker_map
 
     renderer, markers, out = Renderer(rig_meshes.rig_parts(design), design), marker_map(design), {}
@@ -126,7 +126,7 @@ def _rendered(design, rng):
     for _ in range(4):
         T = design.mechanism.home * exp(rng.uniform(-1, 1, 6) * [0.02, 0.02, 0.02, 0.1, 0.1, 0.1])
         for view in design.cameras:
-            shown, places = expected(view, T, markers)
+            shown, places = markers_expected_in_image(view, T, markers)
             scenes.append((renderer.draw(view.name, T), view, markers.id[shown], places))
     renderer.close()
     for kind, sensor in DRAWN.items():
@@ -136,19 +136,24 @@ def _rendered(design, rng):
 
 def _score(pictures, markers):
     """{kind: px, RMS per axis of corners fitted with a spread learnt from the pictures themselves}."""
-    from vision.corners.edge_spread import PLAIN, empty_profile, learn_edge_spread
-    from vision.corners.marker_detection import fit_read_markers, grey_image
-    from vision.corners.marker_reader import Read
+    from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, empty_profile, learn_edge_spread
+    from vision.corners.marker_detection import fit_read_markers, grey_images_for_reader_and_fit
+    from vision.corners.marker_reader import ReadMarkers
     from vision.reading.recording_corners import ROUNDS
 
     out = {}
     for kind, shown in pictures.items():
         start = [
-            (grey_image(image)[1] if image.dtype != np.float32 else image, view, np.asarray(ids), true)
+            (
+                grey_images_for_reader_and_fit(image)[1] if image.dtype != np.float32 else image,
+                view,
+                np.asarray(ids),
+                true,
+            )
             for image, view, ids, true in shown
         ]
-        first = [fit_read_markers(full, view, markers, Read(ids, true)) for full, view, ids, true in start]
-        spread = PLAIN
+        first = [fit_read_markers(full, view, markers, ReadMarkers(ids, true)) for full, view, ids, true in start]
+        spread = PLAIN_EDGE_SPREAD
         for _ in range(ROUNDS):
             profile, widths = empty_profile(), []
             for (full, view, _, _), d in zip(start, first):
@@ -184,7 +189,7 @@ def _main(reach):
     for knots in KNOTS:
         spread.KNOTS = knots
         terms = np.zeros((knots, 2 * len(spread.HARMONICS) - 1))
-        spread.PLAIN = spread.Spread(terms=terms)
+        spread.PLAIN_EDGE_SPREAD = spread.EdgeSpread(terms=terms)
         rows_.append((knots, {**_score(exact, sheet), **_score(rendered, marker_map(design))}))
     print(json.dumps(rows_))
 

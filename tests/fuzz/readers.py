@@ -194,7 +194,7 @@ def _texts(design):
         Reader(
             "board",
             (b"charuco:8x6:0.03:0.022:DICT_5X5_100", b"aruco:8x6:0.03:0.01:DICT_5X5_100"),
-            of(calibration_board.parse),
+            of(calibration_board.parse_board),
         ),
         Reader("trials", (b"3,7-9", b"1"), of(lambda text: blind._indices(text, 100))),
     ]

@@ -18,8 +18,8 @@ from synthetic import rig_meshes
 from synthetic.image_sensor import expose_image
 from tests.synthetic.edges import edge_corners
 from vision.corners.marker_detection import fit_read_markers
-from vision.corners.marker_reader import Read
-from vision.predict import State, facing, predict_sightings
+from vision.corners.marker_reader import ReadMarkers
+from vision.predict import State, markers_facing_cameras, predict_sightings
 from vision.targets import marker_map
 
 
@@ -61,7 +61,7 @@ def drawn(rig):
     finally:
         renderer.close()
     state, markers = State(rig.cameras, RigidTransform.concatenate([home]), {}), marker_map(rig)
-    found = facing(state, markers, 0.3)
+    found = markers_facing_cameras(state, markers, 0.3)
     return image, markers.id[found.marker], predict_sightings(found, state, markers)
 
 
@@ -92,7 +92,7 @@ def test_corners_are_where_the_lens_puts_them(design, name, opengl):
         image = expose_image(picture, Sensor(blur=0.5, bits=12), np.random.default_rng(0), render.SAMPLES) * np.float32(
             255 / 4095
         )
-        found = fit_read_markers(image, rig.cameras[0], marker_map(rig), Read(numbers, exact))
+        found = fit_read_markers(image, rig.cameras[0], marker_map(rig), ReadMarkers(numbers, exact))
         ours.append(found.corners - exact[[numbers.tolist().index(k) for k in found.marker]])
     assert all(len(e) >= 6 for e in errors)
     everything = np.concatenate(errors).reshape(-1, 2)

@@ -18,7 +18,7 @@ from rig.model.pose import exp
 from rig.planning import plan
 from synthetic import recording_simulation, secret_machine
 from vision import lens
-from vision.predict import State, facing, is_inside_image, predict_sightings
+from vision.predict import State, is_inside_image, markers_facing_cameras, predict_sightings
 from vision.targets import marker_map
 
 EFFECTS = [
@@ -75,7 +75,7 @@ def signatures(design):
     route = plan.build_plan(design, "standard", 1)
     s = recording_simulation.simulate(secret_machine.draw_machine(design, rng, 0.0), route, rng)
     markers, T = marker_map(design), s.run.T_base_platform
-    found = facing(State(design.cameras, T, {}), markers, np.cos(np.radians(70)))
+    found = markers_facing_cameras(State(design.cameras, T, {}), markers, np.cos(np.radians(70)))
     found = found.take(
         is_inside_image(found, predict_sightings(found, State(design.cameras, T, {}), markers), design.cameras)
     )
@@ -90,7 +90,7 @@ def signatures(design):
         for J in np.moveaxis(pose_parameter_jacobian(T, design.mechanism), -1, 0)
     ]
     for i, camera in enumerate(design.cameras):
-        for k in range(6 + len(lens.terms(camera.distortion))):
+        for k in range(6 + len(lens.lens_parameter_names(camera.distortion))):
             columns.append(
                 (look([_nudged(c, k) if j == i else c for j, c in enumerate(design.cameras)]) - clean) / 1e-6
             )

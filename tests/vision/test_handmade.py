@@ -8,18 +8,18 @@ from scipy.stats import chi2
 
 from rig.model.pose import log
 from tests.vision.handmade import Handmade, handmade
-from vision.bundle.estimate_update import align_points
-from vision.bundle.marker_displacements import are_places_doubtful, marker_displacements
+from vision.bundle.marker_displacements import are_stated_places_doubtful, marker_displacements
+from vision.bundle.unknowns_and_estimate import align_points
 from vision.corner_observations import observations_from_corners
 from vision.recording_adjustment import Measurement
-from vision.recording_measurement import solve
+from vision.recording_measurement import solve_with_doubted_places
 from vision.targets import marker_map
 
 
 def measured(made: Handmade, places: str = "auto") -> Measurement:
     frames, markers = np.arange(len(made.T)), marker_map(made.stated)
     observed = observations_from_corners(made.corners, frames, made.stated, markers)
-    return solve(observed, made.stated, markers, ("poses", "lenses"), None, frames * 1.0, places)
+    return solve_with_doubted_places(observed, made.stated, markers, ("poses", "lenses"), None, frames * 1.0, places)
 
 
 def squares(made: Handmade, m: Measurement) -> np.ndarray:
@@ -51,7 +51,7 @@ def test_a_handmade_body_is_measured(far):
 def test_places_that_are_as_stated_are_kept():
     made = handmade(2, frames=40, off=(0.0, 0.0))
     m = measured(made)
-    assert not m.places_free and not are_places_doubtful(m, marker_map(made.stated))
+    assert not m.places_free and not are_stated_places_doubtful(m, marker_map(made.stated))
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ def test_projection_and_jacobians_equal_opencv(points, count):
     np.testing.assert_allclose(lens.project(points, MATRIX, TERMS[:count]), uv, atol=1e-12)
     np.testing.assert_allclose(J_point, J[:, :, 3:6], atol=1e-9)
     np.testing.assert_allclose(J_lens, J[:, :, 6:], atol=1e-9)
-    assert len(lens.terms(TERMS[:count])) == 4 + count
+    assert len(lens.lens_parameter_names(TERMS[:count])) == 4 + count
 
 
 @pytest.mark.parametrize("count", DISTORTION_TERMS)

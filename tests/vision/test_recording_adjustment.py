@@ -8,7 +8,7 @@ import pytest
 from rig.errors import NotEnoughData
 from rig.model.pose import exp, pose_difference
 from tests.vision.scenes import known, nees, scene, standing
-from vision.corner_observations import corner_correlation, whitener
+from vision.corner_observations import corner_covariance_rows, whitener
 from vision.recording_adjustment import measure
 from vision.targets import marker_map
 
@@ -152,7 +152,7 @@ def correlated(observations, rng, sigma):
     uv = o.uv + (factor @ rng.normal(size=(len(first), 8, 1))).reshape(-1, 2)
     C = np.tile(factor @ factor.T, (len(first), 1, 1))
     own = np.stack([C[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)], axis=1).reshape(-1, 2, 2)
-    return replace(o, uv=uv, covariance=own, correlation=corner_correlation(C).reshape(-1, 2, 8), stated=True)
+    return replace(o, uv=uv, covariance=own, correlation=corner_covariance_rows(C).reshape(-1, 2, 8), stated=True)
 
 
 @pytest.mark.slow

@@ -14,8 +14,7 @@ from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
 from vision.bundle import bundle_adjustment as adjusting
-from vision.bundle.held_out_frames import crossvalidate
-from vision.bundle.observability import determined_combinations
+from vision.bundle.adjustment_validation import crossvalidate_adjustment, determined_combinations
 from vision.recording_measurement import measure_recording
 
 
@@ -41,7 +40,7 @@ def agrees(design, text, folder, seed, count, home, noise):
     measured, _ = measure_recording(read, places="auto")
     assert len(measured.frames) == count and not measured.unsolved
     assert determined_combinations(measured.adjustment).lines()
-    held = crossvalidate(measured.used(), measured.adjustment)
+    held = crossvalidate_adjustment(measured.used(), measured.adjustment)
     assert bool(held) == (count > 1) and (held or "one frame" in held.reason)
     error = pose_difference(measured.T_base_platform, true)
     return np.einsum("ni,nij,nj->n", error, np.linalg.inv(measured.covariance), error).mean()

@@ -1,5 +1,4 @@
-"""Many frames -> cameras, lenses, markers' places and platform poses together: Gauss-Newton with the Schur complement
-over frames.
+"""Bundle adjustment of cameras, lenses, marker places and poses: Gauss-Newton with Schur complement.
 
 Unknowns are shared (each fixed camera's pose, each lens, each marker's and target's place) or belong to one frame (the
 platform's pose, each moving camera's pose). The stated places of the base's markers, all together, hold the base frame,
@@ -13,14 +12,19 @@ import numpy as np
 
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Camera
-from vision.bundle.adjustment_unknowns import POSE_SCALE, Estimate, Unknowns
-from vision.bundle.estimate_update import offset_from_stated, to_datums, update_estimate
 from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, schur_complement, solve_step
 from vision.bundle.printing_errors import Printing
-from vision.bundle.repeated_corners import merge_repeated_corners
-from vision.bundle.unknown_priors import adjustment_unknowns, lens_prior
-from vision.corner_observations import Observations, Whitener, whitener
-from vision.predict import State, predict
+from vision.bundle.unknown_priors import adjustment_unknowns, stated_lens_sigmas
+from vision.bundle.unknowns_and_estimate import (
+    POSE_SCALE,
+    Estimate,
+    Unknowns,
+    align_with_datums,
+    offset_from_stated,
+    update_estimate,
+)
+from vision.corner_observations import Observations, Whitener, merge_repeated_corners, whitener
+from vision.predict import State, predict_corners
 
 MAX_ITERATIONS = 120
 CONVERGED = 1e-9  # relative decrease of the cost
@@ -88,17 +92,17 @@ def adjust_bundle(
     free: Sequence[str] = ("poses", "lenses"),
     progress: Callable[[float], None] | None = None,
     stated: State | None = None,
-    worth: Callable[[Camera], np.ndarray] = lens_prior,
+    lens_prior_sigmas: Callable[[Camera], np.ndarray] = stated_lens_sigmas,
     printing: Printing | None = None,
 ) -> Adjustment:
-    """Cameras, places and poses that fit all corners best, weighted by the corners' covariance.
+    """Bundle adjustment: the cameras, places and poses that fit all corners best, weighted by covariance.
 
     observations : Observations, outliers taken out; state : State to start from, with its markers where these are free
     free : which of "poses" (of fixed cameras), "lenses", "markers" (each on its target: face misplacement) and
     "targets" (each in its body: cube misplacement) are adjusted; the rest is held and taken as known
     progress : called after each iteration with the cost, or None
     stated : State whose lenses and places are what the owner stated, `state` by default
-    worth : function of a Camera, the standard deviations (4 + terms,) that its stated lens is given
+    lens_prior_sigmas : function of a Camera, the standard deviations (4 + terms,) that its stated lens is given
     printing : how far printed markers are taken to be off where they are not free, or None
     The mean motion of all corners of a body's markers from where they are stated is held at zero, and so is the mean
     motion of a target's markers on it where both are free. Without targets on the base the stated camera poses hold the
@@ -108,7 +112,7 @@ def adjust_bundle(
     Source: Triggs et al., Bundle adjustment - a modern synthesis, 2000
     """
     stated = state if stated is None else stated
-    u, estimate = adjustment_unknowns(observations, state, stated, free, worth, printing)
+    u, estimate = adjustment_unknowns(observations, state, stated, free, lens_prior_sigmas, printing)
     if 2 * len(observations) < int(u.used.sum()) + int((u.prior == 0).sum()):
         raise NotEnoughData(
             f"{len(observations)} corners cannot determine {int(u.used.sum()) + u.basis.shape[1]} unknowns"
@@ -149,19 +153,19 @@ def adjust_bundle(
             f"the adjustment of {len(observations)} corners did not converge in {MAX_ITERATIONS} iterations"
         )
     return replace(
-        _finish(observations, few, W, to_datums(estimate, stated, u), stated, u, tuple(free)), printing=printing
+        _finish(observations, few, W, align_with_datums(estimate, stated, u), stated, u, tuple(free)), printing=printing
     )
 
 
 def adjustment_cost(
-    observations: Observations, estimate: Estimate, stated: State, unknowns: Unknowns, W: Whitener
+    observations: Observations, estimate: Estimate, stated: State, unknowns: Unknowns, whitening: Whitener
 ) -> float:
-    """Sum of whitened squares, the priors' included; infinite where a corner falls behind its camera. W : Whitener."""
-    uv, ahead = predict(observations, estimate.state)
+    """Cost of an adjustment: sum of whitened squares with the priors'; infinite with a corner behind a camera."""
+    uv, ahead = predict_corners(observations, estimate.state)
     if (ahead[:, 2] <= 0).any():
         return np.inf
     return float(
-        (W(observations.uv - uv) ** 2).sum()
+        (whitening(observations.uv - uv) ** 2).sum()
         + (unknowns.prior * offset_from_stated(estimate, stated, unknowns) ** 2).sum()
     )
 
@@ -179,7 +183,7 @@ def _finish(
     residual, derivatives = linearise(few, estimate, u, W)
     away = offset_from_stated(estimate, stated, u)
     blocks = normal_equations(few, derivatives, u, away)
-    uv, _ = predict(observations, estimate.state)
+    uv, _ = predict_corners(observations, estimate.state)
     residual = whitener(observations)(observations.uv - uv)
     gain, reduced, _ = schur_complement(blocks)
     factor = u.basis @ _inverse_root(u.basis.T @ reduced @ u.basis, u)

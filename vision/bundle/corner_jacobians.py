@@ -1,31 +1,122 @@
-"""How corners move when the platform, a camera or a lens does: the Jacobians of the forward model of seeing, without
-effects.
-"""
+"""Jacobians of predicted corners, and compiled kernels that whiten and sum them into normal equations."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
+from rig.compute.numba_kernels import njit
 from vision import lens
-from vision.bundle import normal_equation_kernels
 from vision.corner_observations import Observations
-from vision.predict import State, base_points, by_camera, in_camera
+from vision.predict import State, iterate_observed_cameras, observed_points_base, points_in_camera_frame
 
-Seen = tuple[int, slice, np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # see `camera_jacobians`
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill_small_motion_jacobian(J: np.ndarray, points: np.ndarray, out: np.ndarray) -> None:
+    """Into out (n, 2, 6) the derivatives to small motions on the right, from those J (n, 2, 3) to the points (n, 3)
+    that they move.
+    """
+    for n in range(len(J)):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        for c in range(2):
+            a, b, d = J[n, c, 0], J[n, c, 1], J[n, c, 2]
+            out[n, c, 0], out[n, c, 1], out[n, c, 2] = a, b, d
+            out[n, c, 3], out[n, c, 4], out[n, c, 5] = y * d - z * b, z * a - x * d, x * b - y * a
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill_rotated_jacobian(
+    J: np.ndarray, R: np.ndarray, rotation_index: np.ndarray, mask: np.ndarray, out: np.ndarray
+) -> None:
+    """Into out (n, 2, 3) J (n, 2, 3) times the matrix of R (m, 3, 3) that each is `rotation_index` (n,), or J itself
+    but for `mask` (n,).
+    """
+    for n in range(len(J)):
+        for c in range(2):
+            for k in range(3):
+                out[n, c, k] = J[n, c, k]
+                if mask[n]:
+                    out[n, c, k] = (
+                        J[n, c, 0] * R[rotation_index[n], 0, k]
+                        + J[n, c, 1] * R[rotation_index[n], 1, k]
+                        + J[n, c, 2] * R[rotation_index[n], 2, k]
+                    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def whiten_and_scale_rows(
+    whitening: np.ndarray, column_scale: np.ndarray, marker: np.ndarray, rows: np.ndarray
+) -> None:
+    """Whiten the rows of each corner in place, and scale their columns by the column scale of its marker.
+    whitening : (n, 2, 2); column_scale : (markers, k); marker : (n,); rows : (n, 2, k)
+    """
+    for n in range(len(rows)):
+        for k in range(rows.shape[2]):
+            u, v = rows[n, 0, k] * column_scale[marker[n], k], rows[n, 1, k] * column_scale[marker[n], k]
+            rows[n, 0, k] = whitening[n, 0, 0] * u + whitening[n, 0, 1] * v
+            rows[n, 1, k] = whitening[n, 1, 0] * u + whitening[n, 1, 1] * v
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_corners_to_normal_equations(
+    rows: np.ndarray,
+    frame: np.ndarray,
+    marker: np.ndarray,
+    frame_columns: np.ndarray,
+    shared_columns: np.ndarray,
+    sums: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+) -> None:
+    """Add a camera's corners to the sums of normal equations.
+    sums : local (F, l, l), cross (F, l, s), shared (s, s), own (F, l), common (s,)
+
+    rows : (n, 2, k + w + 1) derivatives to unknowns of the corner's frame, to shared ones, and residual;
+        frame, marker : (n,), each sighting's
+    corners together; frame_columns : (k,); shared_columns : (markers, w)
+    """
+    local, cross, shared, own, common = sums
+    k, w = len(frame_columns), shared_columns.shape[1]
+    width = k + w + 1
+    square = np.zeros((width, width))
+    for n in range(len(rows)):
+        for c in range(2):
+            for a in range(width):
+                for b in range(a + 1):
+                    square[a, b] += rows[n, c, a] * rows[n, c, b]
+        if n + 1 < len(rows) and frame[n + 1] == frame[n] and marker[n + 1] == marker[n]:
+            continue
+        f, columns = frame[n], shared_columns[marker[n]]
+        for a in range(k):
+            own[f, frame_columns[a]] += square[width - 1, a]
+            for b in range(a + 1):
+                local[f, frame_columns[a], frame_columns[b]] += square[a, b]
+                if a != b:
+                    local[f, frame_columns[b], frame_columns[a]] += square[a, b]
+        for a in range(w):
+            at = columns[a]
+            common[at] += square[width - 1, k + a]
+            for b in range(k):
+                cross[f, frame_columns[b], at] += square[k + a, b]
+            for b in range(a + 1):
+                shared[at, columns[b]] += square[k + a, k + b]
+                if a != b:
+                    shared[columns[b], at] += square[k + a, k + b]
+        square[:] = 0.0
+
+
+CameraJacobians = tuple[int, slice, np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # see `iterate_camera_jacobians`
 Derivative = tuple[int, slice, np.ndarray, np.ndarray, np.ndarray]  # see `corner_jacobians`
 
 
-def camera_jacobians(observations: Observations, state: State) -> Iterator[Seen]:
-    """Yield (camera index, rows, uv (m, 2) px, J_base (m, 2, 3), J_camera (m, 2, 6), J_lens (m, 2, 4 + terms)) for each
-    camera that sees.
+def iterate_camera_jacobians(observations: Observations, state: State) -> Iterator[CameraJacobians]:
+    """Iterate over the cameras: each one's corner Jacobians to base points, camera pose and lens.
+    Yields (camera index, rows, uv (m, 2) px, J_base (m, 2, 3), J_camera (m, 2, 6), J_lens (m, 2, 4 + terms)).
 
     J_base : to the corner's place in the base frame, px/m; J_camera : to a small motion of the camera on the right
         (px/m, px/rad)
     """
-    base = base_points(observations, state)
-    for i, camera, rows in by_camera(observations, state):
+    base = observed_points_base(observations, state)
+    for i, camera, rows in iterate_observed_cameras(observations, state):
         frame = observations.frame[rows]
-        ahead = in_camera(base[rows], frame, state, i)
+        ahead = points_in_camera_frame(base[rows], frame, state, i)
         uv, J_point, J_lens = lens.project_jacobian(ahead, camera.matrix, camera.distortion)
         R_camera = state.moving.get(i, camera.pose).rotation.as_matrix().reshape(-1, 3, 3)
         J_base = rotate_jacobian(
@@ -33,42 +124,47 @@ def camera_jacobians(observations: Observations, state: State) -> Iterator[Seen]
             np.ascontiguousarray(np.swapaxes(R_camera, 1, 2)),
             frame if i in state.moving else np.zeros(len(frame), int),
         )
-        yield i, rows, uv, J_base, -motion_jacobian(J_point, ahead), J_lens
+        yield i, rows, uv, J_base, -small_motion_jacobian(J_point, ahead), J_lens
 
 
-def motion_jacobian(J: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(n, 2, 6) derivative to a small motion on the right, from that to the point (n, 2, 3) and the point (n, 3) it
-    moves.
+def small_motion_jacobian(J_point: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(n, 2, 6) Jacobian to a small motion on the right, from the Jacobian to the moved points (n, 2, 3).
+    points : (n, 3) in the moved frame
     """
-    out = np.empty((len(J), 2, 6))
-    normal_equation_kernels.motion_derivatives(np.ascontiguousarray(J), np.ascontiguousarray(points), out)
+    out = np.empty((len(J_point), 2, 6))
+    _fill_small_motion_jacobian(np.ascontiguousarray(J_point), np.ascontiguousarray(points), out)
     return out
 
 
-def rotate_jacobian(J: np.ndarray, R: np.ndarray, at: np.ndarray, some: np.ndarray | None = None) -> np.ndarray:
-    """(n, 2, 3) J (n, 2, 3) times the matrix of R (m, 3, 3) that each is `at` (n,), or J itself where it is none of
-    `some` (n,), all by default.
+def rotate_jacobian(
+    J: np.ndarray, R: np.ndarray, rotation_index: np.ndarray, mask: np.ndarray | None = None
+) -> np.ndarray:
+    """(n, 2, 3) Jacobian rotated: J times the rotation matrix of each row, or J itself outside the mask.
+    J : (n, 2, 3); R : (m, 3, 3); rotation_index : (n,) into R; mask : (n,) bool, all by default
     """
     out = np.empty(J.shape)
-    normal_equation_kernels.rotate_derivatives(
-        np.ascontiguousarray(J), R, at, np.ones(len(J), bool) if some is None else some, out
+    _fill_rotated_jacobian(
+        np.ascontiguousarray(J), R, rotation_index, np.ones(len(J), bool) if mask is None else mask, out
     )
     return out
 
 
 def corner_jacobians(observations: Observations, state: State) -> list[Derivative]:
-    """[(camera index, rows, J_platform (m, 2, 6), J_camera (m, 2, 6), J_lens (m, 2, 4 + terms))] for each camera that
-    sees something.
+    """Corner Jacobians of each camera to the platform's pose, the camera's pose and the lens.
+    Returns [(camera index, rows, J_platform (m, 2, 6), J_camera (m, 2, 6), J_lens (m, 2, 4 + terms))] of the
+    cameras that see something.
 
     observations : Observations; state : State. Tangents stand on the right (px/m, px/rad); J_platform is zero on base
         markers
     """
     R_platform, out = state.platform.rotation.as_matrix(), []
-    for i, rows, _, J_base, J_camera, J_lens in camera_jacobians(observations, state):
+    for i, rows, _, J_base, J_camera, J_lens in iterate_camera_jacobians(observations, state):
         on = observations.on_platform[rows][:, None, None]
         J_platform = np.where(
             on,
-            motion_jacobian(rotate_jacobian(J_base, R_platform, observations.frame[rows]), observations.points[rows]),
+            small_motion_jacobian(
+                rotate_jacobian(J_base, R_platform, observations.frame[rows]), observations.points[rows]
+            ),
             0.0,
         )
         out.append((i, rows, J_platform, J_camera, J_lens))

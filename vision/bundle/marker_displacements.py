@@ -1,4 +1,4 @@
-"""Which markers and targets sit off their stated places, by how much, and what that did to the residuals."""
+"""Displacements of markers and targets from their stated places, and their effect on the residuals."""
 
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -10,12 +10,12 @@ from scipy.spatial.transform import RigidTransform
 from rig.model.design import Marker
 from rig.model.pose import log
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
-from vision.bundle.estimate_update import offset_from_stated
 from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, solve_step
 from vision.bundle.unknown_priors import adjustment_unknowns
+from vision.bundle.unknowns_and_estimate import offset_from_stated
 from vision.corner_observations import Observations, whitener
-from vision.pose.ambiguous_poses import MOST, expected_pose, neighbour_distance, rotation_angle
-from vision.predict import State, predict
+from vision.pose.ambiguous_poses import MOST, neighbour_rotation_scatter, pose_from_neighbours, rotation_angle
+from vision.predict import State, predict_corners
 from vision.targets import MarkerMap
 
 HALVED = 0.5  # of the corners' scatter; stated places are doubted where markers that may move leave less than this
@@ -74,8 +74,10 @@ class Places:
     odd: dict[int, float]
 
 
-def marker_places(measurement: Measured, t: np.ndarray) -> Places:
-    """Places of a Measurement whose markers were free. t : (F,) s of all frames of the recording."""
+def compare_stated_and_adjusted_places(measurement: Measured, t: np.ndarray) -> Places:
+    """Places: comparison of stated and adjusted marker places, and of the residuals with each.
+    measurement : Measurement whose markers were free; t : (F,) s of all frames of the recording
+    """
     m, a = measurement, measurement.adjustment
     solved = np.searchsorted(m.observations.frames, m.frames)
     kept = m.used()
@@ -99,10 +101,10 @@ def marker_places(measurement: Measured, t: np.ndarray) -> Places:
     )
 
 
-def are_places_doubtful(measurement: Measured, markers: MarkerMap) -> bool:
-    """Whether the stated places of the markers are what most of the corners' scatter comes from: what one linear step
-    with all of them free
-    promises to take away. markers : MarkerMap as stated"""
+def are_stated_places_doubtful(measurement: Measured, markers: MarkerMap) -> bool:
+    """Whether the stated marker places are doubtful: whether most of the corners' scatter comes from them.
+    markers : MarkerMap as stated
+    """
     a, kept = measurement.adjustment, measurement.used()
     state = replace(a.state, markers=markers)
     u, estimate = adjustment_unknowns(kept, state, replace(a.stated, markers=markers), (*a.free, "markers"))
@@ -116,7 +118,7 @@ def are_places_doubtful(measurement: Measured, markers: MarkerMap) -> bool:
 
 
 def adjusted_markers(measurement: Measured) -> dict[str, tuple[Marker, ...]]:
-    """{target name: (Marker, ...)} as adjusted."""
+    """Adjusted markers by target: {target name: (Marker, ...)}."""
     m = measurement.adjustment.state.placed
     out: dict[str, list[Marker]] = {}
     for row, name in enumerate(m.target):
@@ -126,15 +128,15 @@ def adjusted_markers(measurement: Measured) -> dict[str, tuple[Marker, ...]]:
     return {name: tuple(rows) for name, rows in out.items()}
 
 
-def marker_displacements(a: Adjustment) -> tuple[Move, ...]:
-    """(Move, ...) of the markers that an Adjustment left free."""
-    u, out = a.unknowns, []
-    moved = log(a.stated.placed.T_body_marker.inv() * a.state.placed.T_body_marker)
-    ids = a.state.placed.id
+def marker_displacements(adjustment: Adjustment) -> tuple[Move, ...]:
+    """Displacements (Move, ...) of the markers and targets that an Adjustment left free."""
+    u, out = adjustment.unknowns, []
+    moved = log(adjustment.stated.placed.T_body_marker.inv() * adjustment.state.placed.T_body_marker)
+    ids = adjustment.state.placed.id
     for row, columns in u.markers.items():
         by = moved[row]
-        C = a.shared_covariance[columns, columns]
-        scale = a.prior[columns]
+        C = adjustment.shared_covariance[columns, columns]
+        scale = adjustment.prior[columns]
         values, vectors = np.linalg.eigh(C / np.outer(scale, scale))
         free = values > 1e-12
         square = ((vectors.T @ (by / scale))[free] ** 2 / values[free]).sum()
@@ -152,7 +154,7 @@ def marker_displacements(a: Adjustment) -> tuple[Move, ...]:
 def _by_frame(observations: Observations, state: State, count: int) -> np.ndarray:
     """(count,) px, RMS per axis of the platform's corners in each frame."""
     on = observations.on_platform
-    square = ((observations.uv - predict(observations, state)[0]) ** 2).sum(axis=1)
+    square = ((observations.uv - predict_corners(observations, state)[0]) ** 2).sum(axis=1)
     frame = observations.frame[on]
     return np.sqrt(np.bincount(frame, weights=square[on], minlength=count) / (2 * np.bincount(frame, minlength=count)))
 
@@ -162,12 +164,12 @@ def _odd(m: Measured, t: np.ndarray) -> dict[int, float]:
     predict.
     """
     found = dict(enumerate(m.T_base_platform.as_matrix()))
-    reach = neighbour_distance(found, t)
+    reach = neighbour_rotation_scatter(found, t)
     out: dict[int, float] = {}
     if reach is None:
         return out
     for f, T in found.items():
-        expected, limit = expected_pose(found, f, t, reach)
+        expected, limit = pose_from_neighbours(found, f, t, reach)
         if expected is not None and limit < MOST and rotation_angle(expected, T) > max(2 * limit, MOST):
             out[int(m.frames[f])] = float(np.degrees(rotation_angle(expected, T)))
     return out

@@ -1,19 +1,21 @@
-"""Corners -> normal equations of an adjustment in blocks: every frame's own, the shared, and the cross terms between
-them.
-"""
+"""Normal equations of an adjustment in blocks: each frame's unknowns, the shared ones, the cross terms."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from rig.compute.parallel_map import thread_map
-from vision.bundle import normal_equation_kernels
-from vision.bundle.adjustment_unknowns import POSE_SCALE, Estimate, Unknowns
-from vision.bundle.corner_jacobians import Seen, camera_jacobians, motion_jacobian, rotate_jacobian
-from vision.bundle.estimate_update import marker_shifts
+from vision.bundle import corner_jacobians
+from vision.bundle.corner_jacobians import (
+    CameraJacobians,
+    iterate_camera_jacobians,
+    rotate_jacobian,
+    small_motion_jacobian,
+)
 from vision.bundle.printing_errors import SIDE, printing_jacobian
+from vision.bundle.unknowns_and_estimate import POSE_SCALE, Estimate, Unknowns, marker_motions_with_targets
 from vision.corner_observations import Observations, Whitener
-from vision.predict import body_points
+from vision.predict import observed_points_body
 from vision.targets import SQUARE
 
 
@@ -57,12 +59,12 @@ class Blocks:
 def linearise(
     observations: Observations, estimate: Estimate, unknowns: Unknowns, whitener: Whitener
 ) -> tuple[np.ndarray, dict[int, Derivatives]]:
-    """Whitened residuals (n, 2), seen less predicted, and {camera index: Derivatives} of the prediction.
+    """Linearised prediction: whitened residuals (n, 2), and {camera index: Derivatives}.
 
     whitener : Whitener of the observations
     """
     state = estimate.state
-    body = body_points(observations, state)
+    body = observed_points_body(observations, state)
     R_platform = state.platform.rotation.as_matrix()
     markers = observations.marker.max(initial=0) + 1
     if unknowns.markers or unknowns.prints.rows:
@@ -70,11 +72,14 @@ def linearise(
     if unknowns.targets:
         arms, turns = _about_targets(estimate, unknowns)
 
-    def one(view: Seen) -> Derivatives:
+    def one(view: CameraJacobians) -> Derivatives:
         i, rows, uv, J_base, J_camera, J_lens = view
         on, marker, corner = observations.on_platform[rows], observations.marker[rows], observations.corner[rows]
         J_body = rotate_jacobian(J_base, R_platform, observations.frame[rows], on)
-        local, own_columns = [np.where(on[:, None, None], motion_jacobian(J_body, body[rows]), 0.0)], [np.arange(6)]
+        local, own_columns = (
+            [np.where(on[:, None, None], small_motion_jacobian(J_body, body[rows]), 0.0)],
+            [np.arange(6)],
+        )
         shared, columns = [np.zeros((len(on), 2, 0))], [np.zeros((markers, 0), int)]
         if i in unknowns.local_poses:
             local.append(J_camera)
@@ -86,10 +91,10 @@ def linearise(
         if unknowns.markers or unknowns.prints.rows:
             J_marker, at = rotate_jacobian(J_body, R_marker, marker), in_marker[marker, corner]
         if unknowns.markers:
-            shared.append(motion_jacobian(J_marker, at))
+            shared.append(small_motion_jacobian(J_marker, at))
             columns.append(np.array([_range(unknowns.markers.get(row, slice(0, 6))) for row in range(markers)]))
         if unknowns.prints.rows:
-            printed, parts = printing_jacobian(J_marker, motion_jacobian(J_marker, at), at), unknowns.prints.parts
+            printed, parts = printing_jacobian(J_marker, small_motion_jacobian(J_marker, at), at), unknowns.prints.parts
             if unknowns.prints.together.stop > unknowns.prints.together.start:
                 shared.append(printed[..., SIDE:])
                 columns.append(np.tile(_range(unknowns.prints.together), (markers, 1)))
@@ -98,7 +103,7 @@ def linearise(
                 np.array([_range(unknowns.prints.rows.get(row, slice(0, len(parts)))) for row in range(markers)])
             )
         if unknowns.targets:
-            shared.append(motion_jacobian(rotate_jacobian(J_body, turns, marker), arms[marker, corner]))
+            shared.append(small_motion_jacobian(rotate_jacobian(J_body, turns, marker), arms[marker, corner]))
             names = state.placed.target[:markers]
             columns.append(np.array([_range(unknowns.targets.get(name, slice(0, 6))) for name in names]))
         every, mine = np.concatenate(columns, axis=1), np.concatenate(own_columns)
@@ -106,11 +111,11 @@ def linearise(
         scale = np.concatenate(
             [np.full((markers, len(mine)), POSE_SCALE), unknowns.scale[every], np.ones((markers, 1))], axis=1
         )
-        normal_equation_kernels.whiten(whitener.own[rows], scale, marker, whole)
+        corner_jacobians.whiten_and_scale_rows(whitener.own[rows], scale, marker, whole)
         return Derivatives(rows, whitener.mix(whole, rows), mine, every)
 
     residual, found = np.empty((len(observations), 2)), {}
-    views = list(camera_jacobians(observations, state))
+    views = list(iterate_camera_jacobians(observations, state))
     for view, derivatives in zip(views, thread_map(one, views)):
         residual[derivatives.rows], found[view[0]] = derivatives.whole[..., -1], derivatives
     return residual, found
@@ -123,7 +128,7 @@ def _range(columns: slice) -> np.ndarray:
 def _about_targets(estimate: Estimate, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray]:
     """Corners (m, 4, 3) m along each target's own axes, about its middle, and those axes (m, 3, 3) in the body."""
     markers = estimate.state.placed
-    shift = marker_shifts(estimate, unknowns)
+    shift = marker_motions_with_targets(estimate, unknowns)
     middle = np.array([unknowns.middles.get(name, np.zeros(3)) for name in markers.target])
     turns = shift.rotation.as_matrix()
     before = (markers.corners - shift.translation[:, None]) @ turns  # the corners, their target's motion taken back
@@ -133,8 +138,8 @@ def _about_targets(estimate: Estimate, unknowns: Unknowns) -> tuple[np.ndarray, 
 def normal_equations(
     observations: Observations, derivatives: dict[int, Derivatives], unknowns: Unknowns, offset: np.ndarray
 ) -> Blocks:
-    """Blocks of the whitened residuals and of what the stated values are worth. offset : (s,) scaled, from the
-    stated.
+    """Normal equations as Blocks, from the whitened residuals, their derivatives and the priors.
+    offset : (s,) scaled, from the stated
     """
     frames, l, s = len(observations.frames), unknowns.local, unknowns.shared
     blocks = Blocks(
@@ -146,7 +151,7 @@ def normal_equations(
     )
     sums = blocks.local, blocks.cross, blocks.shared, blocks.own, blocks.common
     for found in derivatives.values():
-        normal_equation_kernels.add_corners(
+        corner_jacobians.add_corners_to_normal_equations(
             found.whole,
             observations.frame[found.rows],
             observations.marker[found.rows],
@@ -159,9 +164,7 @@ def normal_equations(
 
 
 def solve_step(blocks: Blocks, unknowns: Unknowns, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Steps of the shared unknowns (s,) and of each frame's own (F, l), scaled: the frames' eliminated first (Schur
-    complement).
-    """
+    """Solved step of the shared unknowns (s,) and of each frame (F, l), scaled, by the Schur complement."""
     diagonal = np.einsum("fii->fi", blocks.local)
     H = blocks.local + damping * diagonal[:, :, None] * np.eye(unknowns.local)
     solved = np.linalg.solve(H, np.concatenate([blocks.cross, blocks.own[..., None]], axis=-1))
@@ -176,16 +179,18 @@ def solve_step(blocks: Blocks, unknowns: Unknowns, damping: float = 0.0) -> tupl
     return shared, solved[..., -1] - solved[..., :-1] @ shared
 
 
-def predicted_decrease(blocks: Blocks, shared: np.ndarray, local: np.ndarray) -> float:
-    """By how much the undamped steps of `solve_step` lower the cost where it is as its linearisation has it.
+def predicted_decrease(blocks: Blocks, shared_step: np.ndarray, local_step: np.ndarray) -> float:
+    """Predicted decrease of the cost by the undamped steps of `solve_step`, to first order.
 
-    shared, local : the steps (s,), (frames, l), scaled, as `solve_step` gives them
+    shared_step, local_step : the steps (s,), (frames, l), scaled, as `solve_step` gives them
     """
-    return float(blocks.common @ shared + (blocks.own * local).sum())
+    return float(blocks.common @ shared_step + (blocks.own * local_step).sum())
 
 
 def schur_complement(blocks: Blocks) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(gain (F, l, s), reduced (s, s), right (s,)): the frames' own unknowns eliminated; own = ... - gain @ shared."""
+    """Schur complement of the shared unknowns: (gain (F, l, s), reduced (s, s), right (s,)).
+    The frames' own unknowns are eliminated; own = ... - gain @ shared.
+    """
     solved = np.linalg.solve(blocks.local, np.concatenate([blocks.cross, blocks.own[..., None]], axis=-1))
     return solved[..., :-1], *_reduced(blocks, solved)
 

@@ -1,9 +1,8 @@
-"""Printed markers are a little off their stated places and sides, as printers and glue leave them: shared unknowns held
-by priors.
+"""Printing errors of markers (place, height, angle, side) as shared unknowns with priors.
 
 Of each marker its place (x, y on its face), how far it stands off it (z), how it is turned, its side; and the side of
 all together, because one printer's feed and one paper stretch them alike. How much of each there is, a recording tells:
-vision/bundle/printing_variance.py.
+vision/bundle/printing_error_estimation.py.
 """
 
 from __future__ import annotations
@@ -80,7 +79,7 @@ NONE = Prints([], {}, slice(0, 0))
 
 
 def apply_printing_errors(markers: MarkerMap, prints: Prints, step: np.ndarray) -> MarkerMap:
-    """The MarkerMap after a step (s,) of the shared unknowns, m, rad and shares."""
+    """The MarkerMap with a step (s,) of printing errors applied, m, rad and shares."""
     own, grown = np.zeros((len(markers.id), len(NAMES))), float(step[prints.together].sum())
     for row, columns in prints.rows.items():
         own[row, prints.parts] = step[columns]
@@ -90,8 +89,8 @@ def apply_printing_errors(markers: MarkerMap, prints: Prints, step: np.ndarray) 
     )
 
 
-def printing_offsets(markers: MarkerMap, stated: MarkerMap, prints: Prints, out: np.ndarray) -> None:
-    """Write into out (s,) how far markers are from stated, m, rad and shares.
+def fill_printing_offsets(markers: MarkerMap, stated: MarkerMap, prints: Prints, offsets: np.ndarray) -> None:
+    """Fill offsets (s,) with the printing errors that take the stated markers to these, m, rad and shares.
 
     Only each marker's whole side shows in images: of it the part that all have in common is what its prior and theirs
     make likeliest.
@@ -102,14 +101,14 @@ def printing_offsets(markers: MarkerMap, stated: MarkerMap, prints: Prints, out:
     rows = list(prints.rows)
     if prints.together.stop > prints.together.start:
         grown = away[rows, SIDE].sum() / (len(rows) + 1)
-        out[prints.together] = grown
+        offsets[prints.together] = grown
         away[:, SIDE] -= grown
     for row, columns in prints.rows.items():
-        out[columns] = away[row, prints.parts]
+        offsets[columns] = away[row, prints.parts]
 
 
-def printing_jacobian(J: np.ndarray, moved: np.ndarray, in_marker: np.ndarray) -> np.ndarray:
-    """(n, 2, 7) of corners to NAMES. J : (n, 2, 3) to the corner in its marker's frame; moved : (n, 2, 6) to a motion;
-    in_marker : (n, 3) m
+def printing_jacobian(J: np.ndarray, J_motion: np.ndarray, corners_marker: np.ndarray) -> np.ndarray:
+    """(n, 2, 7) Jacobian of corners to the printing errors NAMES.
+    J : (n, 2, 3) to the corner in its marker's frame; J_motion : (n, 2, 6) to a motion; corners_marker : (n, 3) m
     """
-    return np.concatenate([moved, J @ in_marker[..., None]], axis=2)
+    return np.concatenate([J_motion, J @ corners_marker[..., None]], axis=2)

@@ -1,5 +1,4 @@
-"""All frames adjusted together with what does not fit set aside: outlying corners, frames that lose their support, and
-the part of a corner's error that comes back in every frame."""
+"""Robust bundle adjustment: outlying corners and unsupported frames are excluded in rounds."""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
@@ -10,11 +9,16 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.errors import NotEnoughData
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
-from vision.bundle.repeated_corners import find_repeats, group_sums
-from vision.corner_observations import Observations, inverse_roots, observations_of_frames
+from vision.corner_observations import (
+    Observations,
+    find_repeated_base_corners,
+    group_sums,
+    inverse_cholesky_factors,
+    observations_of_frames,
+)
 from vision.pose.frame_poses import PLATFORM
 from vision.pose.pose_refinement import GATE, MEDIAN
-from vision.predict import State, predict
+from vision.predict import State, predict_corners
 
 ROUNDS = 8  # of adjusting and sorting out; a corner that still wavers then stays as it was adjusted
 CLOSING = 0.3  # by which a wide first gate closes with every round
@@ -27,7 +31,7 @@ ENOUGH = 50  # degrees of freedom from which the residuals' own scale is trusted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sorted:
+class RobustAdjustment:
     """An Adjustment of what fits. solved : (f,) frame indices; inliers : (n,) bool; covariance : (n, 2, 2) px^2, as the
     scatter seen has it; scale : what the stated standard deviations were multiplied by."""
 
@@ -44,14 +48,15 @@ def adjust_robustly(
     free: Sequence[str],
     unsolved: dict[int, str],
     stated: State,
-    vouched: Collection[tuple[int, int]] = frozenset(),
-    wide: float = 0.0,
+    single_sighting_bodies: Collection[tuple[int, int]] = frozenset(),
+    initial_gate: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
-) -> Sorted:
-    """Sorted: all frames adjusted, what does not fit set aside.
+) -> RobustAdjustment:
+    """Robust adjustment of all frames: outlying corners and unsupported frames are excluded in rounds.
 
     state : over all frames; unsolved : {frame: reason}, added to; stated : State as its owner states it
-    vouched : {(frame, body)} for which one sighting is enough; wide : px within which no corner is set aside at first
+    single_sighting_bodies : {(frame, body)} for which one sighting is enough; initial_gate : px within which no corner
+        is set aside at first
     progress : called with (done, of) rounds, or None
     The inliers are those within GATE of where the optimum puts them, by the residuals' own scale; a frame whose inliers
     no longer hold it is given up; repeated until both stand. With a moving camera every frame and body has a scatter of
@@ -68,10 +73,13 @@ def adjust_robustly(
         mine = np.isin(observations.frame, solved)
         plain = observations_of_frames(observations, solved)
         kept = replace(plain, covariance=factor[mine][:, None, None] * plain.covariance)
-        gate = wide * CLOSING**rounds
+        gate = initial_gate * CLOSING**rounds
         good = is_within_gate(kept, state.at(solved), gate)
         weak = _unsupported(
-            kept, good, state, {(int(np.searchsorted(solved, f)), body) for f, body in vouched if f in solved}
+            kept,
+            good,
+            state,
+            {(int(np.searchsorted(solved, f)), body) for f, body in single_sighting_bodies if f in solved},
         )
         if weak:
             unsolved.update({int(solved[f]): reason for f, reason in weak.items()})
@@ -95,7 +103,7 @@ def adjust_robustly(
     everywhere = np.zeros(len(observations), bool)
     everywhere[mine] = inliers
     scale = np.sqrt(result.cost / result.dof) if result.dof >= ENOUGH else 1.0
-    return Sorted(
+    return RobustAdjustment(
         result, solved, everywhere, (scale**2 * factor)[:, None, None] * observations.covariance, float(scale)
     )
 
@@ -136,19 +144,21 @@ def _scatter(observations: Observations, inliers: np.ndarray, state: State) -> n
     return ((alike + np.where(known, total, 0) / typical) / (alike + np.where(known, size, 0)))[group]
 
 
-def repeated_corner_error(observations: Observations, inliers: np.ndarray, state: State) -> tuple[np.ndarray, float]:
-    """(covariances (n, 2, 2) to weigh corners by, standing error px).
+def inflate_repeated_corner_covariance(
+    observations: Observations, inliers: np.ndarray, state: State
+) -> tuple[np.ndarray, float]:
+    """Inflated covariances (n, 2, 2) of repeated base corners, and their systematic error in px.
 
     A base marker seen by a fixed camera stands on the same pixels in every frame, and what the pixel grid does to it
     comes back every time: n repeats are not n observations. Their scatter about their own mean is the noise; what their
     means miss beyond that is the standing error s, and weighing each repeat by C + n s^2 gives all n together the
     weight of one mean.
     """
-    rows, index, _ = find_repeats(observations, state.moving, inliers)
+    rows, index, _ = find_repeated_base_corners(observations, state.moving, inliers)
     count, covariance = np.bincount(index), observations.covariance.copy()
     if not len(count) or (count > 1).sum() < STANDING_GROUPS:
         return covariance, 0.0
-    residual = observations.uv[rows] - predict(observations.take(rows), state)[0]
+    residual = observations.uv[rows] - predict_corners(observations.take(rows), state)[0]
     mean = group_sums(residual, index) / count[:, None]
     many = count > 1
     within = ((residual - mean[index])[many[index]] ** 2).sum() / (2 * (count[many] - 1).sum())
@@ -193,21 +203,19 @@ def _medians(group: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
 
 def _squares(observations: Observations, state: State) -> np.ndarray:
     """(n,) whitened squares of how far the corners lie from where the state puts them; infinite behind a camera."""
-    whitener = inverse_roots(observations.covariance)
-    uv, ahead = predict(observations, state)
+    whitener = inverse_cholesky_factors(observations.covariance)
+    uv, ahead = predict_corners(observations, state)
     square = ((whitener @ (observations.uv - uv)[..., None])[..., 0] ** 2).sum(axis=1)
     square[(ahead[:, 2] <= 0) | ~np.isfinite(square)] = np.inf
     return square
 
 
-def is_within_gate(observations: Observations, state: State, least: float = 0.0) -> np.ndarray:
-    """(n,) bool, the corners within GATE of where the state puts them, by the residuals' own scale, or within `least`
-    px.
-    """
+def is_within_gate(observations: Observations, state: State, smallest_gate: float = 0.0) -> np.ndarray:
+    """(n,) bool, whether a corner's residual is within the gate: GATE robust scales, or the smallest gate px."""
     square = _squares(observations, state)
     scale = np.sqrt(np.median(square) / MEDIAN)
     typical = np.median(np.einsum("nii->n", observations.covariance)) / 2
-    return (square < (GATE * scale) ** 2) | (square * typical < least**2)
+    return (square < (GATE * scale) ** 2) | (square * typical < smallest_gate**2)
 
 
 def _unsupported(

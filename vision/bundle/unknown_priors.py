@@ -1,4 +1,4 @@
-"""What an adjustment may move: its columns, what each is worth as stated, and which motions the datums forbid.
+"""Priors of an adjustment's unknowns: stated standard deviations, columns, and motions fixed by datums.
 
 Shared unknowns: poses of fixed cameras, lenses, places of markers on their target, places of targets in their body, or
 how markers that are held are printed. Unknowns of one frame: the platform's pose and each moving camera's.
@@ -13,9 +13,15 @@ from rig.model.design import Camera
 from rig.model.manufacturing_tolerances import SIDES
 from rig.model.pose import skew
 from vision import lens
-from vision.bundle.adjustment_unknowns import POSE_SCALE, Estimate, Unknowns
-from vision.bundle.estimate_update import cameras_hold_base, marker_motions, target_motion
 from vision.bundle.printing_errors import NAMES, NONE, SIDE, Printing, Prints
+from vision.bundle.unknowns_and_estimate import (
+    POSE_SCALE,
+    Estimate,
+    Unknowns,
+    do_cameras_hold_base,
+    marker_motions_on_targets,
+    target_motion_from_stated,
+)
 from vision.corner_observations import Observations
 from vision.predict import State
 from vision.targets import MarkerMap
@@ -43,16 +49,18 @@ TERM_PRIOR = {
     "tau_y": 0.01,
 }
 PLACE_PRIOR = (0.1, 0.1)  # of the marker's side, and rad: what the stated place of a marker or target is worth
-POSE_WORTH = 0.01  # m, rad; what the stated pose of a camera is worth where no base targets show where it stands
+POSE_SIGMA = 0.01  # m, rad; what the stated pose of a camera is worth where no base targets show where it stands
 ANCHORS = 2  # markers of the base that show it
 PARTS = ("x", "y", "z", "rx", "ry", "rz")
 
 
-def lens_prior(camera: Camera) -> np.ndarray:
-    """(4 + terms,) standard deviations that a stated lens is given."""
+def stated_lens_sigmas(camera: Camera) -> np.ndarray:
+    """(4 + terms,) standard deviations (sigmas) that a stated lens is given as a prior."""
     focal = [FOCAL_PRIOR * camera.matrix[0, 0], FOCAL_PRIOR * camera.matrix[1, 1]]
     return np.array(
-        focal + [CENTRE_PRIOR * camera.width] * 2 + [TERM_PRIOR[name] for name in lens.terms(camera.distortion)[4:]]
+        focal
+        + [CENTRE_PRIOR * camera.width] * 2
+        + [TERM_PRIOR[name] for name in lens.lens_parameter_names(camera.distortion)[4:]]
     )
 
 
@@ -61,13 +69,14 @@ def adjustment_unknowns(
     state: State,
     stated: State,
     free: Sequence[str],
-    worth: Callable[[Camera], np.ndarray] = lens_prior,
+    lens_prior_sigmas: Callable[[Camera], np.ndarray] = stated_lens_sigmas,
     printing: Printing | None = None,
 ) -> tuple[Unknowns, Estimate]:
-    """Unknowns of an adjustment, and the Estimate to start from. Raises ValueError for a group that there is not.
+    """Unknowns of an adjustment with their priors, and the Estimate to start from.
+    Raises ValueError for an unknown name in `free`.
 
-    stated : State whose markers stand where their owner says; worth : of a Camera's stated lens, (4 + terms,) as
-        `lens_prior` has it
+    stated : State whose markers stand where their owner says; lens_prior_sigmas : of a Camera's stated lens, (4 +
+        terms,) as `stated_lens_sigmas` has it
     printing : how far markers are taken to be off where they are not free, or None
     """
     if set(free) - set(GROUPS):
@@ -91,11 +100,13 @@ def adjustment_unknowns(
             local_poses[i] = slice(local, local + 6)
             local += 6
         elif "poses" in free:
-            scales, held = ([POSE_SCALE] * 6, 0.0) if i in anchored else ([POSE_WORTH] * 6, 1.0)
+            scales, held = ([POSE_SCALE] * 6, 0.0) if i in anchored else ([POSE_SIGMA] * 6, 1.0)
             poses[i] = add(6, scales, held, [(camera.name, part) for part in PARTS])
         if "lenses" in free:
-            terms = lens.terms(camera.distortion)
-            lenses[i] = add(len(terms), worth(camera).tolist(), 1.0, [(camera.name, term) for term in terms])
+            terms = lens.lens_parameter_names(camera.distortion)
+            lenses[i] = add(
+                len(terms), lens_prior_sigmas(camera).tolist(), 1.0, [(camera.name, term) for term in terms]
+            )
     rows = np.unique(observations.marker)
     markers, targets, middles = {}, {}, {}
     if "markers" in free:
@@ -153,8 +164,10 @@ def adjustment_unknowns(
         prints,
     )
     found = replace(found, basis=_basis(observations, state, found))
-    start = Estimate(state, None, {name: target_motion(name, state.placed, stated.placed, found) for name in targets})
-    return found, replace(start, marker_moves=marker_motions(start, stated, found)) if markers else start
+    start = Estimate(
+        state, None, {name: target_motion_from_stated(name, state.placed, stated.placed, found) for name in targets}
+    )
+    return found, replace(start, marker_moves=marker_motions_on_targets(start, stated, found)) if markers else start
 
 
 def _anchored(observations: Observations) -> set[int]:
@@ -188,7 +201,7 @@ def _basis(observations: Observations, state: State, unknowns: Unknowns) -> np.n
         target = np.array(m.target)
         for on in (False, True):
             body = seen[m.on_platform[seen] == on]
-            if len(body) and (on or not cameras_hold_base(unknowns, state)):
+            if len(body) and (on or not do_cameras_hold_base(unknowns, state)):
                 rows.append(_mean_motion(m, body, unknowns, True))
         if unknowns.markers and unknowns.targets:
             rows += [_mean_motion(m, seen[target[seen] == name], unknowns, False) for name in unknowns.targets]

@@ -1,6 +1,4 @@
-"""What cameras may be: exchanged, posed the other way round, their matrix or their lens's terms in another order or for
-another image.
-"""
+"""Camera mistakes in rig.toml as trials: exchanged cameras, other pose, matrix or distortion conventions."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -11,9 +9,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.model.design import Camera
 from vision import lens
-from vision.checks.trial_measurement import Seen
+from vision.checks.corner_convention_trials import SampledRecording
 
-Candidate = tuple[str, str, Seen]
+Candidate = tuple[str, str, SampledRecording]
 BEFORE = "camera in base, OpenCV axes (x right, y down, z ahead): state it so"
 ZOOMS = (
     0.6,
@@ -24,7 +22,7 @@ ZOOMED = 0.05  # share beyond which that is a mistake
 
 
 def alternative_camera_poses(pose: RigidTransform) -> Iterator[tuple[str, RigidTransform]]:
-    """(what the stated pose is, the pose as it should be) of other ways to state a camera's pose."""
+    """Alternative camera poses, each with its convention: (what the stated pose is, the correct pose)."""
     t, R = pose.translation, pose.rotation
     v = R.as_rotvec()
     yield "its pose is inverted (base in camera, not camera in base)", pose.inv()
@@ -70,8 +68,8 @@ def alternative_camera_poses(pose: RigidTransform) -> Iterator[tuple[str, RigidT
         )
 
 
-def exchanged_cameras(seen: Seen) -> Iterator[Candidate]:
-    """Two cameras' corners, or all their stated figures, exchanged."""
+def exchanged_camera_trials(seen: SampledRecording) -> Iterator[Candidate]:
+    """Trials with the corners, or all stated figures, of two cameras exchanged."""
     names = [camera.name for camera in seen.design.cameras]
     for a, b in combinations(names, 2):
         other = {a: b, b: a}
@@ -82,8 +80,8 @@ def exchanged_cameras(seen: Seen) -> Iterator[Candidate]:
         )
 
 
-def alternative_pose_trials(seen: Seen) -> Iterator[Candidate]:
-    """All cameras' stated poses stated another way, then each alone: for rigs whose cameras hold the base frame."""
+def alternative_camera_pose_trials(seen: SampledRecording) -> Iterator[Candidate]:
+    """Trials with alternative conventions of camera poses, of all cameras and then of each."""
     cameras = seen.design.cameras
     for k, (what, _) in enumerate(alternative_camera_poses(cameras[0].pose)):
         turned = [list(alternative_camera_poses(camera.pose))[k][1] for camera in cameras]
@@ -100,10 +98,8 @@ def alternative_pose_trials(seen: Seen) -> Iterator[Candidate]:
             )
 
 
-def alternative_lenses(seen: Seen) -> Iterator[Candidate]:
-    """Matrices and distortions in another order, with another sign or of another size of image: of all cameras, then of
-    each alone.
-    """
+def alternative_lens_trials(seen: SampledRecording) -> Iterator[Candidate]:
+    """Trials with alternative lenses: matrix and distortion in another order, sign or image size."""
     cameras = seen.design.cameras
     for what, do, other in _LENSES:
         mended = [other(camera) for camera in cameras]
@@ -120,9 +116,9 @@ def alternative_lenses(seen: Seen) -> Iterator[Candidate]:
                 )
 
 
-def focal_length_mistakes(seen: Seen, adjusted: tuple[Camera, ...]) -> Iterator[Candidate]:
-    """The focal lengths that adjusting found, where they are far from those stated. adjusted : the Cameras of Seen,
-    adjusted to its corners
+def focal_length_mistakes(seen: SampledRecording, adjusted: tuple[Camera, ...]) -> Iterator[Candidate]:
+    """Focal length mistakes: adjusted focal lengths far from the stated ones.
+    adjusted : the Cameras of Seen, adjusted to its corners
     """
     ratios = {k: float(a.matrix[0, 0] / b.matrix[0, 0]) for k, (a, b) in enumerate(zip(adjusted, seen.design.cameras))}
     off = {k: ratio for k, ratio in ratios.items() if ZOOMS[0] < ratio < ZOOMS[1] and abs(ratio - 1) > ZOOMED}
@@ -141,15 +137,15 @@ def focal_length_mistakes(seen: Seen, adjusted: tuple[Camera, ...]) -> Iterator[
     )
 
 
-def alternative_distortions(camera: Camera) -> Iterator[tuple[str, str, Camera]]:
-    """(what, do, Camera) of distortions with another sign or in another order."""
+def alternative_distortion_conventions(camera: Camera) -> Iterator[tuple[str, str, Camera]]:
+    """Alternative conventions of a distortion, sign or order: (what, what to do, Camera)."""
     for what, do, other in _LENSES:
         if "distortion" in what and not _same(other(camera), camera):
             yield what, do, other(camera)
 
 
 def distortion_difference(a: Camera, b: Camera) -> float:
-    """px, RMS over the image of a by which the distortions of two cameras differ."""
+    """Difference of two cameras' distortions, px RMS over the image of a."""
     x, y = np.meshgrid(
         np.linspace(-0.45, 0.45, 9) * a.width / a.matrix[0, 0], np.linspace(-0.45, 0.45, 9) * a.height / a.matrix[1, 1]
     )
@@ -158,22 +154,21 @@ def distortion_difference(a: Camera, b: Camera) -> float:
     return float(np.sqrt((gap**2).sum(axis=1).mean()))
 
 
-def matching_lens_reading(seen: Seen, adjusted: tuple[Camera, ...]) -> Candidate | None:
-    """The way of reading all stated lenses, or one camera's, that gives what adjusting found; None where none does, or
-    the stated ones do already.
+def find_matching_lens_convention(seen: SampledRecording, adjusted: tuple[Camera, ...]) -> Candidate | None:
+    """The convention of the stated lenses that matches the adjusted ones, or None.
 
     adjusted : the Cameras of Seen, adjusted from lenses of which nothing is known
     """
     found = [
         one
-        for one in alternative_lenses(seen)
+        for one in alternative_lens_trials(seen)
         if all(is_same_lens(a, b) for a, b in zip(one[2].design.cameras, adjusted))
     ]
     return found[0] if found and not all(is_same_lens(a, b) for a, b in zip(seen.design.cameras, adjusted)) else None
 
 
 def is_same_lens(a: Camera, b: Camera) -> bool:
-    """Whether two cameras are one lens: as near as a lens that was calibrated once is to what it is today."""
+    """Whether two cameras have the same lens within the drift of a calibrated lens."""
     gap = np.abs(a.matrix[:2] - b.matrix[:2])
     return bool(
         gap[[0, 1], [0, 1]].max() < ALIKE[0] * a.matrix[0, 0]

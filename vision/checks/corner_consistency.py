@@ -1,6 +1,4 @@
-"""What a recording's corners say of its user's mistakes: a few frames as stated, and where they disagree, as any
-mistake would have them.
-"""
+"""Consistency of a recording's corners with rig.toml: mistakes found by measuring trials of corrections."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -15,11 +13,11 @@ from rig.effects.catalogue.edge_bias import EdgeBias
 from rig.model.design import Camera, Design
 from rig.recording.recording_folder import Corners, Recording
 from vision.checks import camera_mistakes as cameras
-from vision.checks import corner_convention_errors as order
+from vision.checks import corner_convention_trials as order
 from vision.checks import target_mistakes
-from vision.checks.trial_measurement import LOST, Seen, Trial, measure_sample, sample_frames
+from vision.checks.corner_convention_trials import LOST, SampledRecording, Trial, measure_trial, sample_frames
 from vision.hand_mounted_cameras import has_hand_cameras, recording_seen_from_hand
-from vision.initial_lenses import are_lenses_plausible, initial_lenses
+from vision.initial_lenses import alternative_initial_lenses, are_lenses_plausible
 from vision.recording_adjustment import Measurement
 
 FINE = 0.3  # px; a misfit below it is noise and what calibration takes up
@@ -44,11 +42,11 @@ BENT = 2.0  # px, RMS over the image, that a lens may be from what is stated
 UNSTATED = "the lens is not as stated"
 UNSURE = 3.0  # standard deviations of the poses measured, within which commands and poses may differ
 MOVING = 120  # frames whose poses are held against the commands
-Maker = Callable[[Seen], Iterator[tuple[str, str, Seen]]]
+Maker = Callable[[SampledRecording], Iterator[tuple[str, str, SampledRecording]]]
 
 
 def find_corner_mistakes(recording: Recording, corners: Corners, thorough: bool = False) -> tuple[Mistake, ...]:
-    """Mistakes that a recording's corners show, in order; nothing is written and nothing changed.
+    """Find the mistakes of rig.toml and corners.csv that a recording's corners show, in order.
 
     corners : Corners of its images or its corners.csv; thorough : whether many frames are held against the commands,
     not a few, and the search goes on for longer
@@ -58,7 +56,7 @@ def find_corner_mistakes(recording: Recording, corners: Corners, thorough: bool 
     seen = sample_frames(recording.design, corners, frames, t)
     if seen is None:
         return ()
-    first = measure_sample(seen)
+    first = measure_trial(seen)
     found, best = _seen(first, THOROUGH if thorough else SEARCH)
     if best.measured is not None and best.misfit < GROSS:  # else its cameras and poses are no evidence of anything
         found += ([] if held else _posed(best.measured, recording.design)) + _lens(best.measured, best.seen.design)
@@ -101,7 +99,7 @@ def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
                         f"{what}: corners lie {first.misfit:.3g} px RMS from where they ought to as it "
                         f"stands, {other.misfit:.3g} px so" + (" (20 px: not at all)" if first.misfit == LOST else ""),
                         do,
-                        not target_mistakes.is_corrected_by_commands(first.seen, other.seen),
+                        not target_mistakes.is_correction_within_one_cube(first.seen, other.seen),
                         LIKELY * (1 - other.misfit / first.misfit),
                     )
                 ], other
@@ -110,7 +108,7 @@ def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
     bound = GROSS if target_mistakes.suspicious_targets(first) else UNEXPLAINED
     if (
         first.misfit > bound
-        and measure_sample(first.seen, ("poses", "lenses", "markers")).misfit > BETTER * first.misfit
+        and measure_trial(first.seen, ("poses", "lenses", "markers")).misfit > BETTER * first.misfit
     ):
         return [
             Mistake(
@@ -125,7 +123,7 @@ def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
     return [], first
 
 
-def _stands(stated: Seen, other: Trial) -> bool:
+def _stands(stated: SampledRecording, other: Trial) -> bool:
     """Whether adjusting leaves lenses as a mistake would have them: where it leads elsewhere, the mistake was but
     another place to begin.
 
@@ -149,8 +147,8 @@ def _unstated(first: Trial) -> tuple[list[Mistake], Trial] | None:
     brings adjusting to an end
     """
     best = first
-    for begun in initial_lenses(first.seen.design.cameras, partial(_loosened, first.seen)):
-        tried = measure_sample(first.seen.with_cameras(begun))
+    for begun in alternative_initial_lenses(first.seen.design.cameras, partial(_loosened, first.seen)):
+        tried = measure_trial(first.seen.with_cameras(begun))
         best = min(best, tried, key=lambda one: one.misfit)
         if tried.misfit < DONE:
             break
@@ -160,10 +158,10 @@ def _unstated(first: Trial) -> tuple[list[Mistake], Trial] | None:
     if not are_lenses_plausible(adjusted, stated):
         return None
     tail = f"corners lie {first.misfit:.3g} px RMS from where they ought to as it stands, {best.misfit:.3g} px"
-    read = cameras.matching_lens_reading(first.seen, adjusted)
+    read = cameras.find_matching_lens_convention(first.seen, adjusted)
     if read is not None:
         what, do, other = read
-        return [Mistake(f"{what}: {tail} so", do, True, LIKELY * (1 - best.misfit / first.misfit))], measure_sample(
+        return [Mistake(f"{what}: {tail} so", do, True, LIKELY * (1 - best.misfit / first.misfit))], measure_trial(
             other
         )
     off = [s.name for s, a in zip(stated, adjusted) if not cameras.is_same_lens(s, a)]
@@ -180,22 +178,22 @@ def _unstated(first: Trial) -> tuple[list[Mistake], Trial] | None:
     ], best
 
 
-def _loosened(seen: Seen, cameras: tuple[Camera, ...]) -> tuple[Camera, ...] | None:
+def _loosened(seen: SampledRecording, cameras: tuple[Camera, ...]) -> tuple[Camera, ...] | None:
     """The cameras adjusted from these with markers' places free, None where nothing can be solved."""
-    measured = measure_sample(seen.with_cameras(cameras), ("poses", "lenses", "markers")).measured
+    measured = measure_trial(seen.with_cameras(cameras), ("poses", "lenses", "markers")).measured
     return None if measured is None else measured.design.cameras
 
 
 def _sized(first: Trial) -> tuple[list[Mistake], Trial]:
     """The print's scale, where that explains the misfit."""
     tried = [
-        (body, share, measure_sample(other)) for body, share, other in target_mistakes.marker_size_trials(first.seen)
+        (body, share, measure_trial(other)) for body, share, other in target_mistakes.marker_size_trials(first.seen)
     ]
     if not tried:
         return [], first
     body, share, best = min(tried, key=lambda one: one[2].misfit)
-    share = target_mistakes.best_size_ratio(first.seen, share, body, lambda seen: measure_sample(seen).misfit)
-    at = measure_sample(target_mistakes.scale_marker_sides(first.seen, share, body))
+    share = target_mistakes.best_size_ratio(first.seen, share, body, lambda seen: measure_trial(seen).misfit)
+    at = measure_trial(target_mistakes.scale_marker_sides(first.seen, share, body))
     best = at if at.misfit < best.misfit else best
     if (
         best.misfit**2 > HALF * first.misfit**2
@@ -223,7 +221,7 @@ def _edges(first: Trial) -> float:
     the printer's.
     """
 
-    def put(bias: float) -> Seen:
+    def put(bias: float) -> SampledRecording:
         seen, names = first.seen, np.array(first.seen.corners.camera)
         c = seen.corners
         order = np.lexsort((c.corner, c.marker, c.frame, names))
@@ -237,7 +235,7 @@ def _edges(first: Trial) -> float:
         or (np.bincount(first.seen.corners.corner, minlength=4) * 4 != len(first.seen.corners.frame)).any()
     ):
         return first.misfit
-    return min(measure_sample(put(bias)).misfit for bias in BIASES)
+    return min(measure_trial(put(bias)).misfit for bias in BIASES)
 
 
 def _tried(first: Trial, most: int) -> tuple[list[tuple[str, str, Trial]], bool]:
@@ -246,15 +244,15 @@ def _tried(first: Trial, most: int) -> tuple[list[tuple[str, str, Trial]], bool]
     """
     seen = first.seen
     stated = not any(target.body == "base" for target in seen.design.targets)
-    makers: list[Maker] = [cameras.alternative_lenses]
+    makers: list[Maker] = [cameras.alternative_lens_trials]
     if first.misfit > GROSS:
         makers = [
-            order.corner_mistake_trials,
-            cameras.exchanged_cameras,
+            order.all_camera_corner_trials,
+            cameras.exchanged_camera_trials,
             target_mistakes.exchanged_target_trials,
-            cameras.alternative_lenses,
-            order.single_camera_trials,
-            *([cameras.alternative_pose_trials] if stated else []),
+            cameras.alternative_lens_trials,
+            order.single_camera_corner_trials,
+            *([cameras.alternative_camera_pose_trials] if stated else []),
         ]
     wrong = target_mistakes.suspicious_targets(first) if first.misfit > GROSS else []
     ones: list[Maker] = [partial(target_mistakes.turned_face_trials, name=name) for name in wrong]
@@ -275,7 +273,7 @@ def _tried(first: Trial, most: int) -> tuple[list[tuple[str, str, Trial]], bool]
     for make in [*ones, *zoomed, *([target_mistakes.cube_edge_trials] if first.misfit > GROSS else []), *makers]:
         least = LOST
         for what, do, other in make(seen):
-            tried.append((what, do, measure_sample(other)))
+            tried.append((what, do, measure_trial(other)))
             least = min(least, tried[-1][2].misfit)
             if len(tried) >= most:
                 return tried, False
@@ -358,7 +356,7 @@ def _lens(m: Measurement, design: Design) -> list[Mistake]:
     if not all(
         any(
             cameras.is_same_lens(way, seen)
-            for way in (stated, *(other for *_, other in cameras.alternative_distortions(stated)))
+            for way in (stated, *(other for *_, other in cameras.alternative_distortion_conventions(stated)))
         )
         for stated, seen in ones
     ):
@@ -367,7 +365,7 @@ def _lens(m: Measurement, design: Design) -> list[Mistake]:
         off = cameras.distortion_difference(stated, seen)
         ways = {
             (what, do): cameras.distortion_difference(other, seen)
-            for what, do, other in cameras.alternative_distortions(stated)
+            for what, do, other in cameras.alternative_distortion_conventions(stated)
         }
         named = min(ways, key=lambda way: ways[way], default=None)
         if off > BENT and named is not None and ways[named] < min(SAME * off, cameras.ALIKE[2]):
@@ -402,7 +400,7 @@ def _moved(recording: Recording, corners: Corners | None, m: Measurement, thorou
     if corners is not None and (thorough or platform_commands_and_poses.commands_disagree_with_poses(few)):
         frames, t = recording.exposures.times()
         many = sample_frames(replace(recording.design, cameras=m.design.cameras), corners, frames, t, MOVING)
-        more = measure_sample(many).measured if many is not None else None
+        more = measure_trial(many).measured if many is not None else None
         if more is not None:
             m, few = more, platform_commands_and_poses.moves_of_recording(recording, more.frames, more.T_base_platform)
     unsure = float(

@@ -1,6 +1,4 @@
-"""A few images of a recording, read whole: their corners, dictionaries that are not as stated, and what corners.csv
-says of the same images.
-"""
+"""A sample of a recording's images: its corners, wrong dictionaries, and mistakes in corners.csv."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -11,8 +9,8 @@ import numpy as np
 from rig.checks import Mistake
 from rig.errors import FileError
 from rig.recording.recording_folder import Corners, Recording
-from vision.checks.trial_measurement import FRAMES
-from vision.corners.marker_detection import Detection, detect_markers, dictionary_reader
+from vision.checks.corner_convention_trials import FRAMES
+from vision.corners.marker_detection import Detection, detect_markers, opencv_detector
 from vision.reading.parallel_images import map_images_in_threads
 from vision.reading.recording_corners import image_reader
 from vision.targets import MarkerMap, marker_map
@@ -36,14 +34,14 @@ SURE = 0.7  # proof from which that is said
 OFF = 0.3  # px by which corners.csv may differ from what is read in the images, in the middle
 
 
-def read_image_sample(recording: Recording) -> tuple[Corners | None, list[Mistake]]:
-    """(Corners of some frames' images, None where there are none; Mistakes that the images show by themselves)."""
+def read_corners_of_image_sample(recording: Recording) -> tuple[Corners | None, list[Mistake]]:
+    """Corners read from a sample of a recording's images, None without images; and the images' Mistakes."""
     markers = marker_map(recording.design)
     sights, found = _sights(recording, markers, FRAMES)
     rows = [
         (frame, name, int(number), k) for frame, name, _, seen in sights for number in seen.marker for k in range(4)
     ]
-    found += other_dictionary_mistakes(
+    found += _other_dictionary_mistakes(
         [image for _, _, image, _ in sights], Counter(number for _, _, number, k in rows if k == 0), markers
     )
     if not rows:
@@ -54,14 +52,14 @@ def read_image_sample(recording: Recording) -> tuple[Corners | None, list[Mistak
     return corners, found + list(_against(recording.corners, corners))
 
 
-def image_mistakes(recording: Recording) -> list[Mistake]:
-    """What a few frames' images surely say of dictionaries, identities and mirrors: what no measuring recovers from."""
+def dictionary_and_identity_mistakes(recording: Recording) -> list[Mistake]:
+    """Certain mistakes of dictionary, identity or mirroring in a sample of images."""
     markers = marker_map(recording.design)
     sights, _ = _sights(recording, markers, FEW)
     seen = Counter(int(number) for *_, one in sights for number in one.marker)
     return [
         one
-        for one in other_dictionary_mistakes([image for _, _, image, _ in sights], seen, markers)
+        for one in _other_dictionary_mistakes([image for _, _, image, _ in sights], seen, markers)
         if one.spoils and one.proof >= SURE
     ]
 
@@ -94,7 +92,7 @@ def _sights(recording: Recording, markers: MarkerMap, count: int) -> tuple[list[
     return [(*one, detection) for one, detection in zip(looked_at, seen)], found
 
 
-def other_dictionary_mistakes(images: list[np.ndarray], seen: Counter, markers: MarkerMap) -> list[Mistake]:
+def _other_dictionary_mistakes(images: list[np.ndarray], seen: Counter, markers: MarkerMap) -> list[Mistake]:
     """Targets none of whose markers is read in images (height, width) uint8, though another dictionary's are; mirrored
     images.
 
@@ -195,7 +193,7 @@ def _none(images: list[np.ndarray], markers: MarkerMap, votes: dict[str, Counter
 
 
 def _numbers(image: np.ndarray, name: str) -> list[int]:
-    ids = dictionary_reader(name).detectMarkers(image)[1]
+    ids = opencv_detector(name).detectMarkers(image)[1]
     return [] if ids is None else [int(number) for number in ids.ravel()]
 
 

@@ -1,6 +1,4 @@
-"""What targets may be: of another size, exchanged, turned, their faces in another order, on the other body, posed the
-other way round.
-"""
+"""Target mistakes in rig.toml as trials: wrong size, exchanged or turned targets, wrong faces or pose."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -11,10 +9,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.model.design import Camera, Target
-from vision.checks.trial_measurement import Seen, Trial
+from vision.checks.corner_convention_trials import SampledRecording, Trial
 from vision.targets import SQUARE, marker_map
 
-Candidate = tuple[str, str, Seen]
+Candidate = tuple[str, str, SampledRecording]
 PRINTED = 0.01  # a scale of the print beyond this is a mistake, below it a print_scale (its usual size ends at 0.005)
 NAMED = 0.006  # share by which a ratio may differ from one that has a name
 LEAST_CORNERS = 8  # of one marker, from which it is said to be elsewhere
@@ -23,7 +21,7 @@ PAIRS = 12  # pairs of markers in one image from which a scale is told
 CONTENT = {"4X4": 4, "5X5": 5, "6X6": 6, "7X7": 7, "ORIGINAL": 5, "36h": 6, "25h": 5, "16h": 4}
 
 
-def cube_turns() -> list[Rotation]:
+def _cube_turns() -> list[Rotation]:
     """The 23 turns of a cube into itself, the least ones first."""
     turns = {
         tuple(np.round(R.as_matrix().ravel()).astype(int).tolist()): R
@@ -37,7 +35,7 @@ def cube_turns() -> list[Rotation]:
     return sorted((R for R in turns.values() if R.magnitude() > 0.1), key=lambda R: round(R.magnitude(), 6))
 
 
-def marker_scale_ratios(seen: Seen) -> dict[str, tuple[float, int]]:
+def _marker_scale_ratios(seen: SampledRecording) -> dict[str, tuple[float, int]]:
     """{body: (true over stated side of its markers, pairs that say so)}: distances between targets in one image against
     the stated ones.
 
@@ -78,11 +76,9 @@ def _alone(uv: np.ndarray, camera: Camera, side: float) -> np.ndarray | None:
     return found[2][0].ravel() if found[0] else None
 
 
-def marker_size_trials(seen: Seen) -> Iterator[tuple[str | None, float, Seen]]:
-    """(body, share, Seen) of markers' sides that are wrong, of all targets (None) or those of one body, about what
-    `marker_scale_ratios` says.
-    """
-    told = {body: share for body, (share, pairs) in marker_scale_ratios(seen).items() if pairs >= PAIRS}
+def marker_size_trials(seen: SampledRecording) -> Iterator[tuple[str | None, float, SampledRecording]]:
+    """Trials with other marker sizes, of all targets (None) or of one body: (body, ratio, Seen)."""
+    told = {body: share for body, (share, pairs) in _marker_scale_ratios(seen).items() if pairs >= PAIRS}
     firsts = sorted({round(share, 3) for share in told.values() if abs(share - 1) > PRINTED / 2})
     for first in firsts:
         for share in first * np.array([1.0, 0.99, 1.01]):
@@ -103,8 +99,8 @@ def _named(target: Target) -> dict[str, float]:
     return out
 
 
-def scale_marker_sides(seen: Seen, factor: float, body: str | None = None) -> Seen:
-    """The same with markers' sides multiplied, of all targets or of those on one body."""
+def scale_marker_sides(seen: SampledRecording, factor: float, body: str | None = None) -> SampledRecording:
+    """Seen with marker sides scaled by a factor, of all targets or of one body's."""
     return seen.with_targets(
         tuple(t if body not in (None, t.body) else _resized(t, factor) for t in seen.design.targets)
     )
@@ -117,7 +113,7 @@ def _resized(target: Target, factor: float) -> Target:
 
 
 def size_ratio_text(share: float, target: Target | None) -> str:
-    """What a ratio of true to stated side means."""
+    """Text of a ratio of true to stated marker size."""
     off = (
         f"the markers are printed {abs(share - 1):.1%} {'larger' if share > 1 else 'smaller'} than rig.toml "
         "states (scale of print)"
@@ -136,17 +132,19 @@ def size_ratio_text(share: float, target: Target | None) -> str:
     return off
 
 
-def best_size_ratio(seen: Seen, share: float, body: str | None, miss: Callable[[Seen], float]) -> float:
-    """The share near one at which the misfit (px) is least: the vertex of a parabola through three squares."""
+def best_size_ratio(
+    seen: SampledRecording, ratio: float, body: str | None, misfit: Callable[[SampledRecording], float]
+) -> float:
+    """Size ratio near one with the least misfit (px), at the vertex of a parabola through three trials."""
     by = 0.004
-    squares = [miss(scale_marker_sides(seen, share * (1 + k * by), body)) ** 2 for k in (-1, 0, 1)]
+    squares = [misfit(scale_marker_sides(seen, ratio * (1 + k * by), body)) ** 2 for k in (-1, 0, 1)]
     bend = squares[0] - 2 * squares[1] + squares[2]
-    return share * (1 + by * float(np.clip((squares[0] - squares[2]) / (2 * bend), -4, 4))) if bend > 0 else share
+    return ratio * (1 + by * float(np.clip((squares[0] - squares[2]) / (2 * bend), -4, 4))) if bend > 0 else ratio
 
 
-def exchanged_target_trials(seen: Seen, names: list[str] | None = None) -> Iterator[Candidate]:
-    """Targets exchanged with each other or on the other body; of all targets, their bodies and poses too. names : those
-    meant, all by default
+def exchanged_target_trials(seen: SampledRecording, names: list[str] | None = None) -> Iterator[Candidate]:
+    """Trials with targets exchanged, or moved to the other body.
+    Of all targets, bodies and poses too. names : those meant, all by default
     """
     targets = seen.design.targets
     meant = [i for i, t in enumerate(targets) if names is None or t.name in names]
@@ -196,17 +194,17 @@ def exchanged_target_trials(seen: Seen, names: list[str] | None = None) -> Itera
             )
 
 
-def single_target_trials(seen: Seen, name: str) -> Iterator[Candidate]:
-    """What may be wrong with one target: turned, its faces renamed, posed another way, of another size."""
+def single_target_trials(seen: SampledRecording, name: str) -> Iterator[Candidate]:
+    """Trials of a single target: turned, faces renamed, another pose convention, another size."""
     targets = seen.design.targets
     i = [t.name for t in targets].index(name)
     t = targets[i]
 
-    def put(other: Target) -> Seen:
+    def put(other: Target) -> SampledRecording:
         return seen.with_targets((*targets[:i], other, *targets[i + 1 :]))
 
     if t.pose is not None:
-        for R in cube_turns():
+        for R in _cube_turns():
             axis, angle = R.as_rotvec(), np.degrees(R.magnitude())
             about = np.round(axis / np.linalg.norm(axis), 2)
             plain = next(
@@ -233,8 +231,8 @@ def single_target_trials(seen: Seen, name: str) -> Iterator[Candidate]:
             )
 
 
-def turned_face_trials(seen: Seen, name: str) -> Iterator[Candidate]:
-    """One face of a cube glued on turned."""
+def turned_face_trials(seen: SampledRecording, name: str) -> Iterator[Candidate]:
+    """Trials with one face of a cube turned."""
     target = next(t for t in seen.design.targets if t.name == name)
     for face, number in target.faces:
         mine = seen.corners.marker == number
@@ -248,8 +246,8 @@ def turned_face_trials(seen: Seen, name: str) -> Iterator[Candidate]:
             )
 
 
-def exchanged_face_trials(seen: Seen, name: str) -> Iterator[Candidate]:
-    """Two faces of one cube exchanged."""
+def exchanged_face_trials(seen: SampledRecording, name: str) -> Iterator[Candidate]:
+    """Trials with two faces of one cube exchanged."""
     targets = seen.design.targets
     i = [t.name for t in targets].index(name)
     t = targets[i]
@@ -263,21 +261,19 @@ def exchanged_face_trials(seen: Seen, name: str) -> Iterator[Candidate]:
         )
 
 
-def is_corrected_by_commands(stated: Seen, mended: Seen) -> bool:
-    """Whether what was mended is set right by every command itself: markers of one cube on each other's faces are told
-    by where they are seen.
-    """
-    if mended.corners is not stated.corners or mended.design.cameras is not stated.design.cameras:
+def is_correction_within_one_cube(stated: SampledRecording, corrected: SampledRecording) -> bool:
+    """Whether a correction only exchanges faces within one cube, which each command corrects by itself."""
+    if corrected.corners is not stated.corners or corrected.design.cameras is not stated.design.cameras:
         return False
-    changed = [(a, b) for a, b in zip(stated.design.targets, mended.design.targets) if a is not b]
+    changed = [(a, b) for a, b in zip(stated.design.targets, corrected.design.targets) if a is not b]
     alike = ("name", "body", "dictionary", "edge", "marker", "pose", "listed")
     return len(changed) == 1 and all(
         getattr(a, name) is getattr(b, name) and sorted(a.ids) == sorted(b.ids) for a, b in changed for name in alike
     )
 
 
-def cube_edge_trials(seen: Seen) -> Iterator[Candidate]:
-    """The edges of all cubes stated too large or too small."""
+def cube_edge_trials(seen: SampledRecording) -> Iterator[Candidate]:
+    """Trials with the edges of all cubes larger or smaller than stated."""
     for by in EDGES:
         if all(not t.edge or t.edge + by > (t.marker or 0.0) for t in seen.design.targets):
             yield (
@@ -289,9 +285,7 @@ def cube_edge_trials(seen: Seen) -> Iterator[Candidate]:
 
 
 def suspicious_targets(trial: Trial) -> list[str]:
-    """Names of targets with a marker most of whose corners are not where they ought to be, while most targets have
-    none; the worst first.
-    """
+    """Names of suspicious targets: with a marker most of whose corners do not fit, the worst first."""
     if trial.measured is None or trial.miss is None:
         return []
     o, markers = trial.measured.observations, marker_map(trial.seen.design)

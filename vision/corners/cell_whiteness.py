@@ -1,5 +1,4 @@
-"""Share of white in and around one cell of a marker: edge spread functions multiplied, and corrected where two edges
-meet.
+"""Whiteness (share of white) in and around one cell of a marker, by edge spread functions.
 
 Source: bivariate normal, Drezner and Wesolowsky 1990
 """
@@ -48,10 +47,8 @@ class Share(NamedTuple):
 
 
 @kernel
-def tabulate(function: np.ndarray, table: np.ndarray) -> None:
-    """An edge spread function (STEPS + 1, 2), share of white and its slope over GRID, as Tables have it, into a table
-    (STEPS, 4).
-    """
+def fill_edge_spread_table(function: np.ndarray, table: np.ndarray) -> None:
+    """Fill a table (STEPS, 4) with an edge spread function (STEPS + 1, 2), share of white and slope."""
     for k in range(len(table)):
         for q in range(2):
             table[k, 2 * q], table[k, 2 * q + 1] = function[k, q], function[k + 1, q] - function[k, q]
@@ -59,7 +56,7 @@ def tabulate(function: np.ndarray, table: np.ndarray) -> None:
 
 @kernel
 def edge_whiteness(table: np.ndarray, x: float) -> tuple[float, float]:
-    """Share of white and its slope at x edge widths from an edge, from a table (STEPS, 4) of Tables."""
+    """Whiteness and its slope at x edge widths from an edge, from a table (STEPS, 4)."""
     at = min(max((x + SPAN / 2) * (STEPS / SPAN), 0.0), STEPS - 1e-6)
     i = int(at)
     f = at - i
@@ -67,7 +64,7 @@ def edge_whiteness(table: np.ndarray, x: float) -> tuple[float, float]:
 
 
 @kernel
-def edge_distance(cells: float, s: float, p: float) -> float:
+def _edge_distance(cells: float, s: float, p: float) -> float:
     """Edge widths from an edge so many cells away, where an edge is s cells wide here and perspective changes cells by
     p: the line's distance in the image, not the nearest guess at it, which shifts every edge of a tilted marker the
     same way."""
@@ -89,7 +86,7 @@ def _meeting(h: float, k: float, rho: float) -> float:
 def cell_whiteness(
     cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting: Meeting, table_x: np.ndarray, table_y: np.ndarray
 ) -> Share:
-    """Share at cell coordinates X, Y in or next to cell (i, j), of edges as in Meeting, with their spread functions.
+    """Whiteness at cell coordinates X, Y in or next to cell (i, j), by the spread of its edges.
 
     cells : (n + 4, n + 4), the n x n bits with their black border and one more ring of white. Cell (0, 0) is the first
         bit.
@@ -97,10 +94,10 @@ def cell_whiteness(
     sx, sy, rho, px, py = meeting
     last = cells.shape[0] - 1
     hl, hr, vl, vr = (
-        edge_distance(X - i, sx, px),
-        edge_distance(X - i - 1, sx, px),
-        edge_distance(Y - j, sy, py),
-        edge_distance(Y - j - 1, sy, py),
+        _edge_distance(X - i, sx, px),
+        _edge_distance(X - i - 1, sx, px),
+        _edge_distance(Y - j, sy, py),
+        _edge_distance(Y - j - 1, sy, py),
     )
     Pa, pa = edge_whiteness(table_x, hl)
     Pb, pb = edge_whiteness(table_x, hr)
@@ -134,25 +131,23 @@ def cell_whiteness(
 
 
 @kernel
-def blurred_cell_whiteness(
+def wide_edge_cell_whiteness(
     cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting: Meeting, table_x: np.ndarray, table_y: np.ndarray
 ) -> Share:
-    """The same for cells (n + 4, n + 4) where edges are so wide that cells beyond the next ones are in sight: two to
-    each side count.
-    """
+    """Whiteness in cells whose edges are so wide that cells beyond the neighbours count."""
     sx, sy, rho, px, py = meeting
     last = cells.shape[0] - 1
     h = (
-        edge_distance(X - i + 1, sx, px),
-        edge_distance(X - i, sx, px),
-        edge_distance(X - i - 1, sx, px),
-        edge_distance(X - i - 2, sx, px),
+        _edge_distance(X - i + 1, sx, px),
+        _edge_distance(X - i, sx, px),
+        _edge_distance(X - i - 1, sx, px),
+        _edge_distance(X - i - 2, sx, px),
     )
     k = (
-        edge_distance(Y - j + 1, sy, py),
-        edge_distance(Y - j, sy, py),
-        edge_distance(Y - j - 1, sy, py),
-        edge_distance(Y - j - 2, sy, py),
+        _edge_distance(Y - j + 1, sy, py),
+        _edge_distance(Y - j, sy, py),
+        _edge_distance(Y - j - 1, sy, py),
+        _edge_distance(Y - j - 2, sy, py),
     )
     across = (
         edge_whiteness(table_x, h[0]),

@@ -1,14 +1,12 @@
-"""The pixels near a square's edges, collected for the fit and sorted by what they see: an upright edge, a level one,
-where two meet, or several.
-"""
+"""Edge pixels of a square, collected for the fit and sorted by kind: upright edge, level edge, meeting."""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from vision.corners.local_lens import polynomial_at
-from vision.corners.numba_compilation import kernel, kernel_part
+from vision.corners.local_lens import polynomial_along_row
+from vision.corners.numba_compilation import inlined_kernel, kernel
 
 # edge widths on either side of an edge that are looked at; with vision/corners/edge_spread.py's KNOTS by the rule in
 # tests/bench/reach.py:
@@ -83,8 +81,7 @@ class Printed(NamedTuple):
 
 
 def pixel_edge_kinds(cells: np.ndarray) -> np.ndarray:
-    """(NOWHERE + 1,) int8 of cells (k, k): what a pixel sees, by row, column, and which of its cell's sides (1 left, 2
-    right, 4 top, 8 bottom) are in reach, or 16 for cells beyond the next.
+    """(NOWHERE + 1,) int8, kind of edge that pixels of each cell see, by cells (k, k) of a marker.
 
     NONE, MANY edges, one: 2 + 4 where it lies across (Y) + 2 where it is the right or lower side + 1 where white comes
     first, or two that meet:
@@ -137,7 +134,7 @@ _0, _1, _2, _4, _8, _16 = (np.float32(k) for k in (0, 1, 2, 4, 8, 16))  # number
 _MOST, _VIEWS, _NOWHERE, _CLEAR = np.float32(MOST), np.float32(VIEWS), np.float32(NOWHERE), np.float32(CLEAR / REACH)
 
 
-@kernel_part
+@inlined_kernel
 def _row(quad: np.ndarray, pad: float, y: int, low: int, high: int) -> tuple[int, int]:
     """Pixels [low, high) of image row y that lie in a convex quad (4, 2) px widened by pad."""
     first, last = low - 1.0, high + 1.0
@@ -154,7 +151,7 @@ def _row(quad: np.ndarray, pad: float, y: int, low: int, high: int) -> tuple[int
 
 
 @kernel
-def edge_pixels(
+def collect_edge_pixels(
     crop: np.ndarray, marker: Printed, quad: np.ndarray, g: np.ndarray, s: float, raster: Raster, pixels: EdgePixels
 ) -> int:
     """Collect the pixels near an edge into EdgePixels; returns how many.
@@ -208,19 +205,19 @@ def edge_pixels(
     return _sort(raster, int(count), seen, pixels)
 
 
-@kernel_part
+@inlined_kernel
 def _look(
     rows: np.ndarray, span: tuple[int, int], marker: Printed, v: float, g: np.ndarray, reach: tuple[float, float]
 ) -> None:
     """Ideal coordinates of a span of an image row's columns, and where in the outlook stands what they see, into rows
     (4, width).
 
-    v : local row; reach : cells along X and Y, in the marker's middle; the others as in `edge_pixels`
+    v : local row; reach : cells along X and Y, in the marker's middle; the others as in `collect_edge_pixels`
     """
     lens, n, margin = marker.lens, marker.n, marker.margin
     width = np.uintp(rows.shape[1])
     flat = rows.reshape(rows.size)
-    p, q = polynomial_at(lens[0], v), polynomial_at(lens[1], v)
+    p, q = polynomial_along_row(lens[0], v), polynomial_along_row(lens[1], v)
     pa, pb, pc, pd, pe = np.float32(p.a), np.float32(p.b), np.float32(p.c), np.float32(p.d), np.float32(p.e)
     qa, qb, qc, qd, qe = np.float32(q.a), np.float32(q.b), np.float32(q.c), np.float32(q.d), np.float32(q.e)
     h = g.astype(np.float32)
@@ -254,7 +251,7 @@ def _look(
         flat[width + width + width + k] = entry if w > _0 and outside < min(far, white - _CLEAR * far) else _NOWHERE
 
 
-@kernel_part
+@inlined_kernel
 def _sort(raster: Raster, count: int, seen: np.ndarray, pixels: EdgePixels) -> int:
     """The first `count` pixels of a Raster by kind into EdgePixels; returns how many. seen : the marker's outlook"""
     first = pixels.first

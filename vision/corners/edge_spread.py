@@ -1,5 +1,4 @@
-"""How brightness climbs across an edge in the images of one camera: a plain blur to begin with, then learnt from what
-fits leave.
+"""Edge spread function of one camera's images: a plain blur at first, then learned from fit residuals.
 
 An edge spread function is tabulated over the distance from the edge in edge widths, one table for each direction of the
 edge's normal and each of some widths. It begins as a Gaussian seen through square pixels. What is learnt is added to
@@ -72,7 +71,7 @@ _PLAIN = _plain()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Spread:
+class EdgeSpread:
     """tables : (widths, d, STEPS + 1, 2) share of white and its slope, for WIDTHS and d directions of an edge's normal
     over half a turn; width : px, to start from; terms : (knots, harmonics) of the spline, what the tables have beyond a
     plain edge's."""
@@ -90,19 +89,17 @@ class Spread:
         return np.rint(np.asarray(angles) % np.pi / np.pi * DIRECTIONS).astype(np.int64) % DIRECTIONS
 
 
-PLAIN = Spread()
+PLAIN_EDGE_SPREAD = EdgeSpread()
 NO_PROFILE = np.zeros((1, 0, 3))
 
 
 def empty_profile() -> np.ndarray:
-    """(DIRECTIONS, BINS, 3) of zeros, for `place` to add to: pixels, what a fit leaves in them (share of contrast), its
-    squares.
-    """
+    """Empty residual profile (DIRECTIONS, BINS, 3): count, sum, sum of squares."""
     return np.zeros((DIRECTIONS, BINS, 3))
 
 
-def learn_edge_spread(spread: Spread, profile: np.ndarray, width: float) -> Spread:
-    """Spread that takes in what fits with `spread` have left.
+def learn_edge_spread(spread: EdgeSpread, profile: np.ndarray, width: float) -> EdgeSpread:
+    """Edge spread learned from the residual profile of fits with `spread`.
 
     profile : (DIRECTIONS, BINS, 3); width : px, typical of the edges. Where there are too few pixels the spread stays
         as it was.
@@ -118,4 +115,4 @@ def learn_edge_spread(spread: Spread, profile: np.ndarray, width: float) -> Spre
     weight = count.ravel() / noise2
     H = A.T @ (weight[:, None] * A) + np.eye(A.shape[1]) / PLAUSIBLE**2
     step = np.linalg.solve(H, A.T @ (weight * mean.ravel()) - spread.terms.ravel() / PLAUSIBLE**2)
-    return Spread(float(width), spread.terms + step.reshape(spread.terms.shape))
+    return EdgeSpread(float(width), spread.terms + step.reshape(spread.terms.shape))

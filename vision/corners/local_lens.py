@@ -1,5 +1,4 @@
-"""A lens near one marker: polynomials from pixels to ideal image coordinates, interpolated from a table made once per
-camera.
+"""Local lens near one marker: polynomials from pixels to ideal image coordinates.
 
 They are of fourth degree: a lens's fifth leaves cubic ones off by 0.0005 px over a marker of 120 px, the same in every
 image where it stands there.
@@ -23,15 +22,15 @@ _NODES = _SPREAD * np.stack(np.meshgrid(*[np.cos(np.pi * (np.arange(5) + 0.5) / 
 _TO_POLYNOMIAL = np.linalg.pinv((_NODES[:, None, :] ** _ORDERS).prod(axis=2))
 
 
-def local_centres(quads: np.ndarray) -> np.ndarray:
-    """(m, 3) x, y, scale px of local coordinates about markers whose corners are quads (m, 4, 2) px."""
+def local_coordinate_origins(quads: np.ndarray) -> np.ndarray:
+    """(m, 3) origin x, y and scale px of the local coordinates of markers with corners (m, 4, 2) px."""
     middle = quads.mean(axis=1)
     return np.concatenate([middle, np.abs(quads - middle[:, None]).max(axis=(1, 2))[:, None]], axis=1)
 
 
 def ideal_coordinate_table(camera: Camera) -> np.ndarray:
-    """(rows, columns, 2) ideal coordinates of nodes SPACING px apart from -BEYOND * SPACING on, times the focal
-    lengths; NaN beyond a lens.
+    """(rows, columns, 2) table of ideal coordinates at nodes SPACING px apart, times the focal lengths.
+    From -BEYOND * SPACING on; NaN beyond a lens.
     """
     return _table(camera.matrix.tobytes(), np.asarray(camera.distortion, float).tobytes(), camera.width, camera.height)
 
@@ -72,8 +71,8 @@ def _at(nodes: np.ndarray, x: float, y: float) -> tuple[float, float]:
 
 
 @kernel
-def polynomials(nodes: np.ndarray, centres: np.ndarray, out: np.ndarray) -> None:
-    """out (m, 2, TERMS): from local pixel to local ideal coordinates around centres (m, 3) x, y, scale px.
+def fit_local_polynomials(nodes: np.ndarray, centres: np.ndarray, out: np.ndarray) -> None:
+    """Fit local polynomials out (m, 2, TERMS), pixel to ideal coordinates, around centres (m, 3).
 
     Local pixel: (pixel - centre) / scale. Local ideal: (ideal * focal - its value at the centre) / scale.
     nodes : `ideal_coordinate_table`
@@ -100,8 +99,8 @@ class Along(NamedTuple):
 
 
 @kernel
-def polynomial_at(terms: np.ndarray, v: float) -> Along:
-    """A polynomial (TERMS,) where v is held."""
+def polynomial_along_row(terms: np.ndarray, v: float) -> Along:
+    """A polynomial (TERMS,) of u, v as a polynomial of u along the row v."""
     a = terms[0] + v * (terms[2] + v * (terms[5] + v * (terms[9] + v * terms[14])))
     b = terms[1] + v * (terms[4] + v * (terms[8] + v * terms[13]))
     return Along(a, b, terms[3] + v * (terms[7] + v * terms[12]), terms[6] + v * terms[11], terms[10])
@@ -110,7 +109,7 @@ def polynomial_at(terms: np.ndarray, v: float) -> Along:
 @kernel
 def _change(terms: np.ndarray, u: float, v: float) -> tuple[float, float]:
     """How a polynomial (TERMS,) changes with u and with v."""
-    p = polynomial_at(terms, v)
+    p = polynomial_along_row(terms, v)
     with_v = (
         terms[2]
         + v * (2 * terms[5] + v * (3 * terms[9] + 4 * v * terms[14]))
@@ -120,9 +119,9 @@ def _change(terms: np.ndarray, u: float, v: float) -> tuple[float, float]:
 
 
 @kernel
-def to_ideal(lens: np.ndarray, u: float, v: float) -> tuple[float, float]:
+def pixel_to_ideal(lens: np.ndarray, u: float, v: float) -> tuple[float, float]:
     """Local ideal coordinates of local pixel coordinates by the polynomials of a lens (2, TERMS)."""
-    x, y = polynomial_at(lens[0], v), polynomial_at(lens[1], v)
+    x, y = polynomial_along_row(lens[0], v), polynomial_along_row(lens[1], v)
     return x.a + u * (x.b + u * (x.c + u * (x.d + u * x.e))), y.a + u * (y.b + u * (y.c + u * (y.d + u * y.e)))
 
 
@@ -138,11 +137,11 @@ class LocalPixel(NamedTuple):
 
 
 @kernel
-def to_pixel(lens: np.ndarray, x: float, y: float, u: float, v: float) -> LocalPixel:
-    """LocalPixel that `to_ideal` sends to x, y by a lens (2, TERMS), from a guess u, v."""
+def ideal_to_pixel(lens: np.ndarray, x: float, y: float, u: float, v: float) -> LocalPixel:
+    """Local pixel of ideal coordinates x, y by a lens (2, TERMS), from a guess u, v: inverse of pixel_to_ideal."""
     ux, uy, vx, vy = 1.0, 0.0, 0.0, 1.0
     for _ in range(4):
-        a, b = to_ideal(lens, u, v)
+        a, b = pixel_to_ideal(lens, u, v)
         (xu, xv), (yu, yv) = _change(lens[0], u, v), _change(lens[1], u, v)
         det = xu * yv - xv * yu
         ux, uy, vx, vy = yv / det, -xv / det, -yu / det, xu / det
@@ -152,14 +151,16 @@ def to_pixel(lens: np.ndarray, x: float, y: float, u: float, v: float) -> LocalP
 
 
 @kernel
-def to_image(
+def corners_to_image(
     lens: np.ndarray, centre: np.ndarray, guess: np.ndarray, corners: np.ndarray, covariance: np.ndarray
 ) -> None:
-    """Corners (4, 2), in place, and their covariance (8, 8) from local ideal coordinates to px; guess : (4, 2) px."""
+    """Convert corners (4, 2) and covariance (8, 8) from local ideal coordinates to image px, in place.
+    guess : (4, 2) px
+    """
     D = np.zeros((8, 8))
     for c in range(4):
         u, v = (guess[c, 0] - centre[0]) / centre[2], (guess[c, 1] - centre[1]) / centre[2]
-        u, v, ux, uy, vx, vy = to_pixel(lens, corners[c, 0], corners[c, 1], u, v)
+        u, v, ux, uy, vx, vy = ideal_to_pixel(lens, corners[c, 0], corners[c, 1], u, v)
         corners[c, 0], corners[c, 1] = u * centre[2] + centre[0], v * centre[2] + centre[1]
         D[2 * c, 2 * c], D[2 * c, 2 * c + 1], D[2 * c + 1, 2 * c], D[2 * c + 1, 2 * c + 1] = ux, uy, vx, vy
     half = np.zeros((8, 8))

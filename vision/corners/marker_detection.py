@@ -14,9 +14,9 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Camera
 from vision.corners import edge_pixels, local_lens, square_fit, square_gauss_newton, square_sides
-from vision.corners.edge_spread import LEVELS, NO_PROFILE, PLAIN, Spread
-from vision.corners.marker_reader import LeftOut, Read, read_markers
-from vision.predict import expected
+from vision.corners.edge_spread import LEVELS, NO_PROFILE, PLAIN_EDGE_SPREAD, EdgeSpread
+from vision.corners.marker_reader import ExcludedMarker, ReadMarkers, read_markers
+from vision.predict import markers_expected_in_image
 from vision.targets import MarkerMap, marker_cells
 
 ITERATIONS = 25
@@ -61,12 +61,12 @@ class Detection:
     blur: np.ndarray
     noise: np.ndarray
     contrast: np.ndarray
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[ExcludedMarker, ...]
 
     @property
-    def read(self) -> Read:
+    def read(self) -> ReadMarkers:
         """The same as markers to be placed once more."""
-        return Read(self.marker, self.corners, self.left_out)
+        return ReadMarkers(self.marker, self.corners, self.left_out)
 
     def take(self, index: np.ndarray) -> Detection:
         """The same with only the markers of an index or mask (m,)."""
@@ -82,18 +82,24 @@ class Detection:
 
 
 @overload
-def grey_image(image: np.ndarray, reader: Literal[True] = True) -> tuple[np.ndarray, np.ndarray]: ...
+def grey_images_for_reader_and_fit(
+    image: np.ndarray, with_reader_image: Literal[True] = True
+) -> tuple[np.ndarray, np.ndarray]: ...
 
 
 @overload
-def grey_image(image: np.ndarray, reader: bool) -> tuple[np.ndarray | None, np.ndarray]: ...
+def grey_images_for_reader_and_fit(
+    image: np.ndarray, with_reader_image: bool
+) -> tuple[np.ndarray | None, np.ndarray]: ...
 
 
-def grey_image(image: np.ndarray, reader: bool = True) -> tuple[np.ndarray | None, np.ndarray]:
+def grey_images_for_reader_and_fit(
+    image: np.ndarray, with_reader_image: bool = True
+) -> tuple[np.ndarray | None, np.ndarray]:
     """(height, width) uint8 for the reader, and in 255ths at full depth for the fit, of an image as cv2 reads it: 8 or
     16 bit, grey or colour.
 
-    reader : whether the first is wanted. Raises ValueError for any other kind.
+    with_reader_image : whether the first is wanted. Raises ValueError for any other kind.
     """
     if image.ndim == 3 and image.shape[2] in (3, 4):
         image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY if image.shape[2] == 3 else cv2.COLOR_BGRA2GRAY)
@@ -102,28 +108,28 @@ def grey_image(image: np.ndarray, reader: bool = True) -> tuple[np.ndarray | Non
     if image.dtype == np.uint8:
         return image, image
     full = image.astype(np.float32) / 257
-    if not reader:
+    if not with_reader_image:
         return None, full
     top = max(float(np.percentile(full, 99.9)), 1e-3)
     return np.clip(full * (255 / top), 0, 255).astype(np.uint8), full
 
 
 @lru_cache
-def dictionary_reader(name: str) -> cv2.aruco.ArucoDetector:
+def opencv_detector(dictionary_name: str) -> cv2.aruco.ArucoDetector:
     """cv2.aruco.ArucoDetector of all of a dictionary (OpenCV name), corners as they are read."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.perspectiveRemovePixelPerCell = 8
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
-    return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)), parameters)
+    return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary_name)), parameters)
 
 
 def detect_markers(
     image: np.ndarray,
     camera: Camera,
     marker_map: MarkerMap,
-    spread: Spread = PLAIN,
+    spread: EdgeSpread = PLAIN_EDGE_SPREAD,
     T_base_platform: RigidTransform | None = None,
-    doubtful: bool = False,
+    search_for_others: bool = False,
 ) -> Detection:
     """All markers of a rig in one image.
 
@@ -132,17 +138,17 @@ def detect_markers(
     T_base_platform : the pose expected (from the command, or the frame before), or None. Then only the places are read
     where markers ought to be; where fewer than BELIEVED of a body's show their bits, the whole image is searched after
     all
-    doubtful : whether it is also searched where, instead of one that is not read, any other marker is: something is not
-        as stated
+    search_for_others : whether it is also searched where, instead of one that is not read, any other marker is:
+        something is not as stated
     Returns Detection
     """
     if T_base_platform is not None:
-        rows, places = expected(camera, T_base_platform, marker_map)
+        rows, places = markers_expected_in_image(camera, T_base_platform, marker_map)
         found = fit_read_markers(
-            grey_image(image, False)[1],
+            grey_images_for_reader_and_fit(image, False)[1],
             camera,
             marker_map,
-            Read(marker_map.id[rows], places),
+            ReadMarkers(marker_map.id[rows], places),
             spread,
             EXPECTED_REACH,
             verify=True,
@@ -154,10 +160,10 @@ def detect_markers(
         if (
             len(rows)
             and all(read[body].sum() >= BELIEVED * body.sum() for body in (on, ~on))
-            and not (doubtful and _others(image, marker_map, rows[~read], places[~read]))
+            and not (search_for_others and _others(image, marker_map, rows[~read], places[~read]))
         ):
             return found
-    eight, full = grey_image(image)
+    eight, full = grey_images_for_reader_and_fit(image)
     return fit_read_markers(full, camera, marker_map, read_markers(eight, marker_map), spread)
 
 
@@ -171,8 +177,8 @@ def _others(image: np.ndarray, marker_map: MarkerMap, rows: np.ndarray, places: 
             np.maximum(quad.min(axis=0) - around, 0).astype(int),
             (quad.max(axis=0) + around).astype(int) + 1,
         )
-        quads, ids, _ = dictionary_reader(marker_map.dictionary[row]).detectMarkers(
-            np.ascontiguousarray(grey_image(image[y0:y1, x0:x1])[0])
+        quads, ids, _ = opencv_detector(marker_map.dictionary[row]).detectMarkers(
+            np.ascontiguousarray(grey_images_for_reader_and_fit(image[y0:y1, x0:x1])[0])
         )
         middle, side = quad.mean(axis=0) - [x0, y0], np.linalg.norm(quad - quad[_NEXT], axis=1).max()
         if ids is not None and any(np.linalg.norm(other[0].mean(axis=0) - middle) < side / 2 for other in quads):
@@ -184,8 +190,8 @@ def fit_read_markers(
     full: np.ndarray,
     camera: Camera,
     marker_map: MarkerMap,
-    read: Read,
-    spread: Spread = PLAIN,
+    read: ReadMarkers,
+    spread: EdgeSpread = PLAIN_EDGE_SPREAD,
     reach: float = REACH,
     verify: bool = False,
     profile: np.ndarray | None = None,
@@ -202,7 +208,7 @@ def fit_read_markers(
     rows = marker_map.rows(numbers) if len(numbers) else np.zeros(0, int)
     patterns = [_pattern(marker_map.dictionary[row], number) for row, number in zip(rows.tolist(), numbers.tolist())]
     sizes = np.array([len(cells) for cells, _ in patterns], int)
-    manner = square_fit.Manner(float(reach), 0 if verify else -1, ITERATIONS, spread.tables, LEVELS, spread.width)
+    manner = square_fit.FitSettings(float(reach), 0 if verify else -1, ITERATIONS, spread.tables, LEVELS, spread.width)
     parts, left_out = [], list(read.left_out)
     for size in np.unique(sizes):
         index = np.flatnonzero(sizes == size)
@@ -215,7 +221,7 @@ def fit_read_markers(
         reasons = _reasons(fits, guess[index], int(size))
         good = np.array([not reason for reason in reasons], bool)
         left_out += [
-            LeftOut(int(numbers[i]), reason) for i, reason in zip(index, reasons) if reason and reason != _UNREAD
+            ExcludedMarker(int(numbers[i]), reason) for i, reason in zip(index, reasons) if reason and reason != _UNREAD
         ]
         parts.append(
             (
@@ -247,21 +253,21 @@ class _Printed(NamedTuple):
 
 
 def _cut_out(
-    full: np.ndarray, camera: Camera, quads: np.ndarray, printed: _Printed, spread: Spread, reach: float
+    full: np.ndarray, camera: Camera, quads: np.ndarray, printed: _Printed, spread: EdgeSpread, reach: float
 ) -> square_fit.Squares:
     """square.Squares of quads (m, 4, 2) px of one size."""
     height, width = full.shape
     sides_px = np.linalg.norm(quads[:, _NEXT] - quads, axis=2)
-    centres = local_lens.local_centres(quads)
+    centres = local_lens.local_coordinate_origins(quads)
     polynomials = np.empty((len(quads), 2, local_lens.TERMS))
-    local_lens.polynomials(local_lens.ideal_coordinate_table(camera), centres, polynomials)
+    local_lens.fit_local_polynomials(local_lens.ideal_coordinate_table(camera), centres, polynomials)
     room = ROOM + reach + BEND * sides_px.max(axis=1)[:, None]
     low = np.clip(np.floor(quads.min(axis=1) - room), 0, [width, height]).astype(int)
     high = np.clip(np.ceil(quads.max(axis=1) + room) + 1, low, [width, height]).astype(int)
     boxes = np.concatenate([low, high], axis=1)
     starts = np.concatenate([[0], np.cumsum((high - low).prod(axis=1))])
     pixels = np.empty(starts[-1], np.float32)
-    square_sides.crop_boxes(full, boxes, starts, pixels)
+    square_sides.copy_image_boxes(full, boxes, starts, pixels)
     along = quads[:, _NEXT] - quads
     axes = np.stack([along[:, 0] - along[:, 2], along[:, 1] - along[:, 3]], axis=1)  # the marker's X and Y in the image
     directions = spread.rows(
@@ -273,7 +279,7 @@ def _cut_out(
 
 
 def _fit(
-    squares: square_fit.Squares, quads: np.ndarray, manner: square_fit.Manner, profile: np.ndarray
+    squares: square_fit.Squares, quads: np.ndarray, manner: square_fit.FitSettings, profile: np.ndarray
 ) -> square_fit.Fits:
     """square.Fits of Squares, from quads (m, 4, 2) px on; profile added to."""
     m = len(quads)

@@ -1,6 +1,4 @@
-"""How numba compiles: once, to files named after all kernels' sources, without the interpreter's lock, in fast
-mathematics.
-"""
+"""Numba compilation of kernels: cached by a hash of all kernels' sources, without the interpreter's lock."""
 
 import hashlib
 from collections.abc import Callable
@@ -32,10 +30,10 @@ def _folder() -> str:
 
 
 def kernel(function: F) -> F:
-    """Compile a function when it is first called, or load what was compiled in an earlier run."""
+    """Decorator: a function as a numba kernel, compiled at its first call or loaded from an earlier run."""
     return cast(F, Kernel(function, _OPTIONS, _folder))
 
 
-def kernel_part(function: F) -> F:
-    """The same for what one kernel alone calls: it is taken into that one, and not compiled by itself as well."""
+def inlined_kernel(function: F) -> F:
+    """Decorator: a numba kernel that is inlined into the one kernel that calls it."""
     return cast(F, Kernel(function, {**_OPTIONS, "inline": "always"}, _folder))

@@ -1,4 +1,4 @@
-"""The image of one printed square: a known pattern of cells, seen through a homography, a lens, blur and a pixel grid.
+"""Fit of one printed square to its pixels: homography, lens, blur and pixel grid.
 
 The whole marker is fitted at once (Gauss-Newton on the pixels near its edges): the homography from image to cells (8
 unknowns), the width of the edges (1), and the grey of black and of white, each a plane over the image (6). How
@@ -14,14 +14,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.corners.cell_whiteness import STEPS, Tables, tabulate
-from vision.corners.cholesky import factor, solve
-from vision.corners.edge_pixels import KINDS, EdgePixels, Printed, Raster, edge_pixels
-from vision.corners.local_lens import to_image
-from vision.corners.numba_compilation import kernel, kernel_part
-from vision.corners.occluded_cells import find_occluded_cells, remove_occluded_pixels
-from vision.corners.order_statistics import order_statistic
-from vision.corners.square_fit_residuals import covariance_inflation, edge_segment_sums, residual_profile
+from vision.corners.cell_whiteness import STEPS, Tables, fill_edge_spread_table
+from vision.corners.cholesky_and_order_statistics import cholesky_factor, cholesky_solve, order_statistic
+from vision.corners.edge_pixels import KINDS, EdgePixels, Printed, Raster, collect_edge_pixels
+from vision.corners.local_lens import corners_to_image
+from vision.corners.numba_compilation import inlined_kernel, kernel
+from vision.corners.square_fit_residuals import (
+    TERMS,
+    Bow,
+    add_to_residual_profile,
+    covariance_inflation,
+    edge_segment_sums,
+    find_occluded_cells,
+    remove_occluded_pixels,
+    remove_uneven_illumination,
+)
 from vision.corners.square_gauss_newton import (
     LIGHT,
     NO_CONTRAST,
@@ -36,12 +43,11 @@ from vision.corners.square_gauss_newton import (
     Work,
     accumulate_normal_equations,
     corner_covariance,
-    corners_at,
+    corners_of_homography,
     gauss_newton_step,
 )
 from vision.corners.square_sides import fit_sides, misread_cell_count, square_homography
 from vision.corners.strip_whiteness import ROWS, STRIP
-from vision.corners.uneven_illumination import TERMS, Bow, remove_uneven_illumination
 
 SAMPLE = 300  # pixels that take part while the fit is still on its way
 FEWEST = 60  # pixels near edges, below which nothing is fitted
@@ -82,7 +88,7 @@ class Squares(NamedTuple):
     directions: np.ndarray
 
 
-class Manner(NamedTuple):
+class FitSettings(NamedTuple):
     """How squares are fitted.
 
     reach : px within which the sides are looked for, 0 for a better guess; wrong : cells that may be misread before a
@@ -154,7 +160,7 @@ def _pixels(most: int) -> EdgePixels:
     )
 
 
-@kernel_part
+@inlined_kernel
 def _room(largest: int, widest: int, n: int) -> Room:
     """Room for markers of n bits each way in boxes of at most so many pixels and columns."""
     x, y, greys = np.empty(largest, np.float32), np.empty(largest, np.float32), np.empty(largest, np.float32)
@@ -184,7 +190,7 @@ def _room(largest: int, widest: int, n: int) -> Room:
     )
 
 
-@kernel_part
+@inlined_kernel
 def _take(every: EdgePixels, sample: EdgePixels, stride: int) -> int:
     """Copy each stride-th pixel of each kind into the sample; returns how many."""
     m, sample.first[0] = 0, 0
@@ -197,7 +203,7 @@ def _take(every: EdgePixels, sample: EdgePixels, stride: int) -> int:
     return m
 
 
-@kernel_part
+@inlined_kernel
 def _median(sizes: np.ndarray) -> float:
     """Median of those sizes (k,) that are not negative."""
     negative = 0
@@ -206,7 +212,7 @@ def _median(sizes: np.ndarray) -> float:
     return order_statistic(sizes, (len(sizes) + negative) // 2)
 
 
-@kernel_part
+@inlined_kernel
 def _lighten(work: Work, light: np.ndarray) -> bool:
     """Set the greys from normal equations in which the square's place is held; False where white is no brighter than
     black.
@@ -214,15 +220,15 @@ def _lighten(work: Work, light: np.ndarray) -> bool:
     H = work.H
     for k in range(6):
         H[LIGHT + k, LIGHT + k] += 1e-9 * (1 + H[LIGHT + k, LIGHT + k])
-    if factor(H, LIGHT, 6, work.L):
-        solve(work.L, 6, H[ROWS - 1, LIGHT:], light)
+    if cholesky_factor(H, LIGHT, 6, work.L):
+        cholesky_solve(work.L, 6, H[ROWS - 1, LIGHT:], light)
     return light[0] - light[3] > FAINTEST
 
 
 @kernel
-def fit_squares(squares: Squares, manner: Manner, fits: Fits) -> None:
-    """Fit every marker of an image: Squares in the given Manner, into Fits."""
-    boxes, n, width = squares.boxes, squares.cells.shape[1] - 4, manner.width
+def fit_squares(squares: Squares, settings: FitSettings, fits: Fits) -> None:
+    """Fit all marker squares of an image: Squares in the given Manner, into Fits."""
+    boxes, n, width = squares.boxes, squares.cells.shape[1] - 4, settings.width
     largest, widest = 1, 1
     for m in range(len(boxes)):
         largest = max(largest, (boxes[m, 2] - boxes[m, 0]) * (boxes[m, 3] - boxes[m, 1]))
@@ -243,18 +249,18 @@ def fit_squares(squares: Squares, manner: Manner, fits: Fits) -> None:
         crop = squares.pixels[squares.starts[m] : squares.starts[m] + (box[2] - box[0]) * (box[3] - box[1])].reshape(
             box[3] - box[1], box[2] - box[0]
         )
-        if manner.reach > 0:
-            fit_sides(crop, box, fits.quads[m], n + 2, manner.reach)
-        if manner.wrong >= 0 and misread_cell_count(crop, box, fits.quads[m], marker.cells) > manner.wrong:
+        if settings.reach > 0:
+            fit_sides(crop, box, fits.quads[m], n + 2, settings.reach)
+        if settings.wrong >= 0 and misread_cell_count(crop, box, fits.quads[m], marker.cells) > settings.wrong:
             fits.status[m] = NOT_READ
             continue
-        fits.status[m] = _fit_square(crop, marker, m, width, manner, fits, room)
+        fits.status[m] = _fit_square(crop, marker, m, width, settings, fits, room)
         if fits.status[m] == OK:
             width = fits.width[m]
 
 
-@kernel_part
-def _tabulated(tables: Tables, before: int, s: float, manner: Manner, directions: np.ndarray) -> int:
+@inlined_kernel
+def _tabulated(tables: Tables, before: int, s: float, manner: FitSettings, directions: np.ndarray) -> int:
     """Level of the edges' width s (px), whose edge spread functions in directions (2,) are in the tables then;
     before : that of those that were
     """
@@ -262,12 +268,12 @@ def _tabulated(tables: Tables, before: int, s: float, manner: Manner, directions
     while level < len(manner.levels) and s > manner.levels[level]:
         level += 1
     if level != before:
-        tabulate(manner.tables[level, directions[0]], tables.x)
-        tabulate(manner.tables[level, directions[1]], tables.y)
+        fill_edge_spread_table(manner.tables[level, directions[0]], tables.x)
+        fill_edge_spread_table(manner.tables[level, directions[1]], tables.y)
     return level
 
 
-@kernel_part
+@inlined_kernel
 def _finish(room: Room, square: Square, marker: Printed, m: int, weights: float, limit: float, fits: Fits) -> int:
     """Status of a fit that has settled, number m of the Fits: bowed light taken out of it, its corners, noise and
     covariance told.
@@ -276,21 +282,23 @@ def _finish(room: Room, square: Square, marker: Printed, m: int, weights: float,
     """
     every, work, corners, covariance = room.every, room.work, fits.corners[m], fits.covariances[m]
     over = remove_uneven_illumination(every, square, weights, work, room.bowed)
-    if not corners_at(square.g, marker.n, corners, work.J):
+    if not corners_of_homography(square.g, marker.n, corners, work.J):
         return WANDERED
     edge_segment_sums(every, square.g, work.rows, work.x, room.sums)
     noise2 = max(over, 1e-12) / max(weights - UNKNOWNS - TERMS, 1.0)
     fits.noise[m] = math.sqrt(noise2)
     corner_covariance(work, noise2, room.bowed.gain, room.bowed.own, covariance)
     covariance *= covariance_inflation(room.sums, fits.noise[m])
-    to_image(marker.lens, marker.centre, fits.quads[m], corners, covariance)
+    corners_to_image(marker.lens, marker.centre, fits.quads[m], corners, covariance)
     if fits.profile.shape[1]:
-        residual_profile(every, square, room.bowed.sizes, room.tables, marker.directions, limit, fits.profile)
+        add_to_residual_profile(every, square, room.bowed.sizes, room.tables, marker.directions, limit, fits.profile)
     return OK
 
 
-@kernel_part
-def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Manner, fits: Fits, room: Room) -> int:
+@inlined_kernel
+def _fit_square(
+    crop: np.ndarray, marker: Printed, m: int, s: float, manner: FitSettings, fits: Fits, room: Room
+) -> int:
     """Status of the fit of one marker, number m of the Fits, from edges of width s (px) on. room : of `_room`"""
     every, sample, work, hidden, tables = room.every, room.sample, room.work, room.hidden, room.tables
     hidden[:] = False
@@ -303,7 +311,7 @@ def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Man
         lens[1, 1] / scale,
         lens[1, 2] / scale,
     )
-    if not square_homography(quad, lens, centre, n, g) or not corners_at(g, n, corners, work.J):
+    if not square_homography(quad, lens, centre, n, g) or not corners_of_homography(g, n, corners, work.J):
         return WANDERED
     lit, limit, away, collected, part, count, used, whole, tabulated = (
         False,
@@ -321,9 +329,9 @@ def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Man
     for iteration in range(manner.iterations):
         if away > STRAYED or s > WIDENED * collected:
             if iteration > 0:
-                to_image(lens, centre, quad, corners, fits.covariances[m])
+                corners_to_image(lens, centre, quad, corners, fits.covariances[m])
                 quad[:] = corners
-            there = edge_pixels(crop, marker, quad, g, s, room.raster, every)
+            there = collect_edge_pixels(crop, marker, quad, g, s, room.raster, every)
             count = remove_occluded_pixels(every, g, hidden) if dropped else there
             dropped = there - count
             if count < FEWEST:

@@ -1,4 +1,4 @@
-"""Gauss-Newton on the pixels near a square's edges: normal equations, a step, and the covariance of the corners.
+"""Gauss-Newton steps of the square fit: normal equations, step, covariance of the corners.
 
 Unknowns: the homography from image to cells (8), the logarithm of the edges' width (1), the grey of white and of black,
 each a plane over the image (6).
@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from vision.corners.cell_whiteness import Tables
-from vision.corners.cholesky import factor, solve
+from vision.corners.cholesky_and_order_statistics import cholesky_factor, cholesky_solve
 from vision.corners.edge_pixels import KINDS, EdgePixels
-from vision.corners.numba_compilation import kernel, kernel_part
+from vision.corners.numba_compilation import inlined_kernel, kernel
 from vision.corners.strip_whiteness import ROWS, STRIP, Seen, strip_whiteness
 
 UNKNOWNS = 15
@@ -80,7 +80,7 @@ class Moved(NamedTuple):
 def accumulate_normal_equations(
     pixels: EdgePixels, cells: np.ndarray, square: Square, tables: Tables, limit: float, lit: bool, work: Work
 ) -> Counted:
-    """work.H (ROWS, ROWS) = J J' over pixels, whose last row of J is the residual.
+    """Accumulate the normal equations work.H = J J' over pixels; the last row of J is the residual.
 
     pixels : EdgePixels; cells : of `Printed`; square : Square, at which J is taken; tables : Tables
     limit : grey levels, of a trusted residual; lit : whether the square's greys are known. Before that only their part
@@ -102,7 +102,7 @@ def accumulate_normal_equations(
     return Counted(weights, doubted)
 
 
-@kernel_part
+@inlined_kernel
 def _greys(
     pixels: EdgePixels, start: int, size: int, light: np.ndarray, limit: float, strip: np.ndarray, sizes: np.ndarray
 ) -> Counted:
@@ -146,7 +146,7 @@ def _greys(
     return Counted(float(weights), int(doubted))
 
 
-@kernel_part
+@inlined_kernel
 def _multiply(strip: np.ndarray, size: int, first: int, H: np.ndarray) -> None:
     """Add the products of the rows of a strip (ROWS * STRIP,), from an even one on, to the upper half of H (ROWS,
     ROWS), four sums at a time.
@@ -168,10 +168,8 @@ def _multiply(strip: np.ndarray, size: int, first: int, H: np.ndarray) -> None:
 
 
 @kernel
-def corners_at(g: np.ndarray, n: int, corners: np.ndarray, J: np.ndarray) -> bool:
-    """Local ideal coordinates (4, 2) of the square's corners and their Jacobian (8, 8) to g; False where it has turned
-    over.
-    """
+def corners_of_homography(g: np.ndarray, n: int, corners: np.ndarray, J: np.ndarray) -> bool:
+    """Corners (4, 2) of a homography g in local ideal coordinates, and Jacobian (8, 8); False if turned over."""
     for c in range(4):
         X = -1.0 if c == 0 or c == 3 else n + 1.0
         Y = -1.0 if c < 2 else n + 1.0
@@ -194,17 +192,17 @@ def corners_at(g: np.ndarray, n: int, corners: np.ndarray, J: np.ndarray) -> boo
 
 @kernel
 def gauss_newton_step(square: Square, n: int, scale: float, corners: np.ndarray, work: Work) -> Moved:
-    """Move the square's g and light in place by a Gauss-Newton step.
+    """Gauss-Newton step of the square's homography and light, in place.
 
     square : Square; n : bits each way; scale : px, of local coordinates; corners : (4, 2), overwritten; work : Work as
         accumulated
     """
     g, s, light = square.g, square.width, square.light
     H, L, x, J = work.H, work.L, work.x, work.J
-    if not factor(H, 0, UNKNOWNS, L):
+    if not cholesky_factor(H, 0, UNKNOWNS, L):
         return Moved(0.0, s, SINGULAR)
-    solve(L, UNKNOWNS, H[ROWS - 1], x)
-    if not corners_at(g, n, corners, J):
+    cholesky_solve(L, UNKNOWNS, H[ROWS - 1], x)
+    if not corners_of_homography(g, n, corners, J):
         return Moved(0.0, s, WANDERED)
     moved = 0.0
     for c in range(4):
@@ -226,7 +224,7 @@ def gauss_newton_step(square: Square, n: int, scale: float, corners: np.ndarray,
 
 @kernel
 def corner_covariance(work: Work, noise2: float, gain: np.ndarray, own: np.ndarray, covariance: np.ndarray) -> None:
-    """Write the (8, 8) covariance of the corners' local ideal coordinates.
+    """Write the covariance (8, 8) of the corners' local ideal coordinates.
 
     work : Work of the last step, whose x is overwritten; noise2 : variance of the residuals; gain, own : as in
         bowed.Bow
@@ -240,7 +238,7 @@ def corner_covariance(work: Work, noise2: float, gain: np.ndarray, own: np.ndarr
     for a in range(8):
         unit[:] = 0
         unit[:8] = J[a]
-        solve(L, UNKNOWNS, unit, x)
+        cholesky_solve(L, UNKNOWNS, unit, x)
         for b in range(8):
             row[b] = 0
             for k in range(8):

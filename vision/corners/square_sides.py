@@ -1,22 +1,20 @@
-"""Where a square's sides are, to begin with: found in profiles across them, and whether its bits are there to be
-read.
-"""
+"""Sides of a square as the start of its fit, from profiles across them, and a check of its bits."""
 
 import math
 
 import numpy as np
 
-from vision.corners.local_lens import to_ideal
-from vision.corners.numba_compilation import kernel, kernel_part
-from vision.corners.order_statistics import order_statistic
+from vision.corners.cholesky_and_order_statistics import order_statistic
+from vision.corners.local_lens import pixel_to_ideal
+from vision.corners.numba_compilation import inlined_kernel, kernel
 
 PROFILES = 8  # along each side
 FAINTEST = 6.0  # grey levels; a step below this is none
 
 
 @kernel
-def crop_boxes(image: np.ndarray, boxes: np.ndarray, starts: np.ndarray, out: np.ndarray) -> None:
-    """Copy the boxes (m, 4) x0 y0 x1 y1 of an image one after the other into out, flat float32, from starts (m,)."""
+def copy_image_boxes(image: np.ndarray, boxes: np.ndarray, starts: np.ndarray, out: np.ndarray) -> None:
+    """Copy the boxes (m, 4) of an image into flat float32 out, one after the other from starts (m,)."""
     for m in range(len(boxes)):
         k, x0, width = np.uintp(starts[m]), np.uintp(boxes[m, 0]), np.uintp(boxes[m, 2] - boxes[m, 0])
         for y in range(boxes[m, 1], boxes[m, 3]):
@@ -38,7 +36,7 @@ def _between(crop: np.ndarray, x: float, y: float) -> float:
     )
 
 
-@kernel_part
+@inlined_kernel
 def _black_and_white(crop: np.ndarray, box: np.ndarray, quad: np.ndarray) -> tuple[float, float]:
     """Grey levels of a marker's own black and white, of places all over a quad (4, 2) px."""
     inside = np.empty(64)
@@ -50,7 +48,7 @@ def _black_and_white(crop: np.ndarray, box: np.ndarray, quad: np.ndarray) -> tup
     return order_statistic(inside, 5), order_statistic(inside, 58)
 
 
-@kernel_part
+@inlined_kernel
 def _line(where: np.ndarray, offsets: np.ndarray, found: int) -> tuple[float, float]:
     """(shift, turn) px of a side by the line through the offsets (PROFILES,) of the first `found` profiles, at where
     (PROFILES,) along it; those that stand apart do not count, and of fewer than half the profiles there is none."""
@@ -78,8 +76,7 @@ def _line(where: np.ndarray, offsets: np.ndarray, found: int) -> tuple[float, fl
 
 @kernel
 def fit_sides(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, size: int, reach: float) -> None:
-    """Move the sides of a quad (4, 2) px, in place, onto the steps from dark inside to bright outside that profiles
-    across them show.
+    """Fit the sides of a quad (4, 2) px, in place, to the dark-to-bright steps in profiles across them.
 
     A side is moved by a line through the steps found within reach (px) and within the border of black, one of `size`
     cells; it stays where fewer than half its profiles show one.
@@ -128,14 +125,13 @@ def fit_sides(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, size: int, re
 
 @kernel
 def square_homography(quad: np.ndarray, lens: np.ndarray, centre: np.ndarray, n: int, g: np.ndarray) -> bool:
-    """g (3, 3), last entry 1: local ideal coordinates to cells, for a square of n + 2 cells whose corners are quad (4,
-    2) px.
+    """Homography g (3, 3) from local ideal coordinates to cells of a square with corners quad (4, 2) px.
 
     False where the corners do not turn clockwise around a convex figure. Source: Heckbert 1989, square to quadrilateral
     """
     px, py = np.empty(4), np.empty(4)
     for c in range(4):
-        px[c], py[c] = to_ideal(lens, (quad[c, 0] - centre[0]) / centre[2], (quad[c, 1] - centre[1]) / centre[2])
+        px[c], py[c] = pixel_to_ideal(lens, (quad[c, 0] - centre[0]) / centre[2], (quad[c, 1] - centre[1]) / centre[2])
     for c in range(4):
         a, b = (c + 1) % 4, (c + 2) % 4
         if not (px[a] - px[c]) * (py[b] - py[a]) - (py[a] - py[c]) * (px[b] - px[a]) > 1e-6:
@@ -162,8 +158,7 @@ def square_homography(quad: np.ndarray, lens: np.ndarray, centre: np.ndarray, n:
 
 @kernel
 def misread_cell_count(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, cells: np.ndarray) -> int:
-    """How many of a marker's cells, its black border among them, have not the colour that they ought to; quad (4, 2)
-    px.
+    """Count of a marker's misread cells, black border included, in a quad (4, 2) px.
 
     All of them where white is no brighter than black. Five points of each cell are read.
     """

@@ -1,5 +1,4 @@
-"""Share of white at the pixels of a strip and what it changes with: upright edges, level ones and their meetings each
-in loops without branches.
+"""Whiteness at a strip of a square's pixels, and its derivatives.
 
 All numbers are in single precision, a strip is one flat array, and places in it are unsigned: so compilers work out
 many pixels at once.
@@ -19,11 +18,11 @@ from vision.corners.cell_whiteness import (
     WEIGHTS,
     Meeting,
     Tables,
-    blurred_cell_whiteness,
     cell_whiteness,
+    wide_edge_cell_whiteness,
 )
 from vision.corners.edge_pixels import KINDS, LEVEL, MEETING, REACH, UPRIGHT, EdgePixels
-from vision.corners.numba_compilation import kernel, kernel_part
+from vision.corners.numba_compilation import inlined_kernel, kernel
 
 ROWS = 16  # of a strip
 STRIP = 256  # pixels in a strip; its rows fit the processor's first cache
@@ -52,10 +51,7 @@ class Seen(NamedTuple):
 
 @kernel
 def strip_whiteness(pixels: EdgePixels, start: int, size: int, seen: Seen, tables: Tables, strip: np.ndarray) -> None:
-    """Leave in a strip (ROWS * STRIP,) float32, at rows 9, 2, 5, 6 and 8, of the pixels start .. start + size: the
-    share of white, its derivatives to X and Y times w, -(X dX + Y dY), which is its derivative to perspective, and that
-    to the logarithm of the edges' width.
-    """
+    """Write the whiteness and its derivatives at a strip of edge pixels into strip (ROWS * STRIP,) float32."""
     first = pixels.first
     for kind in range(KINDS):
         low, high = max(first[kind] - start, 0), min(first[kind + 1] - start, size)
@@ -137,7 +133,7 @@ def _single(
         strip[_D_X + k], strip[_BOTH + k], strip[_WIDTH + k] = d, -d * strip[_BOTH + k], -e * strip[_WIDTH + k]
 
 
-@kernel_part
+@inlined_kernel
 def _meetings(
     pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, tables: Tables, strip: np.ndarray
 ) -> None:
@@ -208,7 +204,7 @@ def _bell(squares: np.float32, product: np.float32, r: np.float32) -> np.float32
     return np.float32(e * e / math.sqrt(q))
 
 
-@kernel_part
+@inlined_kernel
 def _several(
     pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, tables: Tables, strip: np.ndarray
 ) -> None:
@@ -232,7 +228,7 @@ def _several(
             (Yu * gu + Yv * gv) / (ay * ay),
         )
         if REACH * max(meeting.sx, meeting.sy) > 1:
-            p, dX, dY, dB = blurred_cell_whiteness(seen.cells, i, j, X, Y, meeting, tables.x, tables.y)
+            p, dX, dY, dB = wide_edge_cell_whiteness(seen.cells, i, j, X, Y, meeting, tables.x, tables.y)
         else:
             p, dX, dY, dB = cell_whiteness(seen.cells, i, j, X, Y, meeting, tables.x, tables.y)
         k = np.uintp(m)

@@ -1,4 +1,4 @@
-"""Photographs of a board -> the lens that took them, with what was left out and how every lens model did."""
+"""Lens calibration from photographs of a board: every lens model's result, and photographs left out."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,10 +18,10 @@ from vision.lenses.lens_calibration import (
     MODELS,
     Fit,
     HeldOut,
-    calibrate,
-    choose,
-    hold_out,
-    observations_of,
+    calibrate_lens,
+    choose_lens_model,
+    cross_validate_lens,
+    observations_from_board_views,
     projection_uncertainty,
 )
 
@@ -69,7 +69,8 @@ class Calibrated:
 def calibrate_photographs(
     paths: Sequence[Path], board: Board, name: str = "cam0", progress: Callable[[str, int, int], None] | None = None
 ) -> Calibrated:
-    """Calibrated from photographs (paths). progress : called with (label, done, of), or None.
+    """Calibrate a lens from photographs (paths) of a board.
+    progress : called with (label, done, of), or None
 
     A photograph that does not show the board is named and left out. Raises FileError for one that is no image or of
     another size than the first, NotEnoughData where too few show the board.
@@ -95,15 +96,15 @@ def calibrate_photographs(
                 progress("finding corners" + " again" * again, k + 1, len(images))
         left_out = tuple((path, _reason(view)) for path, view in zip(paths, views) if len(view.corner) < LEAST_CORNERS)
         try:
-            observations = observations_of(views, board)
+            observations = observations_from_board_views(views, board)
         except NotEnoughData as error:
             named = "".join(f"\n  {path}: {reason}" for path, reason in left_out)
             raise NotEnoughData(f"{error}{named}") from None
         if not again:
-            camera = calibrate(observations, width, height, FIRST, name).camera
+            camera = calibrate_lens(observations, width, height, FIRST, name).camera
     models, fits = _models(observations, width, height, name, progress)
     held = [model.held for model in models.values() if model.held]
-    fit = fits[choose(held).terms]
+    fit = fits[choose_lens_model(held).terms]
     uv, sigma = projection_uncertainty(fit)
     return Calibrated(
         fit, models, tuple(paths[f] for f in observations.frames), left_out, observations, board, uv, sigma
@@ -117,7 +118,7 @@ def _models(
     fits, models, reasons = {}, {}, {}
     for terms in MODELS:
         try:
-            fits[terms] = calibrate(observations, width, height, terms, name)
+            fits[terms] = calibrate_lens(observations, width, height, terms, name)
         except RigError as error:
             reasons[terms] = str(error)
     if not fits:
@@ -126,8 +127,8 @@ def _models(
     for k, terms in enumerate(MODELS):
         if terms in fits:
             try:
-                fits[terms] = calibrate(observations, width, height, terms, name, inliers)
-                models[terms] = Model(fits[terms].rms, hold_out(observations, width, height, terms, inliers))
+                fits[terms] = calibrate_lens(observations, width, height, terms, name, inliers)
+                models[terms] = Model(fits[terms].rms, cross_validate_lens(observations, width, height, terms, inliers))
             except RigError as error:
                 reasons[terms] = str(error)
         if terms in reasons:

@@ -1,4 +1,4 @@
-"""Flat boards for calibrating a lens: what is printed where, and its corners in a photograph with covariance."""
+"""Calibration boards: their printed layout, and their corners in a photograph with covariance."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 from rig.model.design import DICTIONARIES, Camera
 from vision import lens
-from vision.corners.marker_detection import detect_markers, grey_image
+from vision.corners.marker_detection import detect_markers, grey_images_for_reader_and_fit
 from vision.lenses import chessboard_corner
 from vision.targets import SQUARE, MarkerMap
 
@@ -61,8 +61,10 @@ class Board:
         return middles[:, None] + self.side * SQUARE * [1, -1, 1]
 
 
-def parse(text: str) -> Board:
-    """Board of its description. Raises RigError saying what is wrong with which part."""
+def parse_board(text: str) -> Board:
+    """Parse a board's description text into a Board.
+    Raises RigError saying what is wrong with which part.
+    """
     parts = text.split(":")
     kind = parts[0]
     if kind not in KINDS:
@@ -121,12 +123,12 @@ class BoardView:
 
 
 def find_board_corners(image: np.ndarray, board: Board, camera: Camera) -> BoardView:
-    """BoardView of an image as cv2 reads it. camera : Camera whose lens bends the edges (no distortion for the first
-    look).
+    """Find the corners of a board in an image as cv2 reads it, as a BoardView.
+    camera : Camera whose lens bends the edges (no distortion for the first look)
     """
     if board.kind == "aruco":
         return _markers(image, board, camera)
-    eight, full = grey_image(image)
+    eight, full = grey_images_for_reader_and_fit(image)
     found, ids, _ = cv2.aruco.ArucoDetector(
         cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     ).detectMarkers(eight)
@@ -151,7 +153,7 @@ def find_board_corners(image: np.ndarray, board: Board, camera: Camera) -> Board
         guess, slope = H[:2, 2] / H[2, 2], (H[:2, :2] - np.outer(H[:2, 2] / H[2, 2], H[2, :2])) / H[2, 2]
         column, line = np.round(point / board.pitch).astype(int)
         white = (column + line + (board.rows % 2 == 0 if board.legacy else 0)) % 2 == 1
-        fitted = chessboard_corner.fit(full, guess, slope, white, straight, clear)
+        fitted = chessboard_corner.fit_chessboard_corner(full, guess, slope, white, straight, clear)
         if isinstance(fitted, str):
             left_out.append((row, fitted))
         else:

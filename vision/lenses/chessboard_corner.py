@@ -1,4 +1,4 @@
-"""Where two printed edges cross: the corner of a chessboard, fitted to its pixels along both edges.
+"""Chessboard corner fitted to the pixels along both of its edges.
 
 The image of a crossing under Gaussian blur (the pixel's own width included) is the chance that a normal draw about the
 pixel falls into one of the two white quadrants: a bivariate normal of the distances to the two edges, correlated by
@@ -56,8 +56,8 @@ class Share(NamedTuple):
     by_rho: np.ndarray
 
 
-def share(h: np.ndarray, k: np.ndarray, rho: float) -> Share:
-    """White share of a crossing, white where h and k have the same sign.
+def crossing_whiteness(h: np.ndarray, k: np.ndarray, rho: float) -> Share:
+    """Whiteness at a crossing of two blurred edges, white where h and k have the same sign.
 
     h, k : (n,) distances to the edges in blur widths; rho : correlation, the cosine between the edges' normals
     """
@@ -127,10 +127,10 @@ class _Settled(NamedTuple):
     scatter: float
 
 
-def fit(
+def fit_chessboard_corner(
     image: np.ndarray, guess: np.ndarray, axes: np.ndarray, white: bool, straight: Straight, reach: float
 ) -> Junction | str:
-    """Junction, or the reason (text) why there is none.
+    """Fitted chessboard corner (Junction), or the reason (text) why none was found.
 
     image : (height, width) float; guess : (2,) px; axes : (2, 2) px per square, columns the board's x and y in the
         image
@@ -207,7 +207,7 @@ def _linearise(pixels: _Pixels, p: np.ndarray, light: np.ndarray | None, extent:
     # the y line's sign is turned so that both are positive in the quadrant between the axes
     turn = np.array([1.0, -1.0]) * np.sign(np.sin(p[3] - p[2]))
     h, k = (turn * across[use] / p[4]).T
-    w, dh, dk, dr = share(h, k, turn[0] * turn[1] * np.cos(p[3] - p[2]))
+    w, dh, dk, dr = crossing_whiteness(h, k, turn[0] * turn[1] * np.cos(p[3] - p[2]))
     if not pixels.white:
         w, dh, dk, dr = 1 - w, -dh, -dk, -dr
     grey, near = pixels.grey[use], d[use] / extent.size

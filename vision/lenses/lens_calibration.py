@@ -1,6 +1,4 @@
-"""One camera's lens from photographs of a flat board: lens models compared on photographs held out, and how well it
-projects.
-"""
+"""Lens calibration from board corners: lens models compared on held-out photographs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +14,7 @@ from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.corner_observations import Observations, observations_of_frames
 from vision.lenses.calibration_board import Board, BoardView
 from vision.pose.pose_refinement import GATE, MEDIAN
-from vision.predict import State, predict
+from vision.predict import State, predict_corners
 
 MODELS = (0, 4, 5, 8, 12, 14)  # distortion terms, OpenCV's order; 0: a pinhole
 ROUNDS = 6
@@ -67,9 +65,9 @@ class HeldOut:
     corners: int
 
 
-def observations_of(views: Sequence[BoardView], board: Board) -> Observations:
-    """Observations of BoardViews, one frame each; corners count four to a `marker`. Raises NotEnoughData where too few
-    are usable.
+def observations_from_board_views(views: Sequence[BoardView], board: Board) -> Observations:
+    """Observations from BoardViews, one frame each; corners count four to a `marker`.
+    Raises NotEnoughData where too few are usable.
     """
     usable = [(f, view) for f, view in enumerate(views) if len(view.corner) >= LEAST_CORNERS]
     if len(usable) < LEAST_IMAGES:
@@ -96,7 +94,7 @@ def observations_of(views: Sequence[BoardView], board: Board) -> Observations:
     )
 
 
-def calibrate(
+def calibrate_lens(
     observations: Observations,
     width: int,
     height: int,
@@ -104,7 +102,8 @@ def calibrate(
     name: str = "cam0",
     inliers: np.ndarray | None = None,
 ) -> Fit:
-    """Fit of a lens with that many distortion terms. inliers : (n,) bool to hold to, or None: found here.
+    """Calibrated lens (Fit) with that many distortion terms.
+    inliers : (n,) bool to hold to, or None: found here
 
     Raises NotEnoughData where corners do not determine it.
     """
@@ -115,10 +114,14 @@ def calibrate(
     for k in range(ROUNDS):
         weighed = replace(o, covariance=o.covariance + unmodelled * np.eye(2))
         result = adjust_bundle(
-            weighed.take(good), state, ("lenses",), stated=stated, worth=lambda camera: _worth(camera, terms)
+            weighed.take(good),
+            state,
+            ("lenses",),
+            stated=stated,
+            lens_prior_sigmas=lambda camera: _worth(camera, terms),
         )
         state = result.state
-        residuals = o.uv - predict(o, state)[0]
+        residuals = o.uv - predict_corners(o, state)[0]
         square = (residuals**2).sum(axis=1)
         before, unmodelled = unmodelled, max((square[good] - np.einsum("nii->n", o.covariance)[good]).mean() / 2, 0.0)
         near = square < GATE**2 * np.median(square) / MEDIAN if inliers is None else good
@@ -128,26 +131,30 @@ def calibrate(
     return Fit(terms, state.cameras[0], residuals, good, float(np.sqrt((residuals[good] ** 2).mean())), result)
 
 
-def hold_out(observations: Observations, width: int, height: int, terms: int, inliers: np.ndarray) -> HeldOut:
-    """HeldOut: every photograph in turn predicted by a lens fitted to the others, its own pose alone fitted to it.
-    inliers : (n,) bool
+def cross_validate_lens(
+    observations: Observations, width: int, height: int, terms: int, inliers: np.ndarray
+) -> HeldOut:
+    """Cross-validation of a lens model (HeldOut): each photograph predicted by a lens from the others.
+    The photograph's own pose alone is fitted to it. inliers : (n,) bool
     """
     o, by_image, total, count = observations, [], 0.0, 0
     for f in range(len(o.frames)):
         own = o.frame == f
         rest = np.delete(np.arange(len(o.frames)), f)
-        fitted = calibrate(observations_of_frames(o, rest), width, height, terms, inliers=inliers[~own])
+        fitted = calibrate_lens(observations_of_frames(o, rest), width, height, terms, inliers=inliers[~own])
         alone = observations_of_frames(o, np.array([f])).take(inliers[own])
         start = _start(alone, width, height, max(terms, 4), "held out", fitted.camera)
         state = adjust_bundle(alone, start, ()).state
-        square = (alone.uv - predict(alone, state)[0]) ** 2
+        square = (alone.uv - predict_corners(alone, state)[0]) ** 2
         by_image.append(float(np.sqrt(square.mean())))
         total, count = total + square.sum(), count + len(alone)
     return HeldOut(terms, float(np.sqrt(total / (2 * count))), tuple(by_image), count)
 
 
-def choose(held: Sequence[HeldOut]) -> HeldOut:
-    """The HeldOut to take: the simplest within one standard error of the best. held : one per model, simplest first."""
+def choose_lens_model(held: Sequence[HeldOut]) -> HeldOut:
+    """Choose the lens model: the simplest HeldOut within one standard error of the best.
+    held : one per model, simplest first
+    """
     best = min(held, key=lambda one: one.rms)
     for one in held:
         worse = np.square(one.by_image) - np.square(best.by_image)
@@ -157,7 +164,7 @@ def choose(held: Sequence[HeldOut]) -> HeldOut:
 
 
 def projection_uncertainty(fit: Fit, step: int = 40) -> tuple[np.ndarray, np.ndarray]:
-    """(uv (r, c, 2) px, sigma (r, c) px): standard uncertainty of where the lens puts a direction, over the frame.
+    """Standard uncertainty of the lens's projection over the image: uv (r, c, 2) px, sigma (r, c) px.
 
     The part that a small turn of the camera would undo is taken out, for a camera's pose is always found with its lens.
     Source: mrcal, projection uncertainty
@@ -188,7 +195,7 @@ def _cross(points: np.ndarray) -> np.ndarray:
 
 def _worth(camera: Camera, terms: int) -> np.ndarray:
     """(4 + terms,) standard deviations before the images: next to nothing known, or pinned."""
-    names = lens.terms(camera.distortion)[4:]
+    names = lens.lens_parameter_names(camera.distortion)[4:]
     return np.array(
         [camera.matrix[0, 0], camera.matrix[1, 1], camera.width, camera.width]
         + [WIDE[name] if k < terms else PINNED for k, name in enumerate(names)]

@@ -1,4 +1,4 @@
-"""A pose that its own image leaves in doubt, held against the frames before and after it."""
+"""Ambiguous poses resolved, and flipped poses found, by the poses of neighbouring frames."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,46 +27,44 @@ class Reach:
     beside: float
 
 
-def choose_by_neighbours(found: Poses, undecided: dict[int, Sequence[np.ndarray]], t: np.ndarray) -> Poses:
-    """{frame: T_world_body} of frames whose pose their neighbours decide, as matrices.
+def choose_poses_by_neighbours(found: Poses, candidates: dict[int, Sequence[np.ndarray]], t: np.ndarray) -> Poses:
+    """Ambiguous poses chosen by neighbouring frames: {frame: T_world_body (4, 4)}.
 
-    found : {frame: (4, 4)} solved; undecided : {frame: ((4, 4), ...)} candidates; t : (F,) s
+    found : {frame: (4, 4)} solved; candidates : {frame: ((4, 4), ...)} candidates; t : (F,) s
     One candidate must lie within what neighbours predict solved frames to, and every other beyond it and WORSE times as
     far.
     A frame so decided is a neighbour in its turn.
     """
-    reach, known = neighbour_distance(found, t), dict(found)
+    reach, known = neighbour_rotation_scatter(found, t), dict(found)
     chosen: Poses = {}
     if reach is None:
         return chosen
-    waiting = set(undecided)
+    waiting = set(candidates)
     while waiting:
         fresh = {}
         for f in waiting:
-            expected, limit = expected_pose(known, f, t, reach)
+            expected, limit = pose_from_neighbours(known, f, t, reach)
             if expected is None or not limit < MOST:
                 continue
-            miss = np.array([rotation_angle(expected, one) for one in undecided[f]])
+            miss = np.array([rotation_angle(expected, one) for one in candidates[f]])
             order = np.argsort(miss)
             if miss[order[0]] <= limit and (miss[order[1:]] > max(limit, WORSE * miss[order[0]])).all():
-                fresh[f] = undecided[f][order[0]]
+                fresh[f] = candidates[f][order[0]]
         chosen |= fresh
         known |= fresh
-        waiting = {f for f in undecided if f not in chosen and any(abs(f - k) < AROUND for k in fresh)}
+        waiting = {f for f in candidates if f not in chosen and any(abs(f - k) < AROUND for k in fresh)}
     return chosen
 
 
-def pose_outliers(found: Poses, t: np.ndarray) -> dict[int, str]:
-    """{frame: reason} of solved frames (4, 4) that turn away from neighbours which predict all the others well: a
-    flip.
-    """
-    reach = neighbour_distance(found, t)
+def rotation_outliers(found: Poses, t: np.ndarray) -> dict[int, str]:
+    """Rotation outliers {frame: reason} among solved poses (4, 4): flips against well-predicted neighbours."""
+    reach = neighbour_rotation_scatter(found, t)
     odd: dict[int, str] = {}
     if reach is None:
         return odd
     for f, T in found.items():
         if None not in _near(found, f, t):
-            expected, limit = expected_pose(found, f, t, reach)
+            expected, limit = pose_from_neighbours(found, f, t, reach)
             if expected is not None and rotation_angle(expected, T) > max(2 * limit, MOST):
                 odd[f] = (
                     f"it turns by {np.degrees(rotation_angle(expected, T)):.0f} degrees against the frames "
@@ -75,8 +73,10 @@ def pose_outliers(found: Poses, t: np.ndarray) -> dict[int, str]:
     return odd
 
 
-def neighbour_distance(found: Poses, t: np.ndarray) -> Reach | None:
-    """Reach that solved frames show of each other, or None where too few have neighbours. t : (F,) s"""
+def neighbour_rotation_scatter(found: Poses, t: np.ndarray) -> Reach | None:
+    """Scatter (Reach) of rotation about what neighbouring solved frames predict; None with too few.
+    t : (F,) s
+    """
     between, beside = [], []
     for f, T in found.items():
         before, after = _near(found, f, t)
@@ -88,15 +88,13 @@ def neighbour_distance(found: Poses, t: np.ndarray) -> Reach | None:
     return Reach(MARGIN * np.quantile(between, 0.9), MARGIN * np.quantile(beside, 0.9))
 
 
-def expected_pose(found: Poses, f: int, t: np.ndarray, reach: Reach) -> tuple[np.ndarray | None, float]:
-    """((4, 4), rad) expected of frame f from solved frames near it, and how far off it may be; (None, inf) where there
-    are none.
-    """
+def pose_from_neighbours(found: Poses, f: int, t: np.ndarray, scatter: Reach) -> tuple[np.ndarray | None, float]:
+    """((4, 4) pose of frame f from solved neighbours, rad that it may be off); (None, inf) without any."""
     before, after = _near(found, f, t)
-    ways = [(reach.beside * abs(t[f] - t[k]), k) for k in (before, after) if k is not None]
+    ways = [(scatter.beside * abs(t[f] - t[k]), k) for k in (before, after) if k is not None]
     limit, nearest = min(ways, default=(np.inf, None))
-    if before is not None and after is not None and reach.between * (t[after] - t[before]) ** 2 < limit:
-        return _between(found, before, after, f, t), max(LEAST, reach.between * (t[after] - t[before]) ** 2)
+    if before is not None and after is not None and scatter.between * (t[after] - t[before]) ** 2 < limit:
+        return _between(found, before, after, f, t), max(LEAST, scatter.between * (t[after] - t[before]) ** 2)
     return None if nearest is None else found.get(nearest), max(LEAST, limit)
 
 

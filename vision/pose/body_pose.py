@@ -1,6 +1,4 @@
-"""Corners of one body in one or several posed cameras -> its pose: consensus of single markers, then a robust
-refinement.
-"""
+"""Pose of one body from its corners in one or several cameras: consensus of markers, robust refinement."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Camera
 from vision import lens
-from vision.pose.pose_refinement import AHEAD, GATE, refine
+from vision.pose.pose_refinement import AHEAD, GATE, refine_pose
 from vision.targets import SQUARE, MarkerMap
 
 CONSENSUS = 10.0  # px; a corner farther than this from where a candidate puts it speaks against the candidate
@@ -89,10 +87,12 @@ class _Refined(NamedTuple):
     scale: float
 
 
-def undistorted(
+def undistort_corners(
     uv: np.ndarray, covariance: np.ndarray, camera: np.ndarray, cameras: Sequence[Camera]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Ideal coordinates (n, 2) of pixels (n, 2) and their covariance (n, 2, 2), camera by camera. NaN beyond a lens."""
+    """Undistorted ideal coordinates (n, 2) of corners (n, 2) px, with covariance (n, 2, 2).
+    Camera by camera; NaN beyond a lens.
+    """
     ideal, out = np.empty_like(uv), np.empty_like(covariance)
     for i in np.unique(camera):
         rows, matrix, distortion = camera == i, cameras[i].matrix, cameras[i].distortion
@@ -103,9 +103,8 @@ def undistorted(
     return ideal, out
 
 
-def locate(view: View, marker_map: MarkerMap, finest: float = FINEST) -> Located | Unsolved:
-    """Pose of a body from all cameras, all markers and all corners at once; wrong identities, flips and outliers stand
-    out.
+def locate_body(view: View, marker_map: MarkerMap, finest: float = FINEST) -> Located | Unsolved:
+    """Locate a body: its pose from all cameras' corners at once, wrong identities and outliers excluded.
 
     view : View; marker_map : MarkerMap, which says how each marker sits on the body; finest : px, residuals smaller
     than this are never an outlier's: what the markers' stated places are uncertain by
@@ -185,8 +184,8 @@ def _candidates(view: View, sightings: Sequence[_Sighting], marker_map: MarkerMa
             marker_map.side[marker] * SQUARE, view.ideal[rows], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
         )
         T_world_camera, T_marker_body = (
-            inverse(view.T_camera_world[camera]),
-            inverse(marker_map.T_body_marker[marker].as_matrix()),
+            inverse_pose(view.T_camera_world[camera]),
+            inverse_pose(marker_map.T_body_marker[marker].as_matrix()),
         )
         for k in range(count):
             T_camera_marker = np.eye(4)
@@ -197,11 +196,11 @@ def _candidates(view: View, sightings: Sequence[_Sighting], marker_map: MarkerMa
     return matrices, _distances(view, matrices)
 
 
-def inverse(matrix: np.ndarray) -> np.ndarray:
-    """(4, 4) inverse of a pose (4, 4)."""
+def inverse_pose(pose: np.ndarray) -> np.ndarray:
+    """Inverse (4, 4) of a pose (4, 4)."""
     out = np.eye(4)
-    out[:3, :3] = matrix[:3, :3].T
-    out[:3, 3] = -out[:3, :3] @ matrix[:3, 3]
+    out[:3, :3] = pose[:3, :3].T
+    out[:3, 3] = -out[:3, :3] @ pose[:3, 3]
     return out
 
 
@@ -228,7 +227,7 @@ def _refine(view: View, matrix: np.ndarray, inliers: np.ndarray, least: float) -
     matrix, inliers = matrix.copy(), inliers.copy()
     J, square = np.zeros((len(view.points), 2, 6)), np.zeros(len(view.points))
     try:
-        scale = refine(
+        scale = refine_pose(
             (view.points, view.ideal, view.covariance, view.camera),
             view.T_camera_world,
             view.focal,

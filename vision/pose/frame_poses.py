@@ -1,4 +1,4 @@
-"""Frame by frame: where the platform and every moving camera stand, as a start for adjusting all frames together."""
+"""Poses of the platform and of moving cameras frame by frame, as a start of the adjustment."""
 
 from collections.abc import Callable, Sequence
 from copy import copy
@@ -10,8 +10,8 @@ from scipy.spatial.transform import RigidTransform
 from rig.compute.parallel_map import parallel_map
 from rig.model.design import Camera
 from vision.corner_observations import Observations
-from vision.pose.ambiguous_poses import Poses, choose_by_neighbours, pose_outliers
-from vision.pose.body_pose import Located, Unsolved, View, inverse, locate, undistorted
+from vision.pose.ambiguous_poses import Poses, choose_poses_by_neighbours, rotation_outliers
+from vision.pose.body_pose import Located, Unsolved, View, inverse_pose, locate_body, undistort_corners
 from vision.targets import MarkerMap
 
 SHARED = 3  # frames that two cameras must share for the body to say how they stand to each other
@@ -56,7 +56,7 @@ class Views:
     ) -> None:
         self.observations = observations.with_points(marker_map.corners[observations.marker, observations.corner])
         self.map, self.finest = marker_map, finest
-        self.ideal, self.covariance = undistorted(
+        self.ideal, self.covariance = undistort_corners(
             observations.uv, observations.covariance, observations.camera, cameras
         )
         self.normals = marker_map.T_body_marker.rotation.as_matrix()[:, :, 2][observations.marker]
@@ -80,7 +80,7 @@ class Views:
         """Located or Unsolved from the observations' rows. T_camera_world : (c, 4, 4)."""
         o = self.observations
         ideal = self.ideal[rows] if ideal is None else ideal
-        return locate(
+        return locate_body(
             View(
                 o.points[rows],
                 self.normals[rows],
@@ -98,9 +98,7 @@ class Views:
 
 
 def locate_fixed_cameras(views: Views, cameras: Sequence[Camera]) -> dict[int, RigidTransform]:
-    """{camera index: T_base_camera} of the fixed cameras, from the base's corners, the median over all frames of
-    each.
-    """
+    """Locate the fixed cameras by base corners, median over frames: {camera index: T_base_camera}."""
     o, found = views.observations, {}
     for i, camera in enumerate(cameras):
         if camera.mount == "moving":
@@ -115,10 +113,8 @@ def locate_fixed_cameras(views: Views, cameras: Sequence[Camera]) -> dict[int, R
     return found
 
 
-def locate_cameras_by_body(views: Views, cameras: Sequence[Camera]) -> dict[int, RigidTransform]:
-    """{camera index: T_base_camera} of fixed cameras that see no base, from the body itself, which each locates by
-    itself: where they stand to each other, the middle over the frames that they share with one of them, and all
-    together where they are stated, in the mean.
+def locate_cameras_without_base_targets(views: Views, cameras: Sequence[Camera]) -> dict[int, RigidTransform]:
+    """Locate fixed cameras without base targets by the body that they all see: {camera index: T_base_camera}.
 
     Nothing where fewer than two share SHARED frames or some camera sees the base or moves.
     """
@@ -152,8 +148,8 @@ def locate_frames(
     t: np.ndarray | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Frames:
-    """Frames of all that can be located. t : (F,) s; with it, a sighting that stands alone is held against its
-    neighbours in time.
+    """Locate the platform and moving cameras in all frames, as Frames.
+    t : (F,) s; with it, a single sighting is checked against its neighbours in time
 
     progress : called with (done, of), or None
     """
@@ -170,7 +166,7 @@ def locate_frames(
             (f, rows[~o.on_platform[rows] & (o.camera[rows] == i)], views.identity) for f, rows in enumerate(rows_of)
         ]
         found, alone, why = _decided(_answers(views, calls), t)
-        moving[i] = {f: inverse(matrix) for f, matrix in found.items()}
+        moving[i] = {f: inverse_pose(matrix) for f, matrix in found.items()}
         vouched |= {(f, i) for f in alone}
         lost[i] = {f: f"moving camera {camera.name!r} is lost: {reason}" for f, reason in why.items()}
     fixed = np.array([camera.pose.inv().as_matrix() for camera in cameras])
@@ -179,7 +175,7 @@ def locate_frames(
         T_camera_world = fixed.copy()
         for i, poses in moving.items():
             if f in poses:
-                T_camera_world[i] = inverse(poses[f])
+                T_camera_world[i] = inverse_pose(poses[f])
             else:
                 poses[f] = cameras[i].pose.as_matrix()
         seen = rows[o.on_platform[rows]]
@@ -214,7 +210,7 @@ def _decided(answers: dict[int, Located | Unsolved], t: np.ndarray | None) -> tu
     why = {f: answer.reason for f, answer in answers.items() if not answer}
     chosen = {}
     if t is not None:
-        for f, reason in pose_outliers(found, t).items():
+        for f, reason in rotation_outliers(found, t).items():
             del found[f]
             why[f] = reason
         doubtful: dict[int, Sequence[np.ndarray]] = {
@@ -222,7 +218,7 @@ def _decided(answers: dict[int, Located | Unsolved], t: np.ndarray | None) -> tu
             for f, answer in answers.items()
             if not answer and answer.candidates
         }
-        chosen = choose_by_neighbours(found, doubtful, t)
+        chosen = choose_poses_by_neighbours(found, doubtful, t)
         why.update(
             {f: f"{why[f]}, and the frames before and after do not decide it" for f in doubtful if f not in chosen}
         )

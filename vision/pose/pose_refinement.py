@@ -1,6 +1,4 @@
-"""A pose refined on all corners of a body at once, compiled: Gauss-Newton whose robust weights come down with the
-residuals' own scale.
-"""
+"""Refinement of a pose on all corners of a body: compiled robust Gauss-Newton."""
 
 import numpy as np
 
@@ -16,7 +14,7 @@ AHEAD = 1e-6  # m; what is nearer to the camera's plane is behind it
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def refine(
+def refine_pose(
     corners: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
     to_camera: np.ndarray,
     focal: np.ndarray,
@@ -26,8 +24,7 @@ def refine(
     J: np.ndarray,
     square: np.ndarray,
 ) -> float:
-    """The robust scale at the optimum, whitened, or NaN where there is none; matrix (4, 4) T_world_body and inliers
-    (n,) bool become those there.
+    """Refine a pose in place; returns the whitened robust scale at the optimum, or NaN without one.
 
     corners : (points (n, 3) m in the body, ideal (n, 2), their covariance (n, 2, 2), camera (n,)); to_camera : (c, 4,
         4) T_camera_world

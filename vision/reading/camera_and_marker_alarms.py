@@ -1,6 +1,4 @@
-"""What a run's frames say of the cameras and markers themselves: a camera that was knocked, a marker that is covered,
-what cannot be solved.
-"""
+"""Alarms of a run: a camera that was moved, a marker that is covered or displaced."""
 
 from collections import defaultdict
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Corners placed once more by the lens as measured, where the one that they were placed by bends markers otherwise.
+"""Refit of all markers' corners with the adjusted lenses, where these bend markers otherwise.
 
 A marker is fitted as a whole, its sides bent as the lens bends them: a lens as its owner states it, a thousandth off,
 moves the corners of a large marker by some thousandths of a pixel, the same in every image where it stands there.
@@ -14,11 +14,11 @@ from rig.model.design import Camera
 from rig.recording.exposures_and_images import read_image
 from rig.recording.recording_folder import Corners, Recording
 from vision.corners import local_lens
-from vision.corners.edge_spread import PLAIN
-from vision.corners.marker_detection import Detection, fit_read_markers, grey_image
-from vision.corners.marker_reader import Read
+from vision.corners.edge_spread import PLAIN_EDGE_SPREAD
+from vision.corners.marker_detection import Detection, fit_read_markers, grey_images_for_reader_and_fit
+from vision.corners.marker_reader import ReadMarkers
 from vision.reading.parallel_images import map_images_in_processes
-from vision.reading.recording_corners import Collected, by_image, corners_of
+from vision.reading.recording_corners import Collected, corners_from_detections, group_corners_by_image
 from vision.targets import MarkerMap
 
 SETTLED = 2e-3  # px, by which a lens may bend a marker otherwise than another: that moves corners by a tenth of it
@@ -26,17 +26,21 @@ ROUNDS = 3  # of placing and measuring; a round leaves a few hundredths of what 
 STRAIGHT = 3  # of a polynomial's terms: where a marker is, and how it is stretched, its corners have anyway
 
 
-def lens_difference(corners: Corners, placed_by: Mapping[str, Camera], cameras: Sequence[Camera]) -> float:
-    """px by which lenses as measured bend some marker otherwise than those that it was placed by. corners : all four of
-    every marker
+def largest_lens_difference(corners: Corners, fitted_with: Mapping[str, Camera], cameras: Sequence[Camera]) -> float:
+    """Largest difference, px, that the lenses fitted with and the adjusted ones make to a marker.
+    corners : all four of every marker
     """
-    most, names, centres = 0.0, np.array(corners.camera)[::4], local_lens.local_centres(corners.uv.reshape(-1, 4, 2))
+    most, names, centres = (
+        0.0,
+        np.array(corners.camera)[::4],
+        local_lens.local_coordinate_origins(corners.uv.reshape(-1, 4, 2)),
+    )
     for camera in cameras:
         own = centres[names == camera.name]
         if len(own):
             bent = np.empty((2, len(own), 2, local_lens.TERMS))
-            for k, one in enumerate((placed_by[camera.name], camera)):
-                local_lens.polynomials(local_lens.ideal_coordinate_table(one), own, bent[k])
+            for k, one in enumerate((fitted_with[camera.name], camera)):
+                local_lens.fit_local_polynomials(local_lens.ideal_coordinate_table(one), own, bent[k])
             apart = np.abs(bent[1] - bent[0])[..., STRAIGHT:].sum(axis=-1) * own[:, 2:]
             most = max(most, float(np.nanmax(apart)))
     return most
@@ -45,33 +49,35 @@ def lens_difference(corners: Corners, placed_by: Mapping[str, Camera], cameras: 
 def refit_corners(
     recording: Recording,
     collected: Collected,
-    cameras: Sequence[Camera],
+    adjusted_cameras: Sequence[Camera],
     marker_map: MarkerMap,
     progress: Callable[[int, int], None] | None = None,
 ) -> Collected:
-    """Collected with every marker placed once more, from where it was found, by cameras as measured.
+    """Collected with the corners of all markers fitted once more, with the adjusted cameras.
 
     Raises FileError naming the image that cannot be decoded
     """
-    lenses, seen = {camera.name: camera for camera in cameras}, by_image(collected.corners)
+    lenses, seen = {camera.name: camera for camera in adjusted_cameras}, group_corners_by_image(collected.corners)
     images = [
-        (int(frame), camera, name, Read(*seen[int(frame), camera]))
+        (int(frame), camera, name, ReadMarkers(*seen[int(frame), camera]))
         for frame, camera, name in zip(recording.exposures.frame, recording.exposures.camera, recording.exposures.image)
         if name and (int(frame), camera) in seen
     ]
     folder, spread = path_on_workers(recording.folder), collected.spread
 
-    def one(image: tuple[int, str, str, Read]) -> Detection:
+    def one(image: tuple[int, str, str, ReadMarkers]) -> Detection:
         _, camera, name, read = image
         return fit_read_markers(
-            grey_image(read_image(folder / name), False)[1],
+            grey_images_for_reader_and_fit(read_image(folder / name), False)[1],
             lenses[camera],
             marker_map,
             read,
-            spread.get(camera, PLAIN),
+            spread.get(camera, PLAIN_EDGE_SPREAD),
             reach=0.0,
         )
 
     found = map_images_in_processes(one, images, progress)
-    corners, correlation = corners_of([(frame, camera, d) for (frame, camera, *_), d in zip(images, found)])
+    corners, correlation = corners_from_detections(
+        [(frame, camera, d) for (frame, camera, *_), d in zip(images, found)]
+    )
     return replace(collected, corners=corners, correlation=correlation, cameras=lenses)

@@ -1,5 +1,4 @@
-"""A recording measured while it grows: every frame's corners and pose as it comes, cameras adjusted to the frames so
-far now and then.
+"""Live measurement of a growing recording: each frame's corners and pose, cameras adjusted now and then.
 
 The first frames' images are searched whole; from then on only the places are read where markers ought to be. Between
 two adjustments the cameras are held, so that one that has moved shows. Adjusting takes seconds and is done beside:
@@ -21,15 +20,21 @@ from rig.errors import NotEnoughData
 from rig.model.design import Camera, Design
 from rig.model.pose import adjoint
 from rig.recording.recording_folder import Corners
-from vision.corner_observations import Observations, observations_from_corners, observations_without_corners
-from vision.corners.edge_spread import PLAIN, Spread
-from vision.corners.marker_detection import REACH, Detection, detect_markers, fit_read_markers, grey_image
+from vision.corner_observations import Observations, empty_observations, observations_from_corners
+from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, EdgeSpread
+from vision.corners.marker_detection import (
+    REACH,
+    Detection,
+    detect_markers,
+    fit_read_markers,
+    grey_images_for_reader_and_fit,
+)
 from vision.hand_mounted_cameras import design_seen_from_hand, has_hand_cameras
 from vision.pose.body_pose import FINEST
 from vision.pose.frame_poses import Views, locate_fixed_cameras, locate_frames
-from vision.predict import State, expected, predict
-from vision.reading.corner_refit import ROUNDS, SETTLED, lens_difference
-from vision.reading.recording_corners import corners_of, learn_spread
+from vision.predict import State, markers_expected_in_image, predict_corners
+from vision.reading.corner_refit import ROUNDS, SETTLED, largest_lens_difference
+from vision.reading.recording_corners import corners_from_detections, learn_camera_edge_spread
 from vision.recording_adjustment import Measurement, measure
 from vision.targets import marker_map
 
@@ -61,24 +66,14 @@ class Sight:
     expected: dict[str, tuple[int, ...]]
 
 
-def sight_from_limbs(frame: int, T_base_platform: RigidTransform, covariance: np.ndarray) -> Sight:
-    """Sight of a frame whose pose others told, with its covariance (6, 6), m and rad on the right: no camera looked at
-    it.
-    """
+def sight_from_measuring_limbs(frame: int, T_base_platform: RigidTransform, covariance: np.ndarray) -> Sight:
+    """Sight of a frame from a pose measured by limbs, with covariance (6, 6), no camera involved."""
     return Sight(
-        frame,
-        T_base_platform,
-        covariance,
-        "",
-        observations_without_corners(frame),
-        np.zeros((0, 2)),
-        np.zeros(0, bool),
-        {},
-        {},
+        frame, T_base_platform, covariance, "", empty_observations(frame), np.zeros((0, 2)), np.zeros(0, bool), {}, {}
     )
 
 
-def sight_from_hand(sight: Sight) -> Sight:
+def _sight_from_hand(sight: Sight) -> Sight:
     """The Sight of a base that was seen from the platform: where the platform stands, by the inverse, with its
     covariance.
     """
@@ -100,7 +95,7 @@ class _Adjusted:
     """
 
     measurement: Measurement | None
-    spread: dict[str, Spread]
+    spread: dict[str, EdgeSpread]
     again: dict[tuple[int, str], Detection]
 
 
@@ -126,7 +121,7 @@ class Live:
         self._first: list[
             tuple[int, str, np.ndarray]
         ] = []  # images from which the cameras' edges are learnt; none once they are
-        self._spread = {camera.name: PLAIN for camera in design.cameras}
+        self._spread = {camera.name: PLAIN_EDGE_SPREAD for camera in design.cameras}
         self._pool, self._beside = ThreadPoolExecutor(worker_count()), ThreadPoolExecutor(1)
         self._adjusting: Future[_Adjusted] | None = None
         self._told = 0  # frames of the last adjustment that was begun
@@ -161,7 +156,7 @@ class Live:
             self._first += [(frame, name, image) for name, image in images.items()]
         sight = self._locate(frame, rows, detections)
         self._solved += sight.T_base_platform is not None
-        return sight_from_hand(sight) if self._held else sight
+        return _sight_from_hand(sight) if self._held else sight
 
     def adjust(self) -> None:
         """Begin to adjust cameras to all frames so far where it is time to; what comes of it is taken over with a frame
@@ -190,10 +185,12 @@ class Live:
     def _adjusted(self, rows: Rows, first: Images, cameras: dict[str, Camera]) -> _Adjusted:
         """Cameras adjusted to all of some rows. first : images from which to learn how each camera's edges look and
         which are placed once more, or none; cameras : {name: Camera} by which these are placed at first"""
-        full = {(frame, name): grey_image(image)[1] for frame, name, image in first}
+        full = {(frame, name): grey_images_for_reader_and_fit(image)[1] for frame, name, image in first}
         seen = {(frame, name): detection for frame, name, detection in rows if (frame, name) in full}
         spread = {
-            name: learn_spread([(full[key], d.read) for key, d in seen.items() if key[1] == name], camera, self.markers)
+            name: learn_camera_edge_spread(
+                [(full[key], d.read) for key, d in seen.items() if key[1] == name], camera, self.markers
+            )
             for name, camera in cameras.items()
             if any(key[1] == name for key in seen)
         }
@@ -205,7 +202,7 @@ class Live:
                 )
                 for key, d in (again or seen).items()
             }
-            corners, correlation = corners_of(
+            corners, correlation = corners_from_detections(
                 [(frame, name, again.get((frame, name), detection)) for frame, name, detection in rows]
             )
             observed = observations_from_corners(
@@ -217,8 +214,10 @@ class Live:
                 return _Adjusted(None, spread, again)
             if (
                 not seen
-                or lens_difference(
-                    corners_of([(*key, d) for key, d in again.items()])[0], placed_by, measurement.design.cameras
+                or largest_lens_difference(
+                    corners_from_detections([(*key, d) for key, d in again.items()])[0],
+                    placed_by,
+                    measurement.design.cameras,
                 )
                 < SETTLED
             ):
@@ -234,7 +233,7 @@ class Live:
             self._adjusting.result()
 
     def _locate(self, frame: int, rows: list[tuple[int, str, Detection]], detections: dict[str, Detection]) -> Sight:
-        corners, correlation = corners_of(rows)
+        corners, correlation = corners_from_detections(rows)
         observed = observations_from_corners(corners, np.array([frame]), self.design, self.markers, correlation)
         observed = replace(observed, covariance=observed.covariance * self._factor)
         nothing = Sight(
@@ -267,7 +266,7 @@ class Live:
         located = views.locate(on, T_camera_base)
         inliers = np.ones(len(observed), bool)
         inliers[on] = located.inliers if located else True
-        residuals = observed.uv - predict(observed, state)[0]
+        residuals = observed.uv - predict_corners(observed, state)[0]
         return replace(
             nothing,
             T_base_platform=T,
@@ -280,14 +279,18 @@ class Live:
 
     def _resected(self, corners: Corners) -> tuple[Camera, ...]:
         """Cameras where their own images of the base's markers put them, before they are adjusted."""
-        every, correlation = corners_of(self._rows)
+        every, correlation = corners_from_detections(self._rows)
         observed = observations_from_corners(every, np.unique(every.frame), self.design, self.markers, correlation)
         found = locate_fixed_cameras(Views(observed, self.design.cameras, self.markers, FINEST), self.design.cameras)
         return tuple(replace(camera, pose=found.get(i, camera.pose)) for i, camera in enumerate(self.design.cameras))
 
     def _ought(self, cameras: tuple[Camera, ...], name: str, T: RigidTransform) -> tuple[int, ...]:
         camera = next(camera for camera in cameras if camera.name == name)
-        return tuple(self.markers.id[expected(camera, T, self.markers)[0]].tolist()) if camera.mount == "fixed" else ()
+        return (
+            tuple(self.markers.id[markers_expected_in_image(camera, T, self.markers)[0]].tolist())
+            if camera.mount == "fixed"
+            else ()
+        )
 
     def _uncertain(self, T: RigidTransform, own: np.ndarray) -> np.ndarray | None:
         """(6, 6) a pose's own covariance and what the cameras' adds, as it is at the nearest pose to which they were

@@ -1,5 +1,4 @@
-"""Markers that are not what rig.toml says: turned, exchanged, mirrored, printed twice, of another dictionary. Told from
-where they are seen.
+"""Identity of markers against rig.toml: turned, exchanged, mirrored, repeated, of another dictionary.
 
 A sighting most of whose corners were set aside is held against every place that a marker of the rig has, in every turn
 and mirrored: a marker that is mostly seen where something else should be is that. Nothing is mended here; the sightings
@@ -13,8 +12,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from vision.corners.marker_detection import dictionary_reader
-from vision.predict import Sightings, expected, facing, predict_sightings
+from vision.corners.marker_detection import opencv_detector
+from vision.predict import Sightings, markers_expected_in_image, markers_facing_cameras, predict_sightings
 from vision.recording_adjustment import Measurement
 from vision.targets import MarkerMap
 
@@ -80,12 +79,16 @@ class Suspect:
         )
 
 
-def suspects(
-    measurement: Measurement, marker_map: MarkerMap, repeated: Iterable[int] = (), read: ReadImage | None = None
+def find_suspicious_markers(
+    measurement: Measurement,
+    marker_map: MarkerMap,
+    repeated_ids: Iterable[int] = (),
+    image_reader: ReadImage | None = None,
 ) -> tuple[Suspect, ...]:
-    """Suspects of a Measurement, one for each marker that is not what the rig's description says, in the map's order.
+    """Find the suspicious markers (Suspects) of a Measurement: those not as rig.toml states.
 
-    repeated : identities that one image shows more than once, as often as there are such images; read : called with
+    repeated_ids : identities that one image shows more than once, as often as there are such images; image_reader :
+        called with
     (frame number, camera name), returns that image, None where there is none; without it markers that are never seen
     are not looked for Those of a cube that was put back, which sits where nobody has stated, are no suspects
     """
@@ -93,12 +96,12 @@ def suspects(
     found.update(
         {
             number: Suspect(number, "twice", -1, 0, count, count)
-            for number, count in Counter(repeated).items()
+            for number, count in Counter(repeated_ids).items()
             if number not in found
         }
     )
-    if read:
-        found.update(_usurped(measurement, marker_map, read))
+    if image_reader:
+        found.update(_usurped(measurement, marker_map, image_reader))
     pairs = {k: s.other for k, s in found.items() if s.kind == "elsewhere"}
     for number, s in found.items():
         if s.kind == "elsewhere" and pairs.get(s.other) == number:
@@ -174,12 +177,12 @@ def _usurped(m: Measurement, marker_map: MarkerMap, read: ReadImage) -> dict[int
     missing = np.setdiff1d(np.arange(len(marker_map.id)), o.marker)
     cameras = m.design.cameras
     for row in missing:
-        sights = facing(m.adjustment.state, marker_map)
+        sights = markers_facing_cameras(m.adjustment.state, marker_map)
         sights = sights.take(sights.marker == row)
         there = []
         for frame, camera in zip(sights.frame, sights.camera):
             if cameras[camera].mount != "moving":
-                rows, places = expected(cameras[camera], m.T_base_platform[frame], marker_map)
+                rows, places = markers_expected_in_image(cameras[camera], m.T_base_platform[frame], marker_map)
                 if row in rows:
                     there.append((int(m.frames[frame]), cameras[camera].name, places[rows == row][0]))
         there = (
@@ -201,7 +204,7 @@ def _usurped(m: Measurement, marker_map: MarkerMap, read: ReadImage) -> dict[int
 
 def _reads_at(image: np.ndarray, place: np.ndarray, name: str) -> int | None:
     """Identity that is read in an image at a place (4, 2) px, turned or not, or None."""
-    corners, ids, _ = dictionary_reader(name).detectMarkers(image)
+    corners, ids, _ = opencv_detector(name).detectMarkers(image)
     side = np.linalg.norm(place - np.roll(place, 1, axis=0), axis=1).mean()
     for number, quad in zip([] if ids is None else ids.ravel().tolist(), corners):
         if np.linalg.norm(quad[0].mean(axis=0) - place.mean(axis=0)) < 2 * FIT * side:
@@ -243,7 +246,7 @@ def no_marker_reason(images: Sequence[np.ndarray], marker_map: MarkerMap) -> str
 
 
 def _numbers(image: np.ndarray, name: str) -> list[int]:
-    ids = dictionary_reader(name).detectMarkers(image)[1]
+    ids = opencv_detector(name).detectMarkers(image)[1]
     return [] if ids is None else [int(number) for number in ids.ravel()]
 
 

@@ -1,4 +1,4 @@
-"""Work on many images at the same time: by threads of this process, or by other processes and clusters."""
+"""Parallel maps over images: by threads, by processes, or by a cluster."""
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -17,28 +17,28 @@ Result = TypeVar("Result")
 
 
 def map_images_in_threads(
-    one: Callable[[Item], Result], work: Sequence[Item], progress: Callable[..., None] | None
+    function: Callable[[Item], Result], items: Sequence[Item], progress: Callable[..., None] | None
 ) -> list[Result]:
-    """What comes of each item of some work on images, in order, by threads: few items, or that share images.
+    """Map a function over images in threads, results in order: for few items, or shared images.
     progress : called with (done, of)
     """
     with _one_thread_each(), ThreadPoolExecutor(worker_count()) as pool:
-        return executor_map(pool, one, work, progress)
+        return executor_map(pool, function, items, progress)
 
 
 def map_images_in_processes(
-    one: Callable[[Item], Result], work: Sequence[Item], progress: Callable[..., None] | None
+    function: Callable[[Item], Result], items: Sequence[Item], progress: Callable[..., None] | None
 ) -> list[Result]:
-    """The same by processes, or by a cluster: many items that each read an image of their own. What `one` changes
-    elsewhere is lost.
+    """Map a function over images in processes or on a cluster, results in order: for many items.
+    Each item reads an image of its own; what `function` changes elsewhere is lost.
     """
 
     def alone(item: Item) -> Result:
         cv2.setNumThreads(1)
-        return one(item)
+        return function(item)
 
     with _one_thread_each():
-        return parallel_map(alone, work, progress, items_per_process=EACH, on_cluster=True)
+        return parallel_map(alone, items, progress, items_per_process=EACH, on_cluster=True)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Images of a recording -> its corners, images in parallel; and a second look where a marker ought to be."""
+"""Corners of a recording's images, read in parallel, and the search for missed markers."""
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
@@ -14,12 +14,12 @@ from rig.errors import FileError
 from rig.model.design import Camera, Design
 from rig.recording.exposures_and_images import read_image, undecodable_images, unusable_images_error
 from rig.recording.recording_folder import Corners, Recording
-from vision.corner_observations import corner_correlation
-from vision.corners.edge_spread import PLAIN, Spread, empty_profile, learn_edge_spread
-from vision.corners.marker_detection import Detection, detect_markers, fit_read_markers, grey_image
-from vision.corners.marker_reader import Read, read_markers
-from vision.predict import expected
-from vision.reading import expected_markers
+from vision.corner_observations import corner_covariance_rows
+from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, EdgeSpread, empty_profile, learn_edge_spread
+from vision.corners.marker_detection import Detection, detect_markers, fit_read_markers, grey_images_for_reader_and_fit
+from vision.corners.marker_reader import ReadMarkers, read_markers
+from vision.predict import markers_expected_in_image
+from vision.reading import expected_marker_places
 from vision.reading.parallel_images import map_images_in_processes, map_images_in_threads
 from vision.recording_adjustment import Measurement
 from vision.targets import MarkerMap
@@ -55,7 +55,7 @@ class Collected:
     left_out: list[Unplaced]
     blur: dict[str, np.ndarray]
     noise: dict[str, np.ndarray]
-    spread: dict[str, Spread]
+    spread: dict[str, EdgeSpread]
     cameras: dict[str, Camera]
 
     @property
@@ -65,15 +65,13 @@ class Collected:
 
 
 def image_reader(recording: Recording) -> Callable[[int, str], np.ndarray | None]:
-    """A function of (frame number, camera name) that gives that image, (height, width) uint8, or None where there is
-    none.
-    """
+    """Reader of a recording's images: a function of (frame number, camera name) -> image, or None without one."""
     e = recording.exposures
     names = {(int(frame), camera): name for frame, camera, name in zip(e.frame, e.camera, e.image) if name}
 
     def read(frame: int, camera: str) -> np.ndarray | None:
         name = names.get((int(frame), camera))
-        return None if name is None else grey_image(read_image(recording.folder / name))[0]
+        return None if name is None else grey_images_for_reader_and_fit(read_image(recording.folder / name))[0]
 
     return read
 
@@ -81,8 +79,8 @@ def image_reader(recording: Recording) -> Callable[[int, str], np.ndarray | None
 def collect_corners(
     recording: Recording, marker_map: MarkerMap, progress: Callable[[int, int], None] | None = None
 ) -> Collected:
-    """Collected from every image of a recording, see `_collected`. Raises FileError naming all images that cannot be
-    decoded.
+    """Collect the corners of every image of a recording.
+    Raises FileError naming all images that cannot be decoded.
     """
     try:
         return _collected(recording, marker_map, progress)
@@ -109,14 +107,14 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
     stated = {camera.name: camera for _, camera, _ in work}
     taught = sorted({k for name in stated for k in _some([i for i, w in enumerate(work) if w[1].name == name])})
 
-    def searched(k: int) -> tuple[np.ndarray, Read]:
+    def searched(k: int) -> tuple[np.ndarray, ReadMarkers]:
         _, camera, name = work[k]
-        eight, full = grey_image(_image(folder, camera, name))
+        eight, full = grey_images_for_reader_and_fit(_image(folder, camera, name))
         return full, read_markers(eight, marker_map)
 
     whole = dict(zip(taught, map_images_in_threads(searched, taught, None)))
     spread = {
-        name: learn_spread([whole[k] for k in taught if work[k][1].name == name], camera, marker_map)
+        name: learn_camera_edge_spread([whole[k] for k in taught if work[k][1].name == name], camera, marker_map)
         for name, camera in stated.items()
     }
 
@@ -128,7 +126,9 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
     rest = [k for k in range(len(work)) if k not in found]
     rows = [(work[k][0], work[k][1].name, found[k]) for k in taught]
     known = (
-        expected_markers.learn_expectation(recording, *corners_of(rows), _repeated(_left_out(rows)), marker_map)
+        expected_marker_places.learn_expected_places(
+            recording, *corners_from_detections(rows), _repeated(_left_out(rows)), marker_map
+        )
         if len(rest) > len(taught)
         else None
     )
@@ -153,7 +153,7 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
             marker_map,
             spread[camera.name],
             T if camera.name in cameras else None,
-            doubtful=True,
+            search_for_others=True,
         )
 
     if known is None or known.commanded:
@@ -165,7 +165,12 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
         found.update(_one_after_the_other(work, rest, found, one, known, design, tell))
     rows = [(frame, camera.name, found[k]) for k, (frame, camera, _) in enumerate(work)]
     return Collected(
-        *corners_of(rows), _left_out(rows), _by_camera(rows, "blur"), _by_camera(rows, "noise"), spread, lenses
+        *corners_from_detections(rows),
+        _left_out(rows),
+        _by_camera(rows, "blur"),
+        _by_camera(rows, "noise"),
+        spread,
+        lenses,
     )
 
 
@@ -190,7 +195,7 @@ def _one_after_the_other(
     rest: list[int],
     found: dict[int, Detection],
     one: Callable[[tuple[Camera, str, RigidTransform | None]], Detection],
-    known: expected_markers.Expectation,
+    known: expected_marker_places.Expectation,
     design: Design,
     tell: Callable[..., None] | None,
 ) -> dict[int, Detection]:
@@ -202,7 +207,7 @@ def _one_after_the_other(
         fresh = [k for k in own if k in rest]
         out.update(zip(fresh, map_images_in_threads(one, [(*work[k][1:], last) for k in fresh], tell)))
         last = known.locate(
-            corners_of([(frame, work[k][1].name, out.get(k) or found[k]) for k in own])[0], frame, design
+            corners_from_detections([(frame, work[k][1].name, out.get(k) or found[k]) for k in own])[0], frame, design
         )
     return out
 
@@ -221,18 +226,22 @@ def _repeated(left_out: Iterable[Unplaced]) -> list[int]:
     return [one.marker for one in left_out if one.repeated]
 
 
-def learn_spread(searched: Sequence[tuple[np.ndarray, Read]], camera: Camera, marker_map: MarkerMap) -> Spread:
-    """Spread of a camera's edges. searched : (image (height, width) in 255ths of white, Read from it) each"""
+def learn_camera_edge_spread(
+    read_images: Sequence[tuple[np.ndarray, ReadMarkers]], camera: Camera, marker_map: MarkerMap
+) -> EdgeSpread:
+    """Learn the edge spread of a camera from images that were read.
+    read_images : (image (height, width) in 255ths of white, ReadMarkers of it) each
+    """
 
-    def first(item: tuple[np.ndarray, Read]) -> tuple[np.ndarray, Detection]:
+    def first(item: tuple[np.ndarray, ReadMarkers]) -> tuple[np.ndarray, Detection]:
         full, read = item
         return full, fit_read_markers(full, camera, marker_map, read)
 
-    seen = [(full, d.read) for full, d in map_images_in_threads(first, searched, None) if len(d.marker)]
-    spread = PLAIN
+    seen = [(full, d.read) for full, d in map_images_in_threads(first, read_images, None) if len(d.marker)]
+    spread = PLAIN_EDGE_SPREAD
     for _ in range(ROUNDS if seen else 0):
 
-        def again(item: tuple[np.ndarray, Read], spread: Spread = spread) -> tuple[Detection, np.ndarray]:
+        def again(item: tuple[np.ndarray, ReadMarkers], spread: EdgeSpread = spread) -> tuple[Detection, np.ndarray]:
             full, read = item
             profile = empty_profile()
             return fit_read_markers(full, camera, marker_map, read, spread, reach=0.0, profile=profile), profile
@@ -253,7 +262,7 @@ def search_missed_markers(
     marker_map: MarkerMap,
     progress: Callable[[int, int], None] | None = None,
 ) -> Collected:
-    """Collected with the markers added that ought to be seen, by the measured poses and cameras, and were not read.
+    """Collected with missed markers added: those expected by the measured poses that were not read.
 
     measurement : Measurement of the collected corners. A marker is added where its bits are read and it is found within
     FALSE_ALARM of its place.
@@ -283,16 +292,21 @@ def search_missed_markers(
 
     def one(item: tuple[Camera, str, int, RigidTransform, set[int], int]) -> Detection | None:
         camera, name, stage, T, read, _ = item
-        rows, places = expected(camera, T, marker_map)
+        rows, places = markers_expected_in_image(camera, T, marker_map)
         fresh = [
             k for k, row in enumerate(rows) if marker_map.stage[row] == stage and int(marker_map.id[row]) not in read
         ]
         if not fresh:
             return None
         numbers, places = marker_map.id[rows[fresh]], places[fresh]
-        _, full = grey_image(read_image(folder / name))
+        _, full = grey_images_for_reader_and_fit(read_image(folder / name))
         d = fit_read_markers(
-            full, camera, marker_map, Read(numbers, places), spread.get(camera.name, PLAIN), verify=True
+            full,
+            camera,
+            marker_map,
+            ReadMarkers(numbers, places),
+            spread.get(camera.name, PLAIN_EDGE_SPREAD),
+            verify=True,
         )
         at = [numbers.tolist().index(number) for number in d.marker]
         return d.take(np.abs(d.corners - places[at]).max(axis=(1, 2)) < FALSE_ALARM if len(at) else np.zeros(0, bool))
@@ -302,7 +316,7 @@ def search_missed_markers(
         for (camera, *_, frame), d in zip(work, map_images_in_processes(one, work, progress))
         if d is not None
     ]
-    extra, correlation = corners_of(found)
+    extra, correlation = corners_from_detections(found)
     return replace(
         collected,
         corners=_joined(collected.corners, extra),
@@ -310,8 +324,8 @@ def search_missed_markers(
     )
 
 
-def corners_of(found: Sequence[Found]) -> tuple[Corners, np.ndarray]:
-    """(Corners, their correlation (n, 2, 8)) of (frame, camera name, Detection) rows."""
+def corners_from_detections(found: Sequence[Found]) -> tuple[Corners, np.ndarray]:
+    """Corners of Detections, rows (frame, camera name, Detection), and their correlation (n, 2, 8)."""
     sizes = [len(d.marker) for *_, d in found]
     covariance = np.concatenate([d.covariance for *_, d in found] or [np.zeros((0, 8, 8))])
     own = np.stack([covariance[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)], axis=1).reshape(-1, 2, 2)
@@ -321,12 +335,12 @@ def corners_of(found: Sequence[Found]) -> tuple[Corners, np.ndarray]:
     frame = np.repeat(np.array([number for number, *_ in found], int), 4 * np.array(sizes, int))
     return (
         Corners(frame, names, np.repeat(marker, 4), np.tile(np.arange(4), len(marker)), uv, own),
-        corner_correlation(covariance).reshape(-1, 2, 8),
+        corner_covariance_rows(covariance).reshape(-1, 2, 8),
     )
 
 
-def by_image(corners: Corners) -> dict[tuple[int, str], tuple[np.ndarray, np.ndarray]]:
-    """{(frame number, camera name): (identities (m,), corners (m, 4, 2) px)} of Corners, all four of every marker."""
+def group_corners_by_image(corners: Corners) -> dict[tuple[int, str], tuple[np.ndarray, np.ndarray]]:
+    """Corners grouped by image: {(frame number, camera name): (identities (m,), corners (m, 4, 2) px)}."""
     rows: dict[tuple[int, str], list[int]] = {}
     for k, image in enumerate(zip(corners.frame[::4].tolist(), corners.camera[::4])):
         rows.setdefault(image, []).append(k)

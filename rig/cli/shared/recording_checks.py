@@ -117,9 +117,9 @@ def _check_files(recording: "Recording", anyway: bool) -> None:
             flush=True,
         )
     if recording.has_images and recording.corners is None and recording.design.targets:
-        from vision.checks.image_sample import image_mistakes
+        from vision.checks.image_sample import dictionary_and_identity_mistakes
 
-        report_mistakes(image_mistakes(recording), anyway)
+        report_mistakes(dictionary_and_identity_mistakes(recording), anyway)
     if recording.poses is not None and recording.corners is None and not recording.has_images:
         report_mistakes(pose_command_mistakes(recording), anyway)
 
@@ -128,9 +128,9 @@ def corners_of_image_sample(recording: "Recording") -> "Corners | None":
     """Corners detected in a sample of a recording's images; None where there are no images or targets."""
     if not recording.has_images or not recording.design.targets:
         return None
-    from vision.checks.image_sample import read_image_sample
+    from vision.checks.image_sample import read_corners_of_image_sample
 
-    return read_image_sample(recording)[0]
+    return read_corners_of_image_sample(recording)[0]
 
 
 def pose_command_mistakes(recording: "Recording") -> tuple[Mistake, ...]:

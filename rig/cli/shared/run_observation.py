@@ -24,7 +24,7 @@ from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_kinds import require_struts
 from vision.reading.camera_and_marker_alarms import Alarm, Watch
-from vision.reading.live_measurement import Live, Sight, sight_from_limbs
+from vision.reading.live_measurement import Live, Sight, sight_from_measuring_limbs
 
 WAITING = 4  # frames that may wait to be measured before the run waits for them
 LATEST = 30  # alarms that are kept for displays
@@ -250,7 +250,11 @@ class RunObserver:
             return
         T, own, common = source.pose(lengths)
         learnt = None if self._learner is None else self._learner.learn(shot.commanded, T, own, common)
-        sight, alarms, live = sight_from_limbs(shot.number, T, own + common @ common.T), list[Alarm](), self._live
+        sight, alarms, live = (
+            sight_from_measuring_limbs(shot.number, T, own + common @ common.T),
+            list[Alarm](),
+            self._live,
+        )
         if learnt is not None:
             self._waiting += [Alarm("jump", change_sentence(change, shot.number)) for change in learnt.changes]
         if live is not None and source.is_check_due(learnt is not None and (learnt.unsure or bool(learnt.changes))):

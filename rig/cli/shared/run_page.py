@@ -13,7 +13,7 @@ from rig.model.design import Camera, Design
 from rig.model.pose import pose_to_vector, transform_points
 from rig.report.pages.run_page_server import PageServer
 from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
-from vision.jpeg_pictures import encode_jpeg
+from vision.frame_pictures import encode_jpeg
 from vision.targets import MarkerMap, marker_map
 
 OFF = 3.0  # standard uncertainties, RMS over the axes that were measured: beyond it one pose is off by more than chance

@@ -32,10 +32,10 @@ from rig.errors import RigError
 from rig.formats.output_files import write_bytes
 from rig.model import mechanisms
 from rig.model.design import Camera, Design
-from vision.corners.marker_detection import detect_markers, grey_image
+from vision.corners.marker_detection import detect_markers, grey_images_for_reader_and_fit
 from vision.corners.marker_reader import read_markers
 from vision.hand_mounted_cameras import has_hand_cameras
-from vision.predict import expected
+from vision.predict import markers_expected_in_image
 from vision.reading.live_measurement import Live
 from vision.targets import MarkerMap, marker_cells, marker_map
 
@@ -68,7 +68,7 @@ def draw_markers(
 
 def _picture(camera: Camera, T_base_platform: RigidTransform, markers: MarkerMap) -> np.ndarray:
     image = np.full((camera.height, camera.width), GREY, np.uint8)
-    for row, quad in zip(*expected(camera, T_base_platform, markers)):
+    for row, quad in zip(*markers_expected_in_image(camera, T_base_platform, markers)):
         cells = np.kron(marker_cells(markers.dictionary[row], int(markers.id[row])), np.ones((CELL, CELL)))
         printed = (BLACK + (WHITE - BLACK) * cells).astype(np.uint8)
         low, high = CELL - 0.5, len(cells) - CELL - 0.5  # the marker has a ring of white about it
@@ -166,7 +166,7 @@ def _marker_white_level(image: np.ndarray, camera: Camera, markers: MarkerMap) -
 
     Raises CameraError for an image of another size.
     """
-    eight, full = grey_image(image)
+    eight, full = grey_images_for_reader_and_fit(image)
     if full.shape != (camera.height, camera.width):
         raise CameraError(
             f"camera {camera.name!r} gives {full.shape[1]} x {full.shape[0]} px, but rig.toml has "

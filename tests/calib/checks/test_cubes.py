@@ -12,8 +12,8 @@ from rig.model.design import Target
 from rig.model.pose import pose, pose_to_vector
 from rig.planning.layout import hexapod_and_two_strut_layout
 from tests.calib.checks.good import make
-from vision.checks.cube_layout import cube_layout_remarks
-from vision.targets import markers
+from vision.checks.cube_layout_remarks import cube_layout_remarks
+from vision.targets import markers_of_target
 
 TEXT = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=3, width=1280, height=1024, cubes=4)
 
@@ -63,7 +63,7 @@ def listed(name, aside):
         pose(target["pose"]["position"], target["pose"]["rotvec"]),
     )
     rows = [f'\n[[target]]\nname = "{name}"\nbody = "{cube.body}"\ndictionary = "{cube.dictionary}"\n']
-    for k, marker in enumerate(markers(cube)):
+    for k, marker in enumerate(markers_of_target(cube)):
         v = pose_to_vector(marker.pose * pose([*aside, 0] if k == 0 else [0, 0, 0], [0, 0, 0]))
         rows.append(
             f"[[target.marker]]\nid = {marker.id}\nside = {marker.side}\n"
@@ -72,7 +72,7 @@ def listed(name, aside):
     blocks = TEXT.split("[[target]]")
     return "[[target]]".join(block for block in blocks if f'name = "{name}"' not in block).rstrip() + "\n" + "".join(
         rows
-    ), markers(cube)[0].id
+    ), markers_of_target(cube)[0].id
 
 
 def test_a_face_that_is_not_centred_is_told_with_its_marker(tmp_path):

@@ -16,7 +16,7 @@ from rig.model.hexapod_geometry import cardan_twist
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose, pose_difference
 from rig.recording.recording_folder import Commands, Sensors
-from vision.predict import State, facing, predict_sightings
+from vision.predict import State, markers_facing_cameras, predict_sightings
 from vision.targets import marker_map
 
 
@@ -208,7 +208,7 @@ def looking(design):
         effects = [parse_effect(text)] if text else []
         state = State(rig.cameras, RigidTransform.concatenate([design.mechanism.home] * len(t)), {})
         sensors = Sensors(np.array([-1e9, 1e9]), {name: np.full(2, value) for name, value in channels.items()})
-        found = facing(state, marker_map(rig))
+        found = markers_facing_cameras(state, marker_map(rig))
         return predict_sightings(found, state, marker_map(rig), np.array(t), effects, sensors)[::2] - [639.5, 511.5]
 
     np.testing.assert_allclose(look()[0], [[-50, -50], [50, -50], [50, 50], [-50, 50]], atol=1e-9)
@@ -286,7 +286,7 @@ def test_rolling_shutter_by_hand(setting):
     markers = marker_map(design)
     run = motion_simulation.run_machine(design, commands, t, rates=True)
     state = State(design.cameras, run.T_base_platform, {})
-    found = facing(state, markers)
+    found = markers_facing_cameras(state, markers)
     uv = predict_sightings(found, state, markers, t, [effect], None, run)
     k = np.flatnonzero(markers.on_platform[found.marker])[::29]
     late = 2e-5 * (uv[k, 0, 1] - 512)

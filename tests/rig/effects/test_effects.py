@@ -12,7 +12,7 @@ from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands
-from vision.predict import State, facing, predict_sightings
+from vision.predict import State, markers_facing_cameras, predict_sightings
 from vision.targets import marker_map
 
 PLACES = {
@@ -64,7 +64,7 @@ def corners(setting, effects):
     """All corners that face a camera, through machine and cameras with the effects."""
     design, commands, t, sensors = setting
     clean = motion_simulation.run_machine(design, commands, t)
-    found = facing(State(design.cameras, clean.T_base_platform, {}), marker_map(design))
+    found = markers_facing_cameras(State(design.cameras, clean.T_base_platform, {}), marker_map(design))
     run = motion_simulation.run_machine(design, commands, t, effects, sensors, rates=True)
     return predict_sightings(
         found, State(design.cameras, run.T_base_platform, {}), marker_map(design), t, effects, sensors, run

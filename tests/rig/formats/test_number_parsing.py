@@ -60,7 +60,7 @@ def test_anything_else_is_none_wherever_it_stands(text, tmp_path, capsys):
     with pytest.raises(RigError):
         parse_effect(f"backlash:strut2:gap={text or ' '}")
     with pytest.raises(RigError):
-        calibration_board.parse(f"charuco:8x6:{text}:0.022:DICT_5X5_100")
+        calibration_board.parse_board(f"charuco:8x6:{text}:0.022:DICT_5X5_100")
     for option in ("--speed", "--seed"):
         with pytest.raises(SystemExit):
             main(["emulate", "rig.toml", f"{option}={text}"])

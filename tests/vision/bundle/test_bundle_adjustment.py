@@ -10,13 +10,13 @@ from scipy.spatial.transform import RigidTransform
 from rig.errors import NotEnoughData
 from rig.model.pose import exp, log, pose_difference
 from tests.vision.scenes import known, scene
+from vision.bundle.adjustment_validation import determined_combinations
 from vision.bundle.bundle_adjustment import adjust_bundle
-from vision.bundle.estimate_update import align_points, offset_from_stated, update_estimate
 from vision.bundle.normal_equations import linearise
-from vision.bundle.observability import determined_combinations
 from vision.bundle.unknown_priors import TERM_PRIOR, adjustment_unknowns
-from vision.corner_observations import corner_correlation, whitener
-from vision.predict import State, predict
+from vision.bundle.unknowns_and_estimate import align_points, offset_from_stated, update_estimate
+from vision.corner_observations import corner_covariance_rows, whitener
+from vision.predict import State, predict_corners
 from vision.targets import marker_map
 
 
@@ -31,7 +31,7 @@ def start(stated, true, T, seed=0):
 
 
 def whitened(observations, state):
-    return whitener(observations)(observations.uv - predict(observations, state)[0])
+    return whitener(observations)(observations.uv - predict_corners(observations, state)[0])
 
 
 EVERYTHING = ("poses", "lenses", "markers", "targets")
@@ -51,7 +51,7 @@ def test_jacobian_agrees_with_differences(setting, moving, correlated, free):
     if correlated:
         root = np.random.default_rng(8).normal(size=(len(observations) // 4, 8, 8)) + 3 * np.eye(8)
         observations = replace(
-            observations, correlation=corner_correlation(root @ np.swapaxes(root, 1, 2)).reshape(-1, 2, 8)
+            observations, correlation=corner_covariance_rows(root @ np.swapaxes(root, 1, 2)).reshape(-1, 2, 8)
         )
         observations = observations.take(np.arange(len(observations)) % 7 != 0)
     state = with_markers(start(stated, true, T), stated)
@@ -101,7 +101,7 @@ def test_markers_and_targets_off_their_places_are_found(setting):
     """Bodies' frames stay where the stated places hold them; what moved is found within its stated uncertainty."""
     observations, stated, true, T = setting
     true_state = with_markers(start(stated, true, T), stated, 3e-4)
-    uv, _ = predict(observations, true_state)
+    uv, _ = predict_corners(observations, true_state)
     noise = 0.04 * np.random.default_rng(2).normal(size=uv.shape)
     shifted = replace(observations, uv=uv + noise, covariance=np.tile(0.04**2 * np.eye(2), (len(uv), 1, 1)))
     state = replace(start(stated, true, T, seed=3), markers=marker_map(stated))

@@ -10,13 +10,12 @@ import pytest
 from rig.formats.rig_toml import design_file, design_text_edits
 from rig.model.pose import log, pose_difference
 from tests.vision.tumbling import scene
+from vision.bundle.adjustment_validation import crossvalidate_adjustment, determined_combinations
 from vision.bundle.bundle_adjustment import adjust_bundle
-from vision.bundle.estimate_update import align_points
-from vision.bundle.held_out_frames import crossvalidate
-from vision.bundle.marker_displacements import adjusted_markers, marker_places
-from vision.bundle.observability import determined_combinations
+from vision.bundle.marker_displacements import adjusted_markers, compare_stated_and_adjusted_places
+from vision.bundle.unknowns_and_estimate import align_points
 from vision.recording_adjustment import measure
-from vision.recording_measurement import unsolved_frames
+from vision.recording_measurement import unsolved_frames_with_enough_markers
 from vision.targets import marker_map
 
 FREE = ("lenses", "markers")
@@ -53,7 +52,7 @@ def test_frames_are_solved_and_their_covariance_is_true(worked):
 
 def test_tags_off_their_places_are_found_within_their_intervals(worked):
     observations, stated, true, t, m = worked
-    found = marker_places(m, t)
+    found = compare_stated_and_adjusted_places(m, t)
     base, platform = datums(m, true)
     inside = []
     markers = m.adjustment.stated.markers
@@ -70,11 +69,11 @@ def test_tags_off_their_places_are_found_within_their_intervals(worked):
 
 def test_held_out_frames_are_as_far_off_as_the_covariance_says(worked):
     m = worked[-1]
-    held = crossvalidate(m.used(), m.adjustment)
+    held = crossvalidate_adjustment(m.used(), m.adjustment)
     assert held.ratio == pytest.approx(1, abs=0.12) and held.corners == m.inliers.sum()
     a = m.adjustment
     unmoved = adjust_bundle(m.used(), replace(a.state, markers=a.stated.markers), ("lenses",), stated=a.stated)
-    assert crossvalidate(m.used(), unmoved).ratio > 2  # places as stated do not describe these images
+    assert crossvalidate_adjustment(m.used(), unmoved).ratio > 2  # places as stated do not describe these images
 
 
 def test_the_statement_names_who_holds_the_frames(worked):
@@ -88,7 +87,7 @@ def test_the_statement_names_who_holds_the_frames(worked):
 def test_stated_places_that_contradict_are_told(worked):
     observations, stated, true, t, _ = worked
     m = measure(observations, stated, marker_map(stated), ("lenses",), t=t)
-    assert len(unsolved_frames(m)) > 0.05 * len(t) and len(m.frames) < len(worked[-1].frames)
+    assert len(unsolved_frames_with_enough_markers(m)) > 0.05 * len(t) and len(m.frames) < len(worked[-1].frames)
 
 
 def test_one_sighting_counts_only_where_neighbours_confirm_it(worked):

@@ -12,12 +12,12 @@ from rig.model.pose import exp, pose_difference
 from tests.numeric import jacobian
 from tests.vision.scenes import nees, scene, standing
 from tests.vision.test_recording_adjustment import joint_chi2
-from vision.bundle.estimate_update import offset_from_stated, update_estimate
 from vision.bundle.normal_equations import linearise
 from vision.bundle.printing_errors import Printing
 from vision.bundle.unknown_priors import adjustment_unknowns
+from vision.bundle.unknowns_and_estimate import offset_from_stated, update_estimate
 from vision.corner_observations import whitener
-from vision.predict import State, predict
+from vision.predict import State, predict_corners
 from vision.recording_adjustment import measure
 from vision.targets import marker_map
 
@@ -39,7 +39,8 @@ def off_recording(design, seed, frames=24, noise=NOISE, **off):
     observations, stated, true, T = scene(design, seed, frames=frames, noise=noise)
     rng, plain = np.random.default_rng(seed), State(true.cameras, T, {})
     moved = (
-        predict(observations, replace(plain, markers=printed(design, rng, **off)))[0] - predict(observations, plain)[0]
+        predict_corners(observations, replace(plain, markers=printed(design, rng, **off)))[0]
+        - predict_corners(observations, plain)[0]
     )
     return replace(observations, uv=observations.uv + moved), stated, T
 
@@ -54,7 +55,7 @@ def test_derivatives_of_prints_agree_with_differences(design):
     _, found = linearise(observations, estimate, u, W)
     shared, local, h = rng.normal(size=u.shared), np.zeros((3, u.local)), 1e-3
     up, down = (
-        W(observations.uv - predict(observations, update_estimate(estimate, u, s * h * shared, local).state)[0])
+        W(observations.uv - predict_corners(observations, update_estimate(estimate, u, s * h * shared, local).state)[0])
         for s in (1, -1)
     )
     expected = np.zeros_like(up)

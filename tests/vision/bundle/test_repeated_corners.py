@@ -7,11 +7,10 @@ import pytest
 
 from tests.vision.scenes import known, scene
 from vision.bundle import bundle_adjustment as adjusting
-from vision.bundle.estimate_update import offset_from_stated
 from vision.bundle.normal_equations import linearise, normal_equations
-from vision.bundle.repeated_corners import merge_repeated_corners
 from vision.bundle.unknown_priors import adjustment_unknowns
-from vision.corner_observations import corner_correlation, whitener
+from vision.bundle.unknowns_and_estimate import offset_from_stated
+from vision.corner_observations import corner_covariance_rows, merge_repeated_corners, whitener
 from vision.predict import State
 
 
@@ -65,7 +64,7 @@ def test_what_hangs_together_and_what_moves_stays_as_it_is(setting):
     m = -(-len(observations) // 4)
     tied = replace(
         observations,
-        correlation=corner_correlation(np.tile(np.eye(8), (m, 1, 1))).reshape(-1, 2, 8)[: len(observations)],
+        correlation=corner_covariance_rows(np.tile(np.eye(8), (m, 1, 1))).reshape(-1, 2, 8)[: len(observations)],
     )
     assert merge_repeated_corners(tied, state) == (tied, 0.0)
     moving = replace(state, moving={0: state.platform})

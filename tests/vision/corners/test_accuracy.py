@@ -9,7 +9,7 @@ from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.pictures import SIZE, camera, picture, quad
 from vision import lens
 from vision.corners.marker_detection import detect_markers, fit_read_markers
-from vision.corners.marker_reader import Read
+from vision.corners.marker_reader import ReadMarkers
 
 
 def test_noise_free_corners_are_exact(design):
@@ -21,7 +21,7 @@ def test_noise_free_corners_are_exact(design):
             picture(corners, NAME, k).astype(np.float32),
             camera(),
             markers,
-            Read([k], (corners + rng.normal(0, 0.5, (4, 2)))[None]),
+            ReadMarkers([k], (corners + rng.normal(0, 0.5, (4, 2)))[None]),
         )
         error = found.corners[0] - corners
         spoke = corners - corners.mean(axis=0)
@@ -41,7 +41,8 @@ def test_light_bowed_over_a_marker_moves_no_corner(design):
         corners = quad(rng, side=90)
         image = picture(corners, NAME, k) * (1 - 0.1 * u**2 - 0.05 * v**2 + 0.03 * u * v)
         error = (
-            fit_read_markers(image.astype(np.float32), camera(), markers, Read([k], corners[None])).corners[0] - corners
+            fit_read_markers(image.astype(np.float32), camera(), markers, ReadMarkers([k], corners[None])).corners[0]
+            - corners
         )
         spoke = corners - corners.mean(axis=0)
         outward += list((error * spoke / np.linalg.norm(spoke, axis=1)[:, None]).sum(axis=1))
@@ -62,7 +63,10 @@ def test_perspective_moves_no_corner(design):
         )
         errors.append(
             fit_read_markers(
-                picture(corners, NAME, k, blur=0.8).astype(np.float32), camera(), markers, Read([k], corners[None])
+                picture(corners, NAME, k, blur=0.8).astype(np.float32),
+                camera(),
+                markers,
+                ReadMarkers([k], corners[None]),
             ).corners[0]
             - corners
         )
@@ -77,7 +81,7 @@ def test_covariance_is_the_scatter(design):
         clean = picture(corners, NAME, k)
         for _ in range(60):
             noisy = (clean + rng.normal(0, 2.5, clean.shape)).astype(np.float32)
-            found = fit_read_markers(noisy, camera(), markers, Read([k], corners[None]))
+            found = fit_read_markers(noisy, camera(), markers, ReadMarkers([k], corners[None]))
             e = (found.corners[0] - corners).ravel()
             chi2.append(e @ np.linalg.solve(found.covariance[0], e))
             assert found.noise[0] == pytest.approx(2.5, rel=0.15)
@@ -97,9 +101,9 @@ def test_edges_bend_with_the_lens(design):
     expected = lens.project(
         np.concatenate([(corners - SIZE / 2) / 900, np.ones((4, 1))], axis=1), bent.matrix, bent.distortion
     )
-    found = fit_read_markers(image, bent, sheet(design), Read([3], expected[None]))
+    found = fit_read_markers(image, bent, sheet(design), ReadMarkers([3], expected[None]))
     np.testing.assert_allclose(found.corners[0], expected, atol=0.006)
-    straight = fit_read_markers(image, camera(), sheet(design), Read([3], expected[None]))
+    straight = fit_read_markers(image, camera(), sheet(design), ReadMarkers([3], expected[None]))
     assert np.abs(straight.corners[0] - expected).max() > 0.03  # what ignoring the lens would cost
 
 
@@ -118,7 +122,10 @@ def test_what_is_left_of_a_covered_marker_is_as_good_as_it_says(design):
         rod = cv2.GaussianBlur(rod, (0, 0), 0.7)
         image = picture(corners, NAME, k, samples=6) * (1 - rod) + rng.choice([30.0, 90.0, 140.0, 200.0]) * rod
         found = fit_read_markers(
-            (image + rng.normal(0, 1, image.shape)).astype(np.float32), camera(), markers, Read([k], corners[None])
+            (image + rng.normal(0, 1, image.shape)).astype(np.float32),
+            camera(),
+            markers,
+            ReadMarkers([k], corners[None]),
         )
         for measured, covariance in zip(found.corners, found.covariance):
             e = (measured - corners).ravel()
@@ -169,7 +176,7 @@ def test_wide_edges_of_small_cells_see_beyond_the_next_cell(design):
     for k in range(8):
         corners = quad(rng, side=25, tilt=0.4)
         found = fit_read_markers(
-            picture(corners, NAME, k, blur=1.5).astype(np.float32), camera(), markers, Read([k], corners[None])
+            picture(corners, NAME, k, blur=1.5).astype(np.float32), camera(), markers, ReadMarkers([k], corners[None])
         )
         errors += list(found.corners - corners)
     assert len(errors) >= 6 and np.sqrt(np.mean(np.square(errors))) < 0.01
@@ -181,7 +188,7 @@ def test_what_is_no_noise_is_in_the_covariance(design):
     for k in range(24):
         corners = quad(rng, side=rng.uniform(50, 100), tilt=rng.uniform(0, 1.1))
         image = picture(corners, NAME, k, blur=0.8, samples=8, sharp=True) + rng.normal(0, 0.5, (SIZE, SIZE))
-        found = fit_read_markers(image.astype(np.float32), camera(), markers, Read([k], corners[None]))
+        found = fit_read_markers(image.astype(np.float32), camera(), markers, ReadMarkers([k], corners[None]))
         for error, C in zip(found.corners - corners, found.covariance):
             squares += [error[c] @ np.linalg.solve(C[2 * c : 2 * c + 2, 2 * c : 2 * c + 2], error[c]) for c in range(4)]
     assert 0.86 < np.mean(np.array(squares) < 5.991) < 0.995

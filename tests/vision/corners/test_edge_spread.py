@@ -7,13 +7,13 @@ from scipy.special import ndtr
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.pictures import SIZE, camera, picture, quad
 from vision.corners.cell_whiteness import GRID
-from vision.corners.edge_spread import PLAIN, WIDTHS, empty_profile, learn_edge_spread
+from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, WIDTHS, empty_profile, learn_edge_spread
 from vision.corners.marker_detection import fit_read_markers
-from vision.corners.marker_reader import Read
+from vision.corners.marker_reader import ReadMarkers
 
 
 def test_plain_edges_are_odd_and_their_slope_is_theirs():
-    share, slope = PLAIN.tables[..., 0], PLAIN.tables[..., 1]
+    share, slope = PLAIN_EDGE_SPREAD.tables[..., 0], PLAIN_EDGE_SPREAD.tables[..., 1]
     np.testing.assert_allclose(share + share[..., ::-1], 1, atol=1e-9)
     np.testing.assert_allclose(np.gradient(share[2:], GRID, axis=-1), slope[2:], atol=2e-3)
     np.testing.assert_allclose(
@@ -26,7 +26,7 @@ def test_a_plain_edge_is_a_gaussian_seen_through_pixels():
     blur = np.sqrt(WIDTHS[3] ** 2 - 1 / 12)
     fine = (np.arange(2000) + 0.5) / 2000 - 0.5
     expected = ndtr((GRID[:, None] * WIDTHS[3] + fine) / blur).mean(axis=1)
-    np.testing.assert_allclose(PLAIN.tables[3, 0, :, 0], expected, atol=2e-5)
+    np.testing.assert_allclose(PLAIN_EDGE_SPREAD.tables[3, 0, :, 0], expected, atol=2e-5)
 
 
 def test_what_a_camera_does_to_edges_is_learnt(design):
@@ -44,7 +44,7 @@ def test_what_a_camera_does_to_edges_is_learnt(design):
     def fit(spread):
         profile = empty_profile()
         found = [
-            fit_read_markers(image, camera(), markers, Read([k], corners[None]), spread=spread, profile=profile)
+            fit_read_markers(image, camera(), markers, ReadMarkers([k], corners[None]), spread=spread, profile=profile)
             for k, (image, corners) in enumerate(zip(images, truth))
         ]
         error = np.concatenate([f.corners[0] - corners for f, corners in zip(found, truth)])
@@ -55,7 +55,7 @@ def test_what_a_camera_does_to_edges_is_learnt(design):
             np.median([f.blur[0] for f in found]),
         )
 
-    spread = PLAIN
+    spread = PLAIN_EDGE_SPREAD
     _, noise_before, error_before, _ = fit(spread)
     for _ in range(4):
         profile, _, _, width = fit(spread)
@@ -67,4 +67,4 @@ def test_what_a_camera_does_to_edges_is_learnt(design):
 def test_too_few_pixels_teach_nothing():
     profile = empty_profile()
     profile[0, 10] = 5, 1.0, 1.0
-    assert learn_edge_spread(PLAIN, profile, 0.7) is PLAIN
+    assert learn_edge_spread(PLAIN_EDGE_SPREAD, profile, 0.7) is PLAIN_EDGE_SPREAD

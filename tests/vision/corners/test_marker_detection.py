@@ -11,8 +11,8 @@ from rig.model.pose import pose
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.pictures import SIZE, camera, picture, quad
 from vision.corners.marker_detection import detect_markers, fit_read_markers
-from vision.corners.marker_reader import Read
-from vision.predict import expected
+from vision.corners.marker_reader import ReadMarkers
+from vision.predict import markers_expected_in_image
 from vision.targets import marker_map
 
 
@@ -51,11 +51,11 @@ def test_what_covers_a_marker_does_not_pull_it(design):
         image + np.random.default_rng(0).normal(0, 1, image.shape).astype(np.float32),
         camera(),
         sheet(design),
-        Read([5], corners[None]),
+        ReadMarkers([5], corners[None]),
     )
     np.testing.assert_allclose(found.corners[0], corners, atol=0.06)
     image[:, : SIZE // 2] = 100
-    gone = fit_read_markers(image, camera(), sheet(design), Read([5], corners[None]))
+    gone = fit_read_markers(image, camera(), sheet(design), ReadMarkers([5], corners[None]))
     assert not len(gone.marker) and gone.left_out[0][0] == 5
 
 
@@ -75,7 +75,7 @@ def test_what_is_no_marker_gets_a_reason(design, spoil, says):
 
     corners = quad(np.random.default_rng(5))
     found = fit_read_markers(
-        spoil(picture(corners, NAME, 1)).astype(np.float32), camera(), sheet(design), Read([1], corners[None])
+        spoil(picture(corners, NAME, 1)).astype(np.float32), camera(), sheet(design), ReadMarkers([1], corners[None])
     )
     assert not len(found.marker) and re.search(says, found.left_out[0][1]), found.left_out
 
@@ -83,7 +83,7 @@ def test_what_is_no_marker_gets_a_reason(design, spoil, says):
 def test_another_marker_is_not_taken_for_it(design):
     corners = quad(np.random.default_rng(6))
     found = fit_read_markers(
-        picture(corners, NAME, 1).astype(np.float32), camera(), sheet(design), Read([2], corners[None])
+        picture(corners, NAME, 1).astype(np.float32), camera(), sheet(design), ReadMarkers([2], corners[None])
     )
     assert not len(found.marker)
 
@@ -91,7 +91,7 @@ def test_another_marker_is_not_taken_for_it(design):
 def test_a_marker_too_small_is_left_out_with_its_size(design):
     corners = quad(np.random.default_rng(7), side=14)
     found = fit_read_markers(
-        picture(corners, NAME, 1).astype(np.float32), camera(), sheet(design), Read([1], corners[None])
+        picture(corners, NAME, 1).astype(np.float32), camera(), sheet(design), ReadMarkers([1], corners[None])
     )
     assert not len(found.marker) and "too small" in found.left_out[0][1]
 
@@ -139,7 +139,7 @@ def cube_scene(design, at, dictionary=NAME):
         Marker(4, 0.06, pose([0.5, 0, 0.9], [np.pi, 0, 0]), 0.008),
     )
     markers = marker_map(replace(design, targets=(Target("t", "platform", dictionary, listed=listed),)))
-    _, (corners,) = expected(view, at, markers)
+    _, (corners,) = markers_expected_in_image(view, at, markers)
     image = picture(corners, dictionary, 3) + np.random.default_rng(0).normal(0, 1, (SIZE, SIZE))
     return view, markers, corners, np.clip(image, 0, 255).astype(np.uint8)
 

@@ -8,9 +8,8 @@ import pytest
 
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.pictures import quad
-from vision.corners.dark_pixels import BY, WINDOWS, mark_dark_pixels
-from vision.corners.marker_bits import identify_markers, marker_codes
-from vision.corners.marker_reader import dark_quadrangles, read_markers
+from vision.corners.dark_pixel_outlines import BY, WINDOWS, mark_dark_pixels
+from vision.corners.marker_reader import find_dark_quadrangles, identify_markers, marker_codes, read_markers
 from vision.corners.quadrangle_candidates import Candidates, marker_candidates
 from vision.targets import marker_cells
 
@@ -149,7 +148,7 @@ def test_outlines_of_what_is_dark_and_of_what_is_bright_in_it_are_found():
     image[40:101, 30:111] = 20
     image[60:81, 60:81] = 200
     cv2.circle(image, (150, 150), 30, 20, -1)
-    found = dark_quadrangles(image)
+    found = find_dark_quadrangles(image)
     assert {tuple(q.min(axis=0)) + tuple(q.max(axis=0)) for q in found} >= {(30, 40, 110, 100), (59, 59, 81, 81)}
     assert found[..., 1].max() < 120  # the disc is none
 
@@ -157,7 +156,7 @@ def test_outlines_of_what_is_dark_and_of_what_is_bright_in_it_are_found():
 def test_outlines_of_three_hundredths_of_the_longer_side_are_the_shortest():
     image = np.full((200, 1000), 200, np.uint8)
     image[50:58, 100:108] = image[50:59, 300:309] = 20  # 28 and 32 pixels around
-    assert {tuple(q.min(axis=0)) + tuple(q.max(axis=0)) for q in dark_quadrangles(image)} == {(300, 50, 308, 58)}
+    assert {tuple(q.min(axis=0)) + tuple(q.max(axis=0)) for q in find_dark_quadrangles(image)} == {(300, 50, 308, 58)}
 
 
 @pytest.mark.parametrize("turn", range(4))

@@ -15,7 +15,7 @@ from rig.model.pose import pose, transform_points
 from tests.numeric import jacobian
 from vision import lens
 from vision.lenses import chessboard_corner
-from vision.lenses.calibration_board import find_board_corners, parse
+from vision.lenses.calibration_board import find_board_corners, parse_board
 
 TEXT = "charuco:5x7:0.036:0.018:DICT_6X6_250"
 PINHOLE = Camera("cam", 420, 460, [[500, 0, 210], [0, 500, 230], [0, 0, 1]], np.zeros(5), RigidTransform.identity())
@@ -65,7 +65,7 @@ def draw(board, camera, T_camera_board, noise=1.5, blur=0.8, seed=0, finer=3):
 @pytest.mark.parametrize("camera", [PINHOLE, BENT], ids=["pinhole", "bent"])
 @pytest.mark.parametrize("turn", [[0.2, 0.1, 0.1], [0.5, -0.3, 0.2]])
 def test_corners_lie_where_they_are_within_their_covariance(camera, turn):
-    board = parse(TEXT)
+    board = parse_board(TEXT)
     image, true = draw(board, camera, pose([-0.085, -0.12, 0.38], turn))
     view = find_board_corners(image, board, camera)
     assert len(view.corner) >= 20 and not set(view.corner) & {row for row, _ in view.left_out}
@@ -76,7 +76,7 @@ def test_corners_lie_where_they_are_within_their_covariance(camera, turn):
 
 
 def test_a_lens_that_is_not_taken_out_bends_the_corners():
-    board = parse(TEXT)
+    board = parse_board(TEXT)
     image, true = draw(board, BENT, pose([-0.085, -0.12, 0.38], [0.2, 0.1, 0.1]))
     rms = [
         np.sqrt(((view.uv - true[view.corner]) ** 2).mean())
@@ -90,22 +90,24 @@ def test_share_is_the_bivariate_normals():
     h, k = rng.uniform(-3, 3, (2, 20))
     for rho in (-0.7, 0.0, 0.4):
         normal = multivariate_normal([0, 0], [[1, rho], [rho, 1]])
-        value, dh, dk, dr = chessboard_corner.share(h, k, rho)
+        value, dh, dk, dr = chessboard_corner.crossing_whiteness(h, k, rho)
         expected = [normal.cdf([a, b]) + normal.cdf([-a, -b]) for a, b in zip(h, k)]
         np.testing.assert_allclose(value, expected, atol=1e-6)
         np.testing.assert_allclose(
-            np.diagonal(jacobian(lambda x, r=rho: chessboard_corner.share(x, k, r)[0], h)), dh, atol=1e-6
+            np.diagonal(jacobian(lambda x, r=rho: chessboard_corner.crossing_whiteness(x, k, r)[0], h)), dh, atol=1e-6
         )
         np.testing.assert_allclose(
-            np.diagonal(jacobian(lambda x, r=rho: chessboard_corner.share(h, x, r)[0], k)), dk, atol=1e-6
+            np.diagonal(jacobian(lambda x, r=rho: chessboard_corner.crossing_whiteness(h, x, r)[0], k)), dk, atol=1e-6
         )
         np.testing.assert_allclose(
-            jacobian(lambda r: chessboard_corner.share(h, k, r[0])[0], np.array([rho]))[:, 0], dr, atol=1e-6
+            jacobian(lambda r: chessboard_corner.crossing_whiteness(h, k, r[0])[0], np.array([rho]))[:, 0],
+            dr,
+            atol=1e-6,
         )
 
 
 def test_what_is_no_corner_gives_a_reason():
-    board = parse(TEXT)
+    board = parse_board(TEXT)
     image, true = draw(board, PINHOLE, pose([-0.085, -0.12, 0.38], [0.2, 0.1, 0.1]))
     u, v = true[8].astype(int)
     image[v - 6 : v + 40, u - 6 : u + 40] = 128
@@ -118,7 +120,7 @@ def test_what_is_no_corner_gives_a_reason():
 
 
 def test_a_grid_of_markers_is_read_too():
-    board = parse("aruco:4x3:0.03:0.01:DICT_4X4_50")
+    board = parse_board("aruco:4x3:0.03:0.01:DICT_4X4_50")
     assert board.points.shape == (48, 3)
     grid = cv2.aruco.GridBoard((4, 3), 0.03, 0.01, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50))
     np.testing.assert_allclose(np.array(grid.getObjPoints()), board.marker_corners(), atol=1e-8)
@@ -133,7 +135,7 @@ def test_a_grid_of_markers_is_read_too():
 
 def test_layout_is_opencvs():
     for legacy, text in ((False, "charuco:6x5:0.04:0.02:DICT_4X4_50"), (True, "charuco:5x6:0.04:0.02:DICT_4X4_50")):
-        board = replace(parse(text), legacy=legacy)
+        board = replace(parse_board(text), legacy=legacy)
         theirs = cv2.aruco.CharucoBoard(
             (board.columns, board.rows), 0.04, 0.02, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
         )
@@ -161,4 +163,4 @@ def test_layout_is_opencvs():
 )
 def test_a_typo_in_the_board_is_named(text, what):
     with pytest.raises(RigError, match=what):
-        parse(text)
+        parse_board(text)

@@ -10,10 +10,16 @@ from rig.errors import NotEnoughData
 from rig.model.design import Camera
 from rig.model.pose import pose, transform_points
 from vision import lens
-from vision.lenses.calibration_board import BoardView, parse
-from vision.lenses.lens_calibration import calibrate, choose, hold_out, observations_of, projection_uncertainty
+from vision.lenses.calibration_board import BoardView, parse_board
+from vision.lenses.lens_calibration import (
+    calibrate_lens,
+    choose_lens_model,
+    cross_validate_lens,
+    observations_from_board_views,
+    projection_uncertainty,
+)
 
-BOARD = parse("charuco:8x9:0.03:0.02:DICT_6X6_250")
+BOARD = parse_board("charuco:8x9:0.03:0.02:DICT_6X6_250")
 TRUE = Camera(
     "cam",
     1280,
@@ -42,7 +48,7 @@ def views(seed, count=12, noise=0.05, camera=TRUE):
 def test_the_lens_is_found_within_its_covariance():
     square = []
     for seed in range(12):
-        fit = calibrate(observations_of(views(seed), BOARD), TRUE.width, TRUE.height, 5)
+        fit = calibrate_lens(observations_from_board_views(views(seed), BOARD), TRUE.width, TRUE.height, 5)
         assert fit.rms == pytest.approx(0.05, rel=0.1) and fit.inliers.mean() > 0.999
         found, true = (np.r_[c.matrix[0, 0], c.matrix[1, 1], c.matrix[:2, 2], c.distortion] for c in (fit.camera, TRUE))
         C = fit.adjustment.shared_covariance * fit.adjustment.cost / fit.adjustment.dof
@@ -51,14 +57,19 @@ def test_the_lens_is_found_within_its_covariance():
 
 
 def test_the_simplest_model_that_serves_is_taken():
-    o = observations_of(views(3), BOARD)
+    o = observations_from_board_views(views(3), BOARD)
     inliers = np.ones(len(o), bool)
-    held = [hold_out(o, TRUE.width, TRUE.height, terms, inliers) for terms in (0, 4, 5)]
-    assert held[0].rms > 5 * held[1].rms and choose(held).terms in (4, 5)
+    held = [cross_validate_lens(o, TRUE.width, TRUE.height, terms, inliers) for terms in (0, 4, 5)]
+    assert held[0].rms > 5 * held[1].rms and choose_lens_model(held).terms in (4, 5)
     assert held[1].rms == pytest.approx(0.05, rel=0.1) and held[1].corners == len(o) and len(held[1].by_image) == 12
-    straight = observations_of(views(3, camera=replace(TRUE, distortion=np.zeros(5))), BOARD)
+    straight = observations_from_board_views(views(3, camera=replace(TRUE, distortion=np.zeros(5))), BOARD)
     assert (
-        choose([hold_out(straight, TRUE.width, TRUE.height, terms, inliers[: len(straight)]) for terms in (0, 4)]).terms
+        choose_lens_model(
+            [
+                cross_validate_lens(straight, TRUE.width, TRUE.height, terms, inliers[: len(straight)])
+                for terms in (0, 4)
+            ]
+        ).terms
         == 0
     )
 
@@ -68,13 +79,16 @@ def test_outliers_are_set_aside():
     uv = seen[0].uv.copy()
     uv[3] += [4.0, -3.0]
     seen[0] = BoardView(seen[0].corner, uv, seen[0].covariance, ())
-    o = observations_of(seen, BOARD)
-    fit = calibrate(o, TRUE.width, TRUE.height, 5)
+    o = observations_from_board_views(seen, BOARD)
+    fit = calibrate_lens(o, TRUE.width, TRUE.height, 5)
     assert not fit.inliers[3] and fit.inliers.sum() >= len(o) - 2 and fit.rms < 0.06
 
 
 def test_uncertainty_of_projection_holds_and_grows_where_nothing_was_seen():
-    fits = [calibrate(observations_of(views(seed, 6), BOARD), TRUE.width, TRUE.height, 5) for seed in range(30)]
+    fits = [
+        calibrate_lens(observations_from_board_views(views(seed, 6), BOARD), TRUE.width, TRUE.height, 5)
+        for seed in range(30)
+    ]
     sigmas = np.array([projection_uncertainty(fit, 128)[1] for fit in fits])
     assert (sigmas[:, 4, 5] < sigmas[:, 0, 0]).all()
     errors = []
@@ -93,4 +107,4 @@ def test_uncertainty_of_projection_holds_and_grows_where_nothing_was_seen():
 
 def test_too_few_photographs_are_refused():
     with pytest.raises(NotEnoughData, match="2 photographs"):
-        observations_of(views(0, 2), BOARD)
+        observations_from_board_views(views(0, 2), BOARD)

@@ -4,11 +4,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from vision.pose.ambiguous_poses import (
-    choose_by_neighbours,
-    expected_pose,
-    neighbour_distance,
-    pose_outliers,
+    choose_poses_by_neighbours,
+    neighbour_rotation_scatter,
+    pose_from_neighbours,
     rotation_angle,
+    rotation_outliers,
 )
 
 
@@ -31,7 +31,7 @@ def flipped(T):
 def test_the_pose_that_its_neighbours_lead_to_is_chosen():
     t, found = track()
     truth = {f: found.pop(f) for f in (20, 21, 22, 40)}
-    chosen = choose_by_neighbours(found, {f: [flipped(T), T] for f, T in truth.items()}, t)
+    chosen = choose_poses_by_neighbours(found, {f: [flipped(T), T] for f, T in truth.items()}, t)
     assert set(chosen) == set(truth) and all((chosen[f] == truth[f]).all() for f in truth)
 
 
@@ -41,8 +41,8 @@ def test_no_candidate_is_taken_that_neighbours_do_not_lead_to():
     near = wrong.copy()
     near[:3, :3] = near[:3, :3] @ Rotation.from_rotvec([0, 0, 0.4]).as_matrix()
     assert (
-        choose_by_neighbours(found, {20: [wrong, near]}, t) == {}
-        and choose_by_neighbours(found, {20: [wrong]}, t) == {}
+        choose_poses_by_neighbours(found, {20: [wrong, near]}, t) == {}
+        and choose_poses_by_neighbours(found, {20: [wrong]}, t) == {}
     )
 
 
@@ -51,24 +51,24 @@ def test_a_body_that_leaps_vouches_for_nothing():
     found = dict(enumerate(RigidTransform.from_rotation(Rotation.random(40, rng=rng)).as_matrix()))
     t = np.arange(40) * 0.05
     T = found.pop(20)
-    assert choose_by_neighbours(found, {20: [T, flipped(T)]}, t) == {} and pose_outliers(found, t) == {}
+    assert choose_poses_by_neighbours(found, {20: [T, flipped(T)]}, t) == {} and rotation_outliers(found, t) == {}
 
 
 def test_frames_far_apart_in_time_say_nothing():
     t, found = track()
-    reach = neighbour_distance(found, t)
+    reach = neighbour_rotation_scatter(found, t)
     late = t.copy()
     late[30:] += 60
     assert (
-        expected_pose({29: found[29]}, 30, late, reach)[0] is None
-        and expected_pose({29: found[29]}, 30, t, reach)[0] is not None
+        pose_from_neighbours({29: found[29]}, 30, late, reach)[0] is None
+        and pose_from_neighbours({29: found[29]}, 30, t, reach)[0] is not None
     )
-    assert neighbour_distance(found, t * 100) is None
+    assert neighbour_rotation_scatter(found, t * 100) is None
 
 
 def test_a_flip_among_solved_frames_stands_out():
     t, found = track()
     found[33] = flipped(found[33])
-    odd = pose_outliers(found, t)
+    odd = rotation_outliers(found, t)
     assert set(odd) == {33} and "69 degrees" in odd[33]
     assert rotation_angle(found[33], track()[1][33]) > 1.1

@@ -9,8 +9,8 @@ import pytest
 from rig.effects.catalogue.marker_swap import MarkerSwap
 from rig.model.pose import pose_difference
 from tests.vision.scenes import nees, scene
-from vision.predict import expected
-from vision.reading.marker_identity import Suspect, no_marker_reason, suspects
+from vision.predict import markers_expected_in_image
+from vision.reading.marker_identity import Suspect, find_suspicious_markers, no_marker_reason
 from vision.reading.recording_corners import Collected, Unplaced
 from vision.recording_adjustment import measure
 from vision.targets import marker_cells, marker_map
@@ -21,7 +21,7 @@ def spoilt(design, spoil=None, repeated=(), read=None, frames=12):
     observations, stated, _, T = scene(design, 4, frames, spoil=spoil)
     m = measure(observations, stated, marker_map(design))
     assert len(m.frames) == frames
-    return suspects(m, marker_map(design), repeated, read), nees(
+    return find_suspicious_markers(m, marker_map(design), repeated, read), nees(
         pose_difference(m.T_base_platform, T), m.covariance
     ).mean()
 
@@ -119,7 +119,7 @@ def printed(camera, T, markers, as_another):
     other}.
     """
     image = np.full((camera.height, camera.width), 128, np.uint8)
-    for row, quad in zip(*expected(camera, T, markers)):
+    for row, quad in zip(*markers_expected_in_image(camera, T, markers)):
         cells = marker_cells(markers.dictionary[row], as_another.get(int(markers.id[row]), int(markers.id[row])))
         n, big = len(cells) - 4, np.kron(cells * 255, np.ones((12, 12))).astype(np.uint8)
         inner = np.array([[1, 1], [n + 3, 1], [n + 3, n + 3], [1, n + 3]], np.float32) * 12 - 0.5
@@ -139,9 +139,11 @@ def test_an_identity_that_rig_toml_lacks_is_seen_in_its_place(design):
     def read(frame, name):
         return printed(cameras[name], T[frame], markers, {a: 97})
 
-    found = suspects(m, markers, (), read)
+    found = find_suspicious_markers(m, markers, (), read)
     assert [(s.marker, s.kind, s.other) for s in found if s.marker == a] == [(a, "other", 97)]
-    assert "marker 97 is in its place" in str(found[0]) and suspects(m, markers, (), lambda *_: None) == ()
+    assert (
+        "marker 97 is in its place" in str(found[0]) and find_suspicious_markers(m, markers, (), lambda *_: None) == ()
+    )
 
 
 @pytest.mark.parametrize("case", ["as stated", "another dictionary", "mirrored", "other identities", "nothing"])

@@ -12,7 +12,7 @@ from rig.errors import FileError, NotEnoughData
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder
 from tests.conftest import BENCH, make_recording
-from vision.reading.corner_refit import SETTLED, lens_difference
+from vision.reading.corner_refit import SETTLED, largest_lens_difference
 from vision.reading.recording_corners import collect_corners
 from vision.recording_measurement import measure_recording
 from vision.targets import marker_map
@@ -61,21 +61,21 @@ def test_corners_are_placed_by_the_lens_as_measured(check, measured):
     stated, true = check.design.cameras, m.design.cameras
     first = replace(second, cameras={camera.name: camera for camera in stated})
     assert (
-        lens_difference(second.corners, second.cameras, true)
+        largest_lens_difference(second.corners, second.cameras, true)
         < SETTLED
-        < lens_difference(first.corners, first.cameras, true)
+        < largest_lens_difference(first.corners, first.cameras, true)
     )
-    assert lens_difference(first.corners, first.cameras, stated) == 0
+    assert largest_lens_difference(first.corners, first.cameras, stated) == 0
     bent = [
         [replace(camera, distortion=camera.distortion + [by, 0, 0, 0, 0]) for camera in stated] for by in (1e-3, 2e-3)
     ]
-    assert lens_difference(first.corners, first.cameras, bent[1]) == pytest.approx(
-        2 * lens_difference(first.corners, first.cameras, bent[0]), rel=0.02
+    assert largest_lens_difference(first.corners, first.cameras, bent[1]) == pytest.approx(
+        2 * largest_lens_difference(first.corners, first.cameras, bent[0]), rel=0.02
     )
     shifted = [replace(camera, matrix=camera.matrix + [[0, 0, 1], [0, 0, 1], [0, 0, 0]]) for camera in stated]
     assert (
-        lens_difference(first.corners, first.cameras, shifted)
-        < lens_difference(first.corners, first.cameras, bent[0]) / 2
+        largest_lens_difference(first.corners, first.cameras, shifted)
+        < largest_lens_difference(first.corners, first.cameras, bent[0]) / 2
     )  # it moves a marker as a whole
 
 

@@ -10,10 +10,14 @@ from rig.effects.catalogue.edge_bias import EdgeBias
 from rig.model.design import Design
 from rig.model.manufacturing_tolerances import FINDER, SEAT
 from vision import lens
-from vision.bundle.bundle_adjustment import lens_prior
-from vision.bundle.corner_jacobians import camera_jacobians, corner_jacobians, motion_jacobian, rotate_jacobian
-from vision.bundle.repeated_corners import find_repeats, group_sums
-from vision.corner_observations import Observations
+from vision.bundle.bundle_adjustment import stated_lens_sigmas
+from vision.bundle.corner_jacobians import (
+    corner_jacobians,
+    iterate_camera_jacobians,
+    rotate_jacobian,
+    small_motion_jacobian,
+)
+from vision.corner_observations import Observations, find_repeated_base_corners, group_sums
 
 EDGES = "edges"  # name of that freedom of each camera: a bias of all its edges, which the corner finder brings
 SEAT_LABELS = tuple(
@@ -82,7 +86,7 @@ def corner_rows(point: OperatingPoint) -> CornerRows:
     for i, rows, J_platform, J_camera, J_lens in corner_jacobians(o, point.state):
         camera = point.stated.cameras[i]
         J_local[at[rows], :, :6] = whitener[rows] @ J_platform
-        blocks = [(J_lens, lens.terms(camera.distortion), (1 / lens_prior(camera)).tolist())]
+        blocks = [(J_lens, lens.lens_parameter_names(camera.distortion), (1 / stated_lens_sigmas(camera)).tolist())]
         if i in point.moving:
             own = 6 + 6 * sorted(point.moving).index(i)
             J_local[at[rows], :, own : own + 6] = whitener[rows] @ J_camera
@@ -147,8 +151,8 @@ def _add_seats(k: OperatingPoint, found: _Nuisances, at: np.ndarray, whitener: n
             continue
         part, block = o.take(rows), np.empty((len(rows), 2, 6))
         middle = markers.T_body_marker.translation[own].mean(axis=0)
-        for _, some, _, J_base, _, _ in camera_jacobians(part, k.state):
-            block[some] = motion_jacobian(
+        for _, some, _, J_base, _, _ in iterate_camera_jacobians(part, k.state):
+            block[some] = small_motion_jacobian(
                 rotate_jacobian(J_base, R, part.frame[some], part.on_platform[some]), part.points[some] - middle
             )
         found.add(at[rows], whitener[rows] @ block, seat.place, SEAT_LABELS, np.repeat(1 / np.array(SEAT), 3).tolist())
@@ -190,7 +194,7 @@ def _weights(o: Observations, k: OperatingPoint) -> np.ndarray:
     """
     if not k.standing:
         return o.covariance
-    rows, index, _ = find_repeats(o, k.moving)
+    rows, index, _ = find_repeated_base_corners(o, k.moving)
     weights = o.covariance.copy()
     weights[rows] += (np.bincount(index)[index] * k.standing**2)[:, None, None] * np.eye(2)
     return weights
@@ -200,13 +204,14 @@ def repeated_corner_error(point: OperatingPoint) -> float:
     """px by which standing corners are off in the same way in every frame, 0 where noise suffices.
 
     The middle of all of them tells it, so that a marker out of its place or a lens that bends one camera's image does
-    not pass for it. See vision.bundle.robust_adjustment.repeated_corner_error, which asks the same of their mean square
+    not pass for it. See vision.bundle.robust_adjustment.inflate_repeated_corner_covariance, which asks the same of
+    their mean square
     """
     k = point
     if k.seen is None:
         return 0.0
     o = k.observed.observations
-    rows, index, _ = find_repeats(o, k.moving)
+    rows, index, _ = find_repeated_base_corners(o, k.moving)
     count = np.bincount(index)
     many = count >= REPEATS
     if many.sum() < STANDING_GROUPS:

@@ -1,29 +1,31 @@
-"""Targets on what a chain moves below its last platform: every such stage is measured by the same cameras, a pose in
-each frame.
+"""Measurement of chain stages in separate frames, and measurement without remounted cubes.
 
 To an adjustment a stage is as good as a platform that is seen in frames of its own: cameras are shared, poses are not.
 So the recording's frames are followed by as many for each stage, all are adjusted together, and what was measured is
 parted again.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from rig.errors import RigError
+from rig.model.design import Design
 from vision.corner_observations import Observations
 from vision.pose.ambiguous_poses import FAR
+from vision.predict import predict_corners
 from vision.recording_adjustment import Measurement
 from vision.targets import MarkerMap
 
 
-def stage_numbers(markers: MarkerMap) -> list[int]:
+def _stage_numbers(markers: MarkerMap) -> list[int]:
     """Numbers (from 1) of the stages below the last that carry markers."""
     return np.unique(markers.stage[markers.stage > 0]).tolist()
 
 
-def refuse_free_places(places: str) -> None:
-    """Raise RigError where places of markers are to be adjusted on a rig with targets on stages."""
+def require_stated_places(places: str) -> None:
+    """Require stated places of markers on a rig with targets on stages: RigError where places are free."""
     if places == "free":
         raise RigError(
             "places of markers cannot be adjusted on a rig with targets on stages of a chain: the stated "
@@ -33,10 +35,10 @@ def refuse_free_places(places: str) -> None:
 
 
 def separate_stage_frames(observations: Observations, markers: MarkerMap) -> Observations:
-    """The corners with those of each stage in frames of their own, which follow all others."""
+    """Observations with the corners of each stage in separate frames, after all other frames."""
     o, count = observations, len(observations.frames)
     step = int(o.frames.max()) + 1
-    bodies = [0, *stage_numbers(markers)]
+    bodies = [0, *_stage_numbers(markers)]
     frame = o.frame + count * np.searchsorted(bodies, markers.stage[o.marker])
     order = np.lexsort((o.corner, o.marker, frame, o.camera))
     return replace(
@@ -45,18 +47,14 @@ def separate_stage_frames(observations: Observations, markers: MarkerMap) -> Obs
 
 
 def stage_frame_times(t: np.ndarray, markers: MarkerMap) -> np.ndarray:
-    """(frames of all bodies,) s, of frames exposed at t (F,) s: one body's come long after another's, and are not its
-    neighbours.
-    """
+    """(frames of all bodies,) s, times of the stage frames, each body's far from the others' in time."""
     gap = float(np.ptp(t)) + 4 * FAR
-    return np.concatenate([t + k * gap for k in range(1 + len(stage_numbers(markers)))])
+    return np.concatenate([t + k * gap for k in range(1 + len(_stage_numbers(markers)))])
 
 
 def separate_stage_measurements(measured: Measurement, markers: MarkerMap) -> Measurement:
-    """The Measurement of the platform, with those of the stages in `stages`, of what was measured of corners
-    `separate_stage_frames`.
-    """
-    bodies = [0, *stage_numbers(markers)]
+    """The Measurement with each stage's separate from the platform's, in its field `stages`."""
+    bodies = [0, *_stage_numbers(markers)]
     platform, *below = (_part(measured, k, len(bodies)) for k in range(len(bodies)))
     return replace(platform, stages=dict(zip(bodies[1:], below)))
 
@@ -94,3 +92,40 @@ def _part(m: Measurement, k: int, bodies: int) -> Measurement:
         weights=m.weights[rows[solved]],
         adjustment=adjustment,
     )
+
+
+def is_on_remounted_cube(observations: Observations, design: Design, markers: MarkerMap) -> np.ndarray:
+    """(n,) bool, whether a corner is on a remounted cube: one taken off since its place was stated."""
+    names = {target.name for target in design.targets if target.turned is not None}
+    return np.array([name in names for name in markers.target])[observations.marker]
+
+
+def measure_without_remounted_cubes(
+    observations: Observations, on_remounted_cube: np.ndarray, measure: Callable[[Observations], Measurement]
+) -> Measurement:
+    """Measurement without the corners on remounted cubes, which are listed as outliers.
+
+    measure : of Observations. Raises what it raises
+    """
+    if not on_remounted_cube.any():
+        return measure(observations)
+    found = measure(observations.take(~on_remounted_cube))
+    covariance, inliers, residuals = (
+        observations.covariance * found.factor,
+        np.zeros(len(on_remounted_cube), bool),
+        np.full((len(on_remounted_cube), 2), np.nan),
+    )
+    covariance[~on_remounted_cube], inliers[~on_remounted_cube], residuals[~on_remounted_cube] = (
+        found.observations.covariance,
+        found.inliers,
+        found.residuals,
+    )
+    solved = np.isin(observations.frames[observations.frame], found.frames)
+    weights = covariance.copy()
+    weights[solved & ~on_remounted_cube] = found.weights
+    seen = replace(observations, covariance=covariance)
+    at = np.flatnonzero(solved & on_remounted_cube)
+    kept = seen.take(at)
+    kept = replace(kept, frames=found.frames, frame=np.searchsorted(found.frames, kept.frames[kept.frame]))
+    residuals[at] = kept.uv - predict_corners(kept, found.adjustment.state)[0]
+    return replace(found, observations=seen, inliers=inliers, residuals=residuals, weights=weights[solved])

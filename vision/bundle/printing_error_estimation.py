@@ -1,5 +1,4 @@
-"""How far printed markers are off beyond chance, told by the recording itself: variance components of an adjustment, by
-restricted likelihood.
+"""Estimation of printing errors from the recording itself: variance components by restricted likelihood.
 
 Source: Harville, Maximum likelihood approaches to variance component estimation, JASA 72, 1977; fixed point: MacKay,
     Neural Computation 4, 1992
@@ -13,13 +12,19 @@ from scipy.linalg.lapack import dpotrf, dpotri
 
 from rig.compute.parallel_map import thread_map
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
-from vision.bundle.estimate_update import offset_from_stated
 from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, schur_complement, solve_step
 from vision.bundle.printing_errors import KINDS, NAMES, Printing
-from vision.bundle.repeated_corners import find_repeats, group_sums, merge_rows
-from vision.bundle.robust_adjustment import Sorted, is_within_gate, repeated_corner_error
+from vision.bundle.robust_adjustment import RobustAdjustment, inflate_repeated_corner_covariance, is_within_gate
 from vision.bundle.unknown_priors import adjustment_unknowns
-from vision.corner_observations import Observations, observations_of_frames, whitener
+from vision.bundle.unknowns_and_estimate import offset_from_stated
+from vision.corner_observations import (
+    Observations,
+    find_repeated_base_corners,
+    group_sums,
+    merge_observation_groups,
+    observations_of_frames,
+    whitener,
+)
 from vision.predict import State
 
 MOST = 2.0  # of what is tolerated; markers farther off than that were not printed so, they were put elsewhere
@@ -49,9 +54,10 @@ class _Told:
     dof: float
 
 
-def estimate_printing_errors(observations: Observations, fit: Sorted, free: tuple[str, ...]) -> Sorted:
-    """The Sorted of an adjustment with markers taken to be printed as the recording tells, or as it was where it tells
-    nothing.
+def adjust_with_estimated_printing_errors(
+    observations: Observations, fit: RobustAdjustment, free: tuple[str, ...]
+) -> RobustAdjustment:
+    """The adjustment (Sorted) repeated with printing errors of estimated size; as it was if none show.
 
     observations : Observations of all frames; fit : Sorted of them, places of markers as stated
     What stands still in the images may be a print or the pixel grid (see standing_error). At first all of it counts as
@@ -68,7 +74,7 @@ def estimate_printing_errors(observations: Observations, fit: Sorted, free: tupl
         return fit
     used, standing = np.zeros(len(good), bool), np.inf
     for turn in range(AGAIN):
-        weights, now = repeated_corner_error(kept, good, a.state)
+        weights, now = inflate_repeated_corner_covariance(kept, good, a.state)
         if now >= FALLS * standing and (turn >= SORTED or (good == used).all()):
             break
         used, standing = good, now
@@ -84,16 +90,16 @@ def estimate_printing_errors(observations: Observations, fit: Sorted, free: tupl
     scale = float(np.sqrt(cost / a.dof))
     inliers = fit.inliers.copy()
     inliers[np.isin(observations.frame, fit.solved)] = used
-    return Sorted(a, fit.solved, inliers, scale**2 * fit.covariance, scale * fit.scale)
+    return RobustAdjustment(a, fit.solved, inliers, scale**2 * fit.covariance, scale * fit.scale)
 
 
 def _merged(observations: Observations, state: State) -> Observations:
     """Observations in which repeats of a corner are one, their mean, weighed as all of them: they count as one degree
     of freedom.
     """
-    rows, group, first = find_repeats(observations, state.moving)
+    rows, group, first = find_repeated_base_corners(observations, state.moving)
     count = np.bincount(group)
-    return merge_rows(
+    return merge_observation_groups(
         observations,
         rows,
         first,

@@ -1,6 +1,4 @@
-"""Where markers ought to be in images not yet read: cameras as some frames have taught them, poses from the command or
-the frame before.
-"""
+"""Expected places of markers in unread images, by cameras and poses learned from images already read."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,8 +14,8 @@ from rig.recording.recording_folder import Corners, Recording
 from vision.corner_observations import observations_from_corners
 from vision.pose.body_pose import FINEST
 from vision.pose.frame_poses import Views, locate_frames
-from vision.predict import State, predict
-from vision.reading.marker_identity import suspects
+from vision.predict import State, predict_corners
+from vision.reading.marker_identity import find_suspicious_markers
 from vision.recording_adjustment import Measurement, measure
 from vision.targets import MarkerMap
 
@@ -51,24 +49,23 @@ class Expectation:
         return RigidTransform.from_matrix(poses[0]) if 0 in poses else None
 
 
-def learn_expectation(
-    recording: Recording, corners: Corners, correlation: np.ndarray, repeated: Sequence[int], markers: MarkerMap
+def learn_expected_places(
+    recording: Recording, corners: Corners, correlation: np.ndarray, repeated_ids: Sequence[int], markers: MarkerMap
 ) -> Expectation | None:
-    """Expectation from the corners of some frames, searched for in whole images; None where they do not show the rig as
-    stated.
+    """Expectation of marker places, learned from the corners of fully searched images; None if not as stated.
 
-    corners, correlation : Corners and (n, 2, 8); repeated : identities that one of those images shows twice
+    corners, correlation : Corners and (n, 2, 8); repeated_ids : identities that one of those images shows twice
     What is not as stated (a marker exchanged, turned, printed twice, frames that are not solved) must be looked for in
     every image, and so must what is on the stages of a chain, one of whose bodies does not say where the others are.
     """
     frames, design = np.unique(corners.frame), recording.design
-    if len(frames) < LEAST or len(repeated) or markers.stage.any():
+    if len(frames) < LEAST or len(repeated_ids) or markers.stage.any():
         return None
     try:
         m = measure(observations_from_corners(corners, frames, design, markers, correlation), design, markers)
     except NotEnoughData:
         return None
-    if m.unsolved or suspects(m, markers):
+    if m.unsolved or find_suspicious_markers(m, markers):
         return None
     return Expectation(m.design.cameras, markers, _commanded(recording, m, frames))
 
@@ -89,7 +86,7 @@ def _commanded(recording: Recording, m: Measurement, frames: np.ndarray) -> dict
     T = T * exp(np.median(pose_difference(T[at], m.T_base_platform), axis=0))
     o = m.observations
     here = State(m.design.cameras, T[at], m.adjustment.state.moving)
-    miss = ((o.uv - predict(o, here)[0]) ** 2).sum(axis=1)[m.inliers & o.on_platform]
+    miss = ((o.uv - predict_corners(o, here)[0]) ** 2).sum(axis=1)[m.inliers & o.on_platform]
     count = np.bincount(o.frame[m.inliers & o.on_platform], minlength=len(frames))
     rms = np.sqrt(
         np.bincount(o.frame[m.inliers & o.on_platform], weights=miss, minlength=len(frames)) / np.maximum(count, 1)

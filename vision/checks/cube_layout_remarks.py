@@ -1,5 +1,4 @@
-"""What a rig.toml's cubes look like, in figures: circles that are not even, faces that are not centred, directions that
-nothing looks into.
+"""Remarks on the layout of a rig.toml's cubes: uneven circles, faces off centre, odd directions.
 
 None of it spoils a result; a rig measures better, and alike in all directions, where it is put right.
 Source: the on-line learning patent for Stewart platforms, [0005], [0010]: targets evenly on circles about the middles
@@ -12,8 +11,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Design, Target
-from vision.predict import expected
-from vision.targets import MarkerMap, marker_map, markers
+from vision.predict import markers_expected_in_image
+from vision.targets import MarkerMap, marker_map, markers_of_target
 
 UNEVEN = 0.02  # of the circle's radius, and of an even gap, beyond which it is said
 HEIGHT = 0.05  # of the radius, by which cubes of a body may stand higher than others
@@ -25,7 +24,7 @@ BODIES = {"platform": "the platform", "base": "the base"}
 
 
 def cube_layout_remarks(design: Design) -> tuple[str, ...]:
-    """What is to be said of a Design's targets, lengths in mm, angles in degrees; nothing where all is even."""
+    """Remarks on the layout of a Design's cubes, mm and degrees; none where all is even."""
     if not design.targets:
         return ()
     found = marker_map(design.without_stages())
@@ -41,7 +40,7 @@ def _middle(target: Target) -> np.ndarray | None:
     """(3,) m, where the normals of a target's markers meet, in its body; None for a target that is no cube."""
     if target.pose is not None:
         return np.asarray(target.pose.translation)
-    own = markers(target)
+    own = markers_of_target(target)
     normals = np.array([marker.pose.rotation.as_matrix()[:, 2] for marker in own])
     if len(own) < 3 or np.linalg.matrix_rank(normals, tol=0.1) < 3:
         return None
@@ -84,7 +83,7 @@ def _faces(target: Target) -> Iterator[str]:
     middle = None if target.pose is not None else _middle(target)
     if middle is None:
         return
-    off = [(marker.id, marker.side, (marker.pose.inv().apply(middle))[:2] * -1) for marker in markers(target)]
+    off = [(marker.id, marker.side, (marker.pose.inv().apply(middle))[:2] * -1) for marker in markers_of_target(target)]
     aside = [
         f"{number} by {by[0] * 1e3:+.2f}, {by[1] * 1e3:+.2f}"
         for number, side, by in off
@@ -125,7 +124,7 @@ def _cameras(design: Design, found: MarkerMap) -> Iterator[str]:
     for camera in design.cameras:
         if camera.mount != "fixed":
             continue
-        rows = expected(camera, RigidTransform.from_matrix(home.as_matrix()), found)[0]
+        rows = markers_expected_in_image(camera, RigidTransform.from_matrix(home.as_matrix()), found)[0]
         for body, words in BODIES.items():
             there = found.on_platform == (body == "platform")
             count = int(there[rows].sum())

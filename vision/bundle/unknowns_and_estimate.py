@@ -1,47 +1,87 @@
-"""An estimate, moved by a step of its unknowns: how far it has gone from what was stated, and seen from the frames that
-hold it.
-"""
+"""Unknowns of an adjustment as columns, the estimate of them, and the update of the estimate by a step."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.model.pose import exp, log
-from vision.bundle.adjustment_unknowns import POSE_SCALE, Estimate, Unknowns
-from vision.bundle.printing_errors import apply_printing_errors, printing_offsets
+from vision.bundle.printing_errors import NONE, Prints, apply_printing_errors, fill_printing_offsets
 from vision.predict import State
 from vision.targets import MarkerMap
 
+POSE_SCALE = 1e-3  # m, rad; only conditions the equations
 
-def target_motion(name: str, markers: MarkerMap, stated: MarkerMap, unknowns: Unknowns) -> RigidTransform:
-    """RigidTransform, how the seen markers of a target, together, have moved from where they were stated, about its
-    middle.
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unknowns:
+    """Which columns belong to whom.
+
+    poses, lenses : {camera index: slice}; markers : {row of the marker map: slice}; targets : {target name: slice}
+    local_poses : {moving camera: slice within a frame's block}; shared, local : how many; used : (F, local) bool, seen
+        at all
+    scale : (shared,) own units per unknown; prior : (shared,) 1 where the stated value holds it, else 0
+    names : (who, which part) of each shared unknown; basis : (shared, k) motions that leave the datums where they are
+    middles : {target name: (3,) m, what it turns about}; seen : rows of the marker map that are observed
+    prints : Prints, how markers held where they are stated are printed
     """
+
+    poses: dict[int, slice]
+    lenses: dict[int, slice]
+    markers: dict[int, slice]
+    targets: dict[str, slice]
+    local_poses: dict[int, slice]
+    shared: int
+    local: int
+    used: np.ndarray
+    scale: np.ndarray
+    prior: np.ndarray
+    names: list[tuple[str, str]]
+    basis: np.ndarray
+    middles: dict[str, np.ndarray]
+    seen: np.ndarray
+    prints: Prints = NONE
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """State, and how far markers (m,) and targets have moved from where they were stated: T_stated_now, along their own
+    axes.
+    """
+
+    state: State
+    marker_moves: RigidTransform | None
+    target_moves: dict[str, RigidTransform]
+
+
+def target_motion_from_stated(name: str, markers: MarkerMap, stated: MarkerMap, unknowns: Unknowns) -> RigidTransform:
+    """Motion of a target from its stated place about its middle, by all its seen markers."""
     own = [row for row in unknowns.seen if markers.target[row] == name]
     middle = RigidTransform.from_translation(unknowns.middles[name])
     return middle.inv() * align_points(stated.corners[own].reshape(-1, 3), markers.corners[own].reshape(-1, 3)) * middle
 
 
-def marker_motions(estimate: Estimate, stated: State, unknowns: Unknowns) -> RigidTransform:
-    """RigidTransform (m,), what moved each marker beyond its target's own motion; nothing where the marker is held."""
+def marker_motions_on_targets(estimate: Estimate, stated: State, unknowns: Unknowns) -> RigidTransform:
+    """Motions (m,) of markers on their targets, beyond the targets' motion; identity for held markers."""
     own = (
         stated.placed.T_body_marker.inv()
-        * marker_shifts(estimate, unknowns).inv()
+        * marker_motions_with_targets(estimate, unknowns).inv()
         * estimate.state.placed.T_body_marker
     )
     held = np.array([row not in unknowns.markers for row in range(len(estimate.state.placed.id))])
     return RigidTransform.from_matrix(np.where(held[:, None, None], np.eye(4), own.as_matrix()))
 
 
-def cameras_hold_base(unknowns: Unknowns, state: State) -> bool:
+def do_cameras_hold_base(unknowns: Unknowns, state: State) -> bool:
     """Whether fixed cameras, held as stated, hold the base frame by themselves."""
     return not unknowns.poses and len(state.moving) < len(state.cameras)
 
 
-def update_estimate(estimate: Estimate, unknowns: Unknowns, shared: np.ndarray, local: np.ndarray) -> Estimate:
-    """Estimate after steps shared (s,) and local (F, l), both in scaled units."""
-    state, step = estimate.state, shared * unknowns.scale
+def update_estimate(
+    estimate: Estimate, unknowns: Unknowns, shared_step: np.ndarray, local_step: np.ndarray
+) -> Estimate:
+    """The updated Estimate after a step of the shared (s,) and the local (F, l) unknowns, in scaled units."""
+    state, step = estimate.state, shared_step * unknowns.scale
     cameras = list(state.cameras)
     for i, columns in unknowns.poses.items():
         cameras[i] = replace(cameras[i], pose=cameras[i].pose * exp(step[columns]))
@@ -50,15 +90,15 @@ def update_estimate(estimate: Estimate, unknowns: Unknowns, shared: np.ndarray, 
         matrix = cameras[i].matrix + np.array([[d[0], 0, d[2]], [0, d[1], d[3]], [0, 0, 0]])
         cameras[i] = replace(cameras[i], matrix=matrix, distortion=cameras[i].distortion + d[4:])
     moving = {
-        i: T * exp(local[:, unknowns.local_poses[i]] * POSE_SCALE) if i in unknowns.local_poses else T
+        i: T * exp(local_step[:, unknowns.local_poses[i]] * POSE_SCALE) if i in unknowns.local_poses else T
         for i, T in state.moving.items()
     }
     markers, marker_moves, target_moves = state.markers, estimate.marker_moves, dict(estimate.target_moves)
     if unknowns.markers or unknowns.targets:
-        before = marker_shifts(estimate, unknowns)
+        before = marker_motions_with_targets(estimate, unknowns)
         for name, columns in unknowns.targets.items():
             target_moves[name] = target_moves[name] * exp(step[columns])
-        after = marker_shifts(replace(estimate, target_moves=target_moves), unknowns)
+        after = marker_motions_with_targets(replace(estimate, target_moves=target_moves), unknowns)
         own = np.zeros((len(state.placed.id), 6))
         for row, columns in unknowns.markers.items():
             own[row] = step[columns]
@@ -68,14 +108,14 @@ def update_estimate(estimate: Estimate, unknowns: Unknowns, shared: np.ndarray, 
     elif unknowns.prints.rows:
         markers = apply_printing_errors(state.placed, unknowns.prints, step)
     return Estimate(
-        State(tuple(cameras), state.platform * exp(local[:, :6] * POSE_SCALE), moving, markers),
+        State(tuple(cameras), state.platform * exp(local_step[:, :6] * POSE_SCALE), moving, markers),
         marker_moves,
         target_moves,
     )
 
 
-def marker_shifts(estimate: Estimate, unknowns: Unknowns) -> RigidTransform:
-    """RigidTransform (m,), what its target's motion does to each marker, in the body's frame."""
+def marker_motions_with_targets(estimate: Estimate, unknowns: Unknowns) -> RigidTransform:
+    """Motions (m,) of markers that the motion of their targets causes, in the body's frame."""
     matrices = np.tile(np.eye(4), (len(estimate.state.placed.id), 1, 1))
     for name, T in estimate.target_moves.items():
         own = np.array([target == name for target in estimate.state.placed.target])
@@ -85,9 +125,7 @@ def marker_shifts(estimate: Estimate, unknowns: Unknowns) -> RigidTransform:
 
 
 def offset_from_stated(estimate: Estimate, stated: State, unknowns: Unknowns) -> np.ndarray:
-    """(s,) how far lenses, places, prints and cameras' poses that are held have moved from what was stated, in scaled
-    units; 0 for other poses.
-    """
+    """(s,) offset of lenses, places, prints and held camera poses from the stated ones, in scaled units."""
     out, cameras = np.zeros(unknowns.shared), estimate.state.cameras
     for i, columns in unknowns.poses.items():
         if unknowns.prior[columns].any():
@@ -108,13 +146,12 @@ def offset_from_stated(estimate: Estimate, stated: State, unknowns: Unknowns) ->
     for name, columns in unknowns.targets.items():
         out[columns] = log(estimate.target_moves[name])
     if unknowns.prints.rows:
-        printing_offsets(estimate.state.placed, stated.placed, unknowns.prints, out)
+        fill_printing_offsets(estimate.state.placed, stated.placed, unknowns.prints, out)
     return out / unknowns.scale
 
 
-def to_datums(estimate: Estimate, stated: State, unknowns: Unknowns) -> Estimate:
-    """The same cameras, markers and poses seen from the frames that the stated places hold: small steps drift off by
-    their squares.
+def align_with_datums(estimate: Estimate, stated: State, unknowns: Unknowns) -> Estimate:
+    """The Estimate aligned with the datums: seen from the frames that the stated places define.
 
     Corners of all seen markers of a body, taken together, end where they were stated, in the least-squares sense.
     """
@@ -124,7 +161,7 @@ def to_datums(estimate: Estimate, stated: State, unknowns: Unknowns) -> Estimate
     on_platform, T = state.placed.on_platform, state.placed.T_body_marker
     for on in (False, True):
         body = unknowns.seen[on_platform[unknowns.seen] == on]
-        held = not on and cameras_hold_base(unknowns, state)
+        held = not on and do_cameras_hold_base(unknowns, state)
         D[on] = (
             RigidTransform.identity()
             if held or not len(body)
@@ -153,10 +190,10 @@ def to_datums(estimate: Estimate, stated: State, unknowns: Unknowns) -> Estimate
             )
         return Estimate(moved, estimate.marker_moves, target_moves)
     found = Estimate(moved, estimate.marker_moves, target_moves)
-    return replace(found, marker_moves=marker_motions(found, stated, unknowns))
+    return replace(found, marker_moves=marker_motions_on_targets(found, stated, unknowns))
 
 
-def align_points(points: np.ndarray, goal: np.ndarray) -> RigidTransform:
-    """RigidTransform that maps points (n, 3) m onto goal (n, 3) best. Source: Kabsch 1976, by SciPy."""
-    turn, _ = Rotation.align_vectors(goal - goal.mean(axis=0), points - points.mean(axis=0))
-    return RigidTransform.from_components(goal.mean(axis=0) - turn.apply(points.mean(axis=0)), turn)
+def align_points(points: np.ndarray, target_points: np.ndarray) -> RigidTransform:
+    """RigidTransform that aligns points (n, 3) m with target points (n, 3) m best."""
+    turn, _ = Rotation.align_vectors(target_points - target_points.mean(axis=0), points - points.mean(axis=0))
+    return RigidTransform.from_components(target_points.mean(axis=0) - turn.apply(points.mean(axis=0)), turn)

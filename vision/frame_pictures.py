@@ -1,4 +1,4 @@
-"""One frame of a recording as a picture: markers as found, axes as posed, residuals enlarged."""
+"""Pictures of frames: JPEGs for a page, and drawings of one frame's markers, axes and residuals."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,9 +13,30 @@ from rig.model.design import Camera
 from rig.recording.exposures_and_images import read_image
 from rig.recording.recording_folder import Exposures, Recording
 from vision import lens
-from vision.corners.marker_detection import grey_image
+from vision.corners.marker_detection import grey_images_for_reader_and_fit
 from vision.recording_adjustment import Measurement
 from vision.recording_measurement import measure_recording
+
+WIDTH = 960  # px, of images on a page at most
+QUALITY = 80
+
+
+def encode_jpeg(image: np.ndarray) -> bytes:
+    """JPEG of an image (height, width) or (height, width, 3) as cameras give it, no wider than a page needs."""
+    eight = grey_images_for_reader_and_fit(image)[0]
+    if eight.shape[1] > WIDTH:
+        eight = cv2.resize(eight, (WIDTH, round(eight.shape[0] * WIDTH / eight.shape[1])), interpolation=cv2.INTER_AREA)
+    return cv2.imencode(".jpg", eight, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
+
+
+def frame_jpegs(recording: Recording, frame: int) -> dict[str, bytes]:
+    """{camera name: JPEG} of a frame of a recording; empty where it has no images. Raises FileError for one that cannot
+    be read.
+    """
+    e = recording.exposures
+    rows = [k for k in np.flatnonzero(e.frame == frame) if e.image[k]]
+    return {e.camera[k]: encode_jpeg(read_image(recording.folder / e.image[k])) for k in rows}
+
 
 FOUND, ASIDE, ARROW = (80, 220, 80), (60, 60, 230), (0, 170, 255)  # BGR
 AXES = ((60, 60, 240), (60, 200, 60), (240, 120, 40))
@@ -23,10 +44,10 @@ FORMATS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 SHIFT = 4  # binary digits below a pixel that lines are drawn to
 
 
-def frame_picture(
+def draw_frame(
     recording: Recording, frame: int, enlarge: float = 200.0, progress: Callable[[str, int, int], None] | None = None
 ) -> tuple[list[tuple[str, np.ndarray]], Measurement]:
-    """([(camera name, (height, width, 3) BGR picture) ..], Measurement) of one frame, measured by itself.
+    """Drawing of one frame measured alone: ([(camera name, (height, width, 3) BGR picture) ..], Measurement).
 
     recording : Recording; frame : its number; enlarge : how much longer than they are residuals are drawn
     Raises RigError for a frame that the recording lacks, and what measuring raises
@@ -44,7 +65,9 @@ def frame_picture(
         if not names:
             continue
         if names[0]:
-            picture = cv2.cvtColor(grey_image(read_image(recording.folder / names[0]))[0], cv2.COLOR_GRAY2BGR)
+            picture = cv2.cvtColor(
+                grey_images_for_reader_and_fit(read_image(recording.folder / names[0]))[0], cv2.COLOR_GRAY2BGR
+            )
         else:
             picture = np.full((camera.height, camera.width, 3), 40, np.uint8)
         _markers(picture, measured, i, enlarge)
@@ -53,9 +76,9 @@ def frame_picture(
     return pictures, measured
 
 
-def check_format(path: str | Path) -> str:
-    """The suffix by which a picture's format goes; of a file without one, and of what is no file, a PNG's. Raises
-    FileError for an unknown one.
+def picture_file_suffix(path: str | Path) -> str:
+    """Suffix of a picture file that states its format, PNG's by default.
+    Raises FileError for an unknown one.
     """
     suffix = Path(path).suffix.lower()
     if suffix and suffix not in FORMATS:
@@ -63,24 +86,26 @@ def check_format(path: str | Path) -> str:
     return suffix or ".png"
 
 
-def save_pictures(path: str | Path, pictures: list[tuple[str, np.ndarray]], measured: Measurement) -> str:
-    """Write pictures (h, w, 3) with their names side by side; returns what there is to say about the frame, in words.
+def save_pictures_side_by_side(
+    path: str | Path, pictures: list[tuple[str, np.ndarray]], measurement: Measurement
+) -> str:
+    """Save named pictures (h, w, 3) side by side in one file; returns a text about the frame.
 
-    Raises FileError as `check_format` and writing do, RigError for a picture that cannot be coded
+    Raises FileError as `picture_file_suffix` and writing do, RigError for a picture that cannot be coded
     """
     height = max(picture.shape[0] for _, picture in pictures)
     padded = [cv2.copyMakeBorder(p, 0, height - p.shape[0], 0, 4, cv2.BORDER_CONSTANT) for _, p in pictures]
-    done, coded = cv2.imencode(check_format(path), np.hstack(padded))
+    done, coded = cv2.imencode(picture_file_suffix(path), np.hstack(padded))
     if not done:
         raise RigError(f"{path}: the picture of {padded[0].shape[1]} x {height} px and more beside it cannot be coded")
     write_bytes(path, coded.tobytes())
-    if not len(measured.frames):
-        return "; ".join(measured.unsolved.values())
-    position = measured.T_base_platform[0].translation * 1e3
-    rotation = np.degrees(measured.T_base_platform[0].rotation.as_rotvec())
+    if not len(measurement.frames):
+        return "; ".join(measurement.unsolved.values())
+    position = measurement.T_base_platform[0].translation * 1e3
+    rotation = np.degrees(measurement.T_base_platform[0].rotation.as_rotvec())
     lines = [f"platform at {position.round(3).tolist()} mm, rotation vector {rotation.round(4).tolist()} degrees"]
-    for i, camera in enumerate(measured.design.cameras):
-        r = measured.residuals[(measured.observations.camera == i) & measured.inliers]
+    for i, camera in enumerate(measurement.design.cameras):
+        r = measurement.residuals[(measurement.observations.camera == i) & measurement.inliers]
         if len(r):
             lines.append(f"{camera.name}: {len(r)} corners, residual {np.sqrt((r**2).mean()):.4f} px RMS")
     return "\n".join(lines)

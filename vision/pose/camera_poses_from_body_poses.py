@@ -1,6 +1,4 @@
-"""Cameras that see too little of the base to be placed by it: placed by the poses that the other cameras give the
-platform.
-"""
+"""Poses of cameras that see too little of the base, from the platform's poses by the other cameras."""
 
 from collections.abc import Callable, Sequence
 
@@ -9,7 +7,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Camera
 from rig.model.pose import transform_points
-from vision.pose.body_pose import CONSENSUS, View, locate
+from vision.pose.body_pose import CONSENSUS, View, locate_body
 from vision.pose.frame_poses import Frames, Views, locate_frames
 from vision.targets import MarkerMap
 
@@ -17,25 +15,24 @@ HELD = 0.5  # share of a camera's corners near where they should be, from which 
 MOST = 60  # sightings of markers by which a camera is placed: more only take longer
 
 
-def place_cameras_by_poses(
+def camera_poses_from_body_poses(
     views: Views,
     cameras: Sequence[Camera],
-    found: Frames,
-    held: set[int],
+    frames: Frames,
+    cameras_placed_by_base: set[int],
     t: np.ndarray | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[int, RigidTransform]:
-    """{camera index: T_base_camera} of fixed cameras that the base did not place and that the located frames
-    contradict, by the poses that the placed ones alone give the platform.
+    """Poses {camera index: T_base_camera} of doubtful fixed cameras from body poses by the other cameras.
 
-    found : Frames by all cameras as they are; held : indices of the cameras that the base placed; t : (F,) s, as of
-        `locate_frames`
+    frames : Frames by all cameras as they are; cameras_placed_by_base : indices of the cameras that the base placed; t
+        : (F,) s, as of `locate_frames`
     progress : called with (done, of), or None
     """
     loose = [
         i
         for i, camera in enumerate(cameras)
-        if camera.mount != "moving" and i not in held and not _stands(views, cameras, found, i)
+        if camera.mount != "moving" and i not in cameras_placed_by_base and not _stands(views, cameras, frames, i)
     ]
     if not loose or len(loose) == len(cameras):
         return {}
@@ -100,5 +97,5 @@ def _placed(views: Views, found: Frames, i: int) -> RigidTransform | None:
         views.focal,
         views.identity,
     )
-    located = locate(seen, world, views.finest)
+    located = locate_body(seen, world, views.finest)
     return located.T_world_body.inv() if located else None

@@ -1,12 +1,82 @@
-"""Outlines of what is dark in a picture of zeros and ones, outer ones and those of holes, followed from pixel to pixel.
+"""Dark pixels by adaptive thresholds, and tracing of their outlines into quadrangles.
+
+one pass over the image each.
+
+Source: adaptive thresholds in three windows, as OpenCV's ArUco reader takes them, Garrido-Jurado et al., Pattern
+    Recognition 47, 2014
 
 Source: border following, Suzuki and Abe, Computer Vision, Graphics, and Image Processing 30, 1985, algorithm 1
 """
 
 import numpy as np
 
-from vision.corners.numba_compilation import kernel, kernel_part
-from vision.corners.outline_quadrangles import Traced, quadrangle_of_outline
+from vision.corners.numba_compilation import inlined_kernel, kernel
+from vision.corners.quadrangle_candidates import OutlineBuffers, write_outline_quadrangle
+
+WINDOWS = (3, 13, 23)  # px, odd
+BY = 7  # grey levels, by which the mean, rounded, has to be brighter
+LEFT = 1  # columns and rows of zeros before the image's own
+
+
+@kernel
+def mark_dark_pixels(image: np.ndarray, window: int, out: np.ndarray) -> None:
+    """Mark the pixels of an image that are darker than the mean of their window, 1 in out, else 0.
+
+    window : px, of WINDOWS. The image goes on beyond its border as it is there. out : zeros beyond the image's own
+        pixels
+    """
+    height, width = image.shape
+    r, room = window // 2, np.uintp(width + window)
+    sums = np.zeros((3, room), np.uint16)  # down the window's rows; these over two columns, and over four
+    one = sums[0]
+    for k in range(-r, r + 1):
+        row = image[min(max(k, 0), height - 1)]
+        for x in range(np.uintp(width)):
+            one[x + np.uintp(r)] += row[x]
+    for y in range(height):
+        if y > 0:
+            fresh, gone = image[min(y + r, height - 1)], image[max(y - r - 1, 0)]
+            for x in range(np.uintp(width)):
+                one[x + np.uintp(r)] += np.uint16(fresh[x]) - np.uint16(gone[x])
+        for k in range(r):
+            one[k], one[r + width + k] = one[r], one[r + width - 1]
+        _compare(image[y], sums, window, out[y + LEFT])
+
+
+@inlined_kernel
+def _compare(row: np.ndarray, sums: np.ndarray, window: int, out: np.ndarray) -> None:
+    """out (width + 2 or more): which pixels of an image row are darker, by sums (3, width + window); sums of two and
+    four columns are overwritten.
+    """
+    one, two, four, width = sums[0], sums[1], sums[2], np.uintp(len(row))
+    x1, x2, x4, x8, x12, x16 = np.uintp(1), np.uintp(2), np.uintp(4), np.uintp(8), np.uintp(12), np.uintp(16)
+    area = window * window
+    more = (area * (2 * BY - 1)) // 2  # the mean is rounded: what is brighter by half a level less does
+    for x in range(width + np.uintp(window - 1)):
+        two[x] = one[x] + one[x + x1]
+    if window > 3:
+        for x in range(width + np.uintp(window - 4)):
+            four[x] = two[x] + two[x + x2]
+    if window == 3:
+        for x in range(width):
+            out[x + x1] = np.uint16(two[x] + one[x + x2]) > np.uint16(area * row[x] + more)
+    elif window == 13:
+        for x in range(width):
+            out[x + x1] = np.uint16(four[x] + four[x + x4] + four[x + x8] + one[x + x12]) > np.uint16(
+                area * row[x] + more
+            )
+    else:
+        for x in range(width):
+            total = (
+                np.int32(four[x])
+                + np.int32(four[x + x4])
+                + np.int32(four[x + x8])
+                + np.int32(four[x + x12])
+                + np.int32(four[x + x16])
+            )
+            total += np.int32(two[x + np.uintp(20)]) + np.int32(one[x + np.uintp(22)])
+            out[x + x1] = np.int32(total) > np.int32(area * row[x] + more)
+
 
 FRESH, SEEN, RIGHT = 1, 2, 130  # of a dark pixel: on no outline yet, on one, and on one whose right neighbour is bright
 _X = np.array([1, 1, 0, -1, -1, -1, 0, 1])  # a pixel's neighbours, from the right one on against the clock
@@ -16,9 +86,10 @@ _1, _7, _8, _56, _0 = (np.uint64(k) for k in (1, 7, 8, 56, 0))
 
 
 @kernel
-def trace_quadrangles(words: np.ndarray, marks: np.ndarray, least: int, traced: Traced, found: np.ndarray) -> int:
-    """Write the corners of all outlines that are quadrangles to found (k, 4, 2), int32 pixels; returns how many there
-    are.
+def trace_quadrangles(
+    words: np.ndarray, marks: np.ndarray, least: int, traced: OutlineBuffers, found: np.ndarray
+) -> int:
+    """Trace all outlines and write the corners of quadrangles to found (k, 4, 2), px; returns their count.
 
     words, marks : (rows, columns / 8) uint64 and (rows, columns) uint8, the same memory: of `darker`, overwritten
     least : pixels of an outline, fewer of which are no marker's; as many as traced has room for are the most. Of
@@ -48,12 +119,12 @@ def trace_quadrangles(words: np.ndarray, marks: np.ndarray, least: int, traced: 
                 else:
                     pixels = _follow(flat, stride, around, at - 1, 0, traced)
                 if least <= pixels <= len(traced.x):
-                    count += quadrangle_of_outline(traced, pixels, found, count)
+                    count += write_outline_quadrangle(traced, pixels, found, count)
             before = word >> _56
     return count
 
 
-@kernel_part
+@inlined_kernel
 def _starts(word: np.uint64, before: np.uint64) -> tuple[np.uint64, np.uint64]:
     """Bits, of _EACH, of pixels of a word before which outlines begin: dark ones after a bright one, on none yet, and
     bright ones after a dark one.
@@ -67,7 +138,7 @@ def _starts(word: np.uint64, before: np.uint64) -> tuple[np.uint64, np.uint64]:
     return word & _EACH & (bright << _8 | last ^ _1), bright & (left << _8 | last & ~(before >> _7))
 
 
-@kernel_part
+@inlined_kernel
 def _place(bit: np.uint64) -> int:
     """Number of the pixel in a word that a bit of _EACH is of."""
     place = 0
@@ -77,8 +148,8 @@ def _place(bit: np.uint64) -> int:
     return place
 
 
-@kernel_part
-def _follow(flat: np.ndarray, stride: int, around: np.ndarray, start: int, bright: int, traced: Traced) -> int:
+@inlined_kernel
+def _follow(flat: np.ndarray, stride: int, around: np.ndarray, start: int, bright: int, traced: OutlineBuffers) -> int:
     """Mark the pixels of an outline from `start` on, as `flat` counts them; returns how many, of which traced has as
     many as it has room for.
 

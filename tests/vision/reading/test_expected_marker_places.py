@@ -14,9 +14,9 @@ from rig.model.pose import exp, pose_difference
 from rig.recording.recording_folder import Commands, Exposures, Recording
 from tests.vision.reading.test_marker_identity import printed
 from vision.corners import marker_detection
-from vision.reading import expected_markers
+from vision.reading import expected_marker_places
 from vision.reading import recording_corners as collecting
-from vision.reading.marker_identity import suspects
+from vision.reading.marker_identity import find_suspicious_markers
 from vision.reading.recording_corners import LEARN_FROM, collect_corners
 from vision.recording_measurement import measure_recording
 from vision.targets import marker_map
@@ -84,7 +84,7 @@ def test_only_the_images_that_teach_are_searched(drawn, searches, monkeypatch, h
     markers = marker_map(recording.design)
     found = collect_corners(recording, markers)
     assert len(searches) == LEARN_FROM and found.left_out == []
-    monkeypatch.setattr(expected_markers, "learn_expectation", lambda *_: None)
+    monkeypatch.setattr(expected_marker_places, "learn_expected_places", lambda *_: None)
     whole = collect_corners(recording, markers)
     assert len(searches) == 2 * LEARN_FROM + FRAMES - LEARN_FROM
 
@@ -107,7 +107,7 @@ def test_only_the_images_that_teach_are_searched(drawn, searches, monkeypatch, h
 def test_poses_are_the_same_and_right(drawn):
     recording, T = drawn
     m, _ = measure_recording(recording)
-    assert len(m.frames) == FRAMES and not suspects(m, marker_map(recording.design))
+    assert len(m.frames) == FRAMES and not find_suspicious_markers(m, marker_map(recording.design))
     assert np.abs(pose_difference(m.T_base_platform, T)[:, :3]).max() < 5e-4
 
 
@@ -121,9 +121,9 @@ def test_images_that_teach_are_placed_by_the_lens_that_they_teach(drawn, monkeyp
     )
     taught = replace(camera, distortion=camera.distortion + 1e-4)
     monkeypatch.setattr(
-        expected_markers,
-        "learn_expectation",
-        lambda *_: expected_markers.Expectation((taught,), markers, dict(enumerate(T))),
+        expected_marker_places,
+        "learn_expected_places",
+        lambda *_: expected_marker_places.Expectation((taught,), markers, dict(enumerate(T))),
     )
 
     def placed(full, camera, *arguments, **options):
@@ -167,9 +167,9 @@ def test_an_image_is_searched_where_something_else_is_in_a_markers_place(drawn, 
 
 
 def expect_places(recording, T):
-    from vision.predict import expected
+    from vision.predict import markers_expected_in_image
 
-    return expected(recording.design.cameras[0], T, marker_map(recording.design))
+    return markers_expected_in_image(recording.design.cameras[0], T, marker_map(recording.design))
 
 
 @pytest.mark.parametrize("case", ["two faces exchanged", "another identity"])
@@ -192,7 +192,10 @@ def test_what_is_not_as_stated_is_still_found_and_named(drawn, searches, tmp_pat
     )  # each of them: the teaching ones, and those where something is not where it should be
     from vision.reading.recording_corners import image_reader
 
-    named = {(s.marker, s.kind, s.other) for s in suspects(m, markers, collected.repeated, image_reader(spoilt))}
+    named = {
+        (s.marker, s.kind, s.other)
+        for s in find_suspicious_markers(m, markers, collected.repeated, image_reader(spoilt))
+    }
     wanted = {(a, "exchanged", b), (b, "exchanged", a)} if case == "two faces exchanged" else {(a, "other", 97)}
     assert wanted <= named and collected.left_out == []
     assert np.abs(pose_difference(m.T_base_platform, T[m.frames])[:, :3]).max() < 5e-4

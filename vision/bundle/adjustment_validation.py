@@ -1,15 +1,117 @@
-"""What a recording can and cannot determine: combinations of shared unknowns that its images leave where they were
-stated.
-"""
+"""Validation of an adjustment: residuals of held-out frames, and which unknowns the recording determines."""
 
 import re
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
-from vision.bundle.adjustment_unknowns import Unknowns
 from vision.bundle.bundle_adjustment import Adjustment
-from vision.bundle.unknown_priors import POSE_WORTH
+from vision.bundle.normal_equations import linearise, normal_equations, schur_complement
+from vision.bundle.unknown_priors import POSE_SIGMA, adjustment_unknowns
+from vision.bundle.unknowns_and_estimate import Unknowns, offset_from_stated
+from vision.corner_observations import Observations, observations_of_frames, whitener
+
+FOLDS = 10
+ALONE = 1e-9  # of the information in some direction; a stretch whose absence leaves less was the only one to tell it
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """Residuals of held-out frames, each frame's own poses fitted anew.
+
+    chi2 : their squares, whitened by the covariance predicted for them: the corners' and that of the shared unknowns,
+    had from the other frames; expected : degrees of freedom; scatter : standard error of chi2 / expected
+    rms : px per axis, of all held-out corners; corners : how many
+    """
+
+    chi2: float
+    expected: float
+    scatter: float
+    rms: float
+    corners: int
+
+    @property
+    def ratio(self) -> float:
+        """Residuals' squares over the predicted ones: 1 where the covariance is true."""
+        return self.chi2 / self.expected
+
+
+@dataclass(frozen=True, slots=True)
+class NotHeldOut:
+    """Why no stretch could be held out; falsy."""
+
+    reason: str
+
+    def __bool__(self) -> Literal[False]:
+        return False
+
+
+def crossvalidate_adjustment(
+    observations: Observations, adjustment: Adjustment, folds: int = FOLDS
+) -> HeldOut | NotHeldOut:
+    """Cross-validation of an adjustment: HeldOut residuals over folds of frames, or NotHeldOut with a reason.
+
+    observations : Observations that were adjusted; adjustment : their Adjustment
+    Linear about the optimum: leaving a stretch out takes its share from the reduced normal equations, so nothing is
+    adjusted anew. A frame's own poses are fitted to it, as they must be; what is tested is what frames share. A stretch
+    without which something shared would be open (a camera seen only there, say) is not asked for.
+    """
+    if len(observations.frames) < 2:
+        return NotHeldOut("there is one frame alone, and nothing to predict it from")
+    stated = adjustment.stated
+    u, estimate = adjustment_unknowns(
+        observations, adjustment.state, stated, adjustment.free, printing=adjustment.printing
+    )
+    away = offset_from_stated(estimate, stated, u)
+    stretch = np.minimum(np.arange(len(observations.frames)) * folds // len(observations.frames), folds - 1)
+    parts = []
+    for fold in np.unique(stretch):
+        frames = np.flatnonzero(stretch == fold)
+        part, own_u = observations_of_frames(observations, frames), replace(u, used=u.used[frames])
+        residual, derivatives = linearise(
+            part, replace(estimate, state=estimate.state.at(frames)), own_u, whitener(part)
+        )
+        blocks = normal_equations(part, derivatives, own_u, np.zeros(u.shared))
+        gain, reduced, right = schur_complement(blocks)
+        own = float(np.einsum("fl,fl->", blocks.own, np.linalg.solve(blocks.local, blocks.own[..., None])[..., 0]))
+        parts.append(
+            (
+                reduced - np.diag(u.prior),
+                right,
+                float((residual**2).sum()) - own,
+                2 * len(part) - int(own_u.used.sum()),
+                len(part),
+            )
+        )
+    prior, pull = np.diag(u.prior), -u.prior * away
+    total, drawn = sum(p[0] for p in parts) + prior, sum(p[1] for p in parts) + pull
+    chi2 = expected = square = 0.0
+    ratios = []
+    root = np.linalg.inv(np.linalg.cholesky(u.basis.T @ total @ u.basis))
+    kept = [
+        part
+        for part in parts
+        if not len(root) or np.linalg.eigvalsh(root @ u.basis.T @ (total - part[0]) @ u.basis @ root.T)[0] > ALONE
+    ]
+    if len(kept) < 2:
+        return NotHeldOut("every frame tells something of the cameras that no other does")
+    for reduced, right, left, dof, _ in kept:
+        H, g = total - reduced, drawn - right
+        inner = np.linalg.inv(u.basis.T @ H @ u.basis) if u.basis.shape[1] else np.zeros((0, 0))
+        delta = u.basis @ (inner @ (u.basis.T @ g))
+        plain = here = left - 2 * right @ delta + delta @ reduced @ delta
+        surprise = u.basis.T @ (
+            right - reduced @ delta
+        )  # what the shared unknowns' uncertainty explains of it (Woodbury)
+        here -= surprise @ np.linalg.solve(u.basis.T @ total @ u.basis, surprise)
+        chi2, expected, square = chi2 + here, expected + dof, square + plain
+        ratios.append(here / dof)
+    corners = sum(p[4] for p in kept)
+    mean = np.sqrt(np.median(np.einsum("nii->n", observations.covariance)) / 2)
+    scatter = float(np.std(ratios, ddof=1) / np.sqrt(len(ratios)))
+    return HeldOut(float(chi2), float(expected), scatter, float(mean * np.sqrt(square / (2 * corners))), corners)
+
 
 UNDETERMINED = (
     0.5  # of what was stated; a combination that keeps more of its uncertainty owes it to its owner, not to the images
@@ -68,12 +170,12 @@ class DeterminedUnknowns:
 
 
 def determined_combinations(adjustment: Adjustment) -> DeterminedUnknowns:
-    """DeterminedUnknowns of an Adjustment: its covariance held against what each unknown was worth before."""
+    """Determined combinations of an Adjustment's unknowns: its covariance compared with the priors."""
     kept = np.flatnonzero(
         ~adjustment.of_prints
     )  # how markers are printed, no recording tells marker by marker: that is said in one line
     u, names = adjustment.unknowns, [" ".join(adjustment.shared_names[k]) for k in kept]
-    worth = np.where(np.isfinite(adjustment.prior), adjustment.prior, POSE_WORTH)[kept]
+    worth = np.where(np.isfinite(adjustment.prior), adjustment.prior, POSE_SIGMA)[kept]
     covariance = adjustment.shared_covariance[np.ix_(kept, kept)]
     scaled = covariance / np.outer(worth, worth)
     values, vectors = np.linalg.eigh(scaled) if len(worth) else (np.zeros(0), np.zeros((0, 0)))
@@ -117,7 +219,7 @@ def _held(adjustment: Adjustment, u: Unknowns) -> tuple[str, ...]:
             out.append(
                 f"camera {state.cameras[i].name!r} shows too little of the base to say where it stands: its "
                 "stated pose is taken to be "
-                f"worth {POSE_WORTH * 1e3:g} mm and {POSE_WORTH * 1e3:g} mrad"
+                f"worth {POSE_SIGMA * 1e3:g} mm and {POSE_SIGMA * 1e3:g} mrad"
             )
     out += [
         f"{what} as stated"

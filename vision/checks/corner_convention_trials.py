@@ -1,0 +1,193 @@
+"""Trials of other corner conventions, and the trial measurement of sampled frames that scores every trial."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from rig.errors import NotEnoughData, RigError
+from rig.model.design import Design
+from rig.recording.recording_folder import Corners
+from vision.corner_observations import observations_from_corners
+from vision.recording_adjustment import Measurement, measure
+from vision.recording_measurement import unsolved_frames_with_enough_markers
+from vision.targets import marker_map
+
+FRAMES = 8  # looked at
+# px; a corner farther than this from where it ought to be, or in a frame without a pose, counts as this far off
+LOST = 20.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledRecording:
+    """design : Design as stated; corners : Corners of some frames; frames : (f,) their numbers; t : (f,) s."""
+
+    design: Design
+    corners: Corners
+    frames: np.ndarray
+    t: np.ndarray
+
+    def with_cameras(self, cameras: tuple) -> "SampledRecording":
+        """The same with other cameras in the design."""
+        return replace(self, design=replace(self.design, cameras=tuple(cameras)))
+
+    def with_targets(self, targets: tuple) -> "SampledRecording":
+        """The same with other targets in the design."""
+        return replace(self, design=replace(self.design, targets=tuple(targets)))
+
+    def with_corners(self, **columns: Any) -> "SampledRecording":
+        """The same with some columns of the corners replaced."""
+        return replace(self, corners=replace(self.corners, **columns))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """misfit : px, RMS of the corners' distances from where they ought to be, none more than LOST; seen : what was
+    tried;
+    measured : Measurement, None where nothing could be solved; miss : (n,) px per corner in the observations' order, or
+        None."""
+
+    misfit: float
+    seen: SampledRecording
+    measured: Measurement | None
+    miss: np.ndarray | None
+
+
+def sample_frames(
+    design: Design, corners: Corners, frames: np.ndarray, t: np.ndarray, count: int = FRAMES
+) -> SampledRecording | None:
+    """Seen: a sample of frames spread over a recording, the richest of each stretch; None without corners.
+
+    frames : (F,) all frames' numbers; t : (F,) s. What is on a chain's stages below the last is left aside, and what
+    was put back: its place is told only to what remounting may do
+    """
+    on_stages = [number for target in design.targets if target.stage for number in target.ids]
+    if on_stages:
+        design, corners = design.without_stages(), _select_corners(corners, ~np.isin(corners.marker, on_stages))
+    put_back = [number for target in design.targets if target.turned is not None for number in target.ids]
+    if put_back:
+        corners = _select_corners(corners, ~np.isin(corners.marker, put_back))
+    if not len(corners.frame):
+        return None
+    rich = np.bincount(np.searchsorted(frames, corners.frame), minlength=len(frames))
+    richest = [part[np.argmax(rich[part])] for part in np.array_split(np.arange(len(frames)), min(count, len(frames)))]
+    picked = np.array([k for k in richest if rich[k]])
+    return SampledRecording(
+        design, _select_corners(corners, np.isin(corners.frame, frames[picked])), frames[picked], t[picked]
+    )
+
+
+def _select_corners(corners: Corners, mask: np.ndarray) -> Corners:
+    """Corners of a mask (n,)."""
+    rows = np.flatnonzero(mask)
+    return Corners(
+        corners.frame[rows],
+        [corners.camera[i] for i in rows],
+        corners.marker[rows],
+        corners.corner[rows],
+        corners.uv[rows],
+        None if corners.covariance is None else corners.covariance[rows],
+    )
+
+
+def measure_trial(seen: SampledRecording, free: tuple[str, ...] = ("poses", "lenses")) -> Trial:
+    """Measured Trial of sampled frames, cameras and lenses adjusted as by `rig measure`.
+    free : see vision.bundle.bundle_adjustment
+    """
+    known = np.isin(seen.corners.marker, [number for target in seen.design.targets for number in target.ids])
+    corners = seen.corners if known.all() else _select_corners(seen.corners, known)
+    if not len(corners.frame):
+        return Trial(LOST, seen, None, None)
+    markers = marker_map(seen.design)
+    try:
+        measured = measure(
+            observations_from_corners(corners, seen.frames, seen.design, markers), seen.design, markers, free
+        )
+    except (NotEnoughData, RigError, np.linalg.LinAlgError):
+        return Trial(LOST, seen, None, None)
+    o = measured.observations
+    miss = np.minimum(np.nan_to_num(np.linalg.norm(measured.residuals, axis=1), nan=LOST), LOST)
+    poor = sorted(
+        set(measured.unsolved) - set(unsolved_frames_with_enough_markers(measured))
+    )  # too little to see is nobody's mistake
+    told = ~np.isin(o.frames[o.frame], poor)
+    share = (miss[told] ** 2).sum() + LOST**2 * (~known).sum()
+    return Trial(float(np.sqrt(share / max(told.sum() + (~known).sum(), 1))), seen, measured, miss)
+
+
+Candidate = tuple[str, str, SampledRecording]
+ORDERS = {
+    (3, 2, 1, 0): "run counter-clockwise from the bottom left",
+    (0, 3, 2, 1): "run counter-clockwise",
+    (1, 0, 3, 2): "run counter-clockwise from the top right",
+    (2, 1, 0, 3): "run counter-clockwise from the bottom right",
+    (1, 2, 3, 0): "begin one corner on (top right)",
+    (2, 3, 0, 1): "begin at the opposite corner",
+    (3, 0, 1, 2): "begin one corner back (bottom left)",
+    (0, 1, 3, 2): "are in rows (0 1 over 2 3), not around",
+}
+
+
+def all_camera_corner_trials(seen: SampledRecording) -> Iterator[Candidate]:
+    """Trials of corrected corner conventions, all cameras alike, and of shifted marker ids.
+    Yields (what, what to do, Seen with it undone).
+    """
+    yield from _of(seen, [("", np.ones(len(seen.corners.frame), bool))])
+    c = seen.corners
+    ids = sorted(number for target in seen.design.targets for number in target.ids)
+    for by in (1, -1):
+        moved = c.marker + by
+        if np.isin(moved, ids).mean() > 0.7:
+            yield (
+                f"corners.csv: marker ids are off by one ({'too small' if by > 0 else 'too large'}): they "
+                f"count from {min(ids) - by} where "
+                f"rig.toml counts from {min(ids)}",
+                f"{'Add' if by > 0 else 'Subtract'} 1, or state the ids that are printed",
+                seen.with_corners(marker=moved),
+            )
+
+
+def single_camera_corner_trials(seen: SampledRecording) -> Iterator[Candidate]:
+    """Trials of corrected corner conventions, of a single camera at a time."""
+    names = np.array(seen.corners.camera)
+    if len(seen.design.cameras) > 1:
+        yield from _of(seen, [(f" of camera {camera.name}", names == camera.name) for camera in seen.design.cameras])
+
+
+def _of(seen: SampledRecording, parts: list[tuple[str, np.ndarray]]) -> Iterator[Candidate]:
+    """Mistakes in parts of the corners. parts : (how they are called, (n,) bool)"""
+    c = seen.corners
+    size = {camera.name: np.array([camera.width, camera.height], float) for camera in seen.design.cameras}
+    wide = np.array([size[name] for name in c.camera])
+    for who, rows in parts:
+        if not rows.any():
+            continue
+
+        def put(uv: np.ndarray, rows: np.ndarray = rows) -> SampledRecording:
+            return seen.with_corners(uv=np.where(rows[:, None], uv, c.uv))
+
+        yield f"corners.csv: u and v{who} are exchanged", "u runs to the right, v down", put(c.uv[:, ::-1])
+        yield (
+            f"corners.csv: images{who} are mirrored left to right (flipped)",
+            "Read the corners from images as the camera gives them",
+            put(np.column_stack([wide[:, 0] - 1 - c.uv[:, 0], c.uv[:, 1]])),
+        )
+        yield (
+            f"corners.csv: images{who} are upside down (v counts upwards)",
+            "v is 0 in the top row and runs down",
+            put(np.column_stack([c.uv[:, 0], wide[:, 1] - 1 - c.uv[:, 1]])),
+        )
+        for factor in (2.0, 0.5, 4.0, 0.25):
+            yield (
+                f"corners.csv: corners{who} are of images of {1 / factor:g} times the size that rig.toml "
+                "states (width, height, matrix)",
+                "State width, height and matrix of the images that the corners were read from",
+                put((c.uv + 0.5) * factor - 0.5),
+            )
+        for order, text in ORDERS.items():
+            yield (
+                f"corners.csv: the corners' order is another{who}: they {text}",
+                "Corners 0..3 run clockwise from the marker's own top left",
+                seen.with_corners(corner=np.where(rows, np.argsort(order)[c.corner], c.corner)),
+            )
