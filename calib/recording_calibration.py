@@ -8,7 +8,6 @@ from threadpoolctl import threadpool_limits
 from calib.certificate import certificate as statement
 from calib.certificate.certificate import Certificate
 from calib.certificate.certificate_contents import Asked
-from calib.certify import platform_certification
 from calib.certify.calibration import Calibration
 from calib.certify.platform_certification import Progress
 from calib.diagnose.calibration_left_out_physics import search_left_out_physics
@@ -18,11 +17,10 @@ from calib.diagnose.report import arm_report, platform_report
 from calib.diagnose.report.diagnosis_report import Report
 from calib.files import calibration_file
 from calib.files.calibration_from_recording import SEED, calibration_with_provenance
-from calib.models.arm import certification as arm_certify
-from calib.models.chain import certification as chain_certify
+from calib.models.machine_models import model_of
 from calib.samples.recording_samples import Sampled, sample_recording
 from rig.errors import RigError
-from rig.model.mechanism_kinds import require_arm, require_chain, require_struts
+from rig.model.mechanism_kinds import require_axes
 from rig.recording.frame_content_hashes import content_hashes, frames_with_known_hashes, hashes_of_frames
 from rig.recording.recording_folder import Recording
 
@@ -39,33 +37,10 @@ def calibrated(recording: Recording, progress: Progress | None = None) -> Calibr
         1
     ):  # sums of products are rounded by how many threads share them: the result is the same for any number
         sampled = sample_recording(recording, progress=progress)
-        if recording.design.mechanism.kind == "arm":
-            found = arm_certify.certify_arm(
-                sampled.samples, require_arm(recording.design.mechanism), sampled.instrument, rng, progress
-            )
-            made = calibration_with_provenance(
-                recording, sampled, found, arm_certify.arm_workspace_claim(sampled.samples, found, rng)
-            )
-            return search_left_out_physics(made, recording, sampled, progress)
-        if recording.design.mechanism.kind == "chain":
-            together = chain_certify.certify_chain(
-                sampled.samples, require_chain(recording.design.mechanism), rng, progress
-            )
-            made = calibration_with_provenance(
-                recording, sampled, together, chain_certify.chain_workspace_claim(sampled.samples, together, rng)
-            )
-            return search_left_out_physics(made, recording, sampled, progress)
-        done = platform_certification.certify_platform(
-            sampled.samples, require_struts(recording.design.mechanism), rng, progress
-        )
-        return search_left_out_physics(
-            calibration_with_provenance(
-                recording, sampled, done, platform_certification.platform_workspace_claim(sampled.samples, done, rng)
-            ),
-            recording,
-            sampled,
-            progress,
-        )
+        mechanism = recording.design.mechanism
+        found, claim = model_of(mechanism).certify(sampled, require_axes(mechanism), rng, progress)
+        made = calibration_with_provenance(recording, sampled, found, claim)
+        return search_left_out_physics(made, recording, sampled, progress)
 
 
 def diagnosed(
@@ -80,7 +55,8 @@ def diagnosed(
     Raises RigError for a name that there is not, NotEnoughData where the recording tells nothing
     """
     asked = None if only is None else list(only)
-    if recording.design.mechanism.kind in ("arm", "chain"):
+    mechanism = recording.design.mechanism
+    if mechanism.axes and mechanism.strut_joints is None:
         return arm_report.arm_report(diagnose_arm(recording, asked, tuple(without), progress))
     return platform_report.platform_report(diagnose_platform(recording, asked, tuple(without), progress))
 

@@ -15,7 +15,8 @@ from rig.errors import RigError
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms, motion_simulation
-from rig.model.design import Arm, Design, Instrument
+from rig.model.design import Design, Instrument
+from rig.model.mechanism_kinds import require_arm
 from rig.model.pose import exp
 from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.plan import Plan, build_plan, plan_of_configurations
@@ -116,7 +117,7 @@ def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, fram
             ),
         )
     else:
-        ladder = 4 * len(_arm(design).joints)
+        ladder = 4 * len(require_arm(design.mechanism).joints)
         plan = f"sobol:{max(frames - ladder - 20, 20)},ladder:1,repeat:20"
         route = build_plan(design, plan, int(rng.integers(1 << 30)))
     effects = [_effect(e, design, route, rng) for e in hidden]
@@ -126,11 +127,6 @@ def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, fram
         secret_machine.draw_machine(design, rng, float(rng.uniform(0.5, 1.5)), effects), route, rng
     )
     return DrawnArmCase(kind, make, done, text, sigma, hard, plan, rng)
-
-
-def _arm(design: Design) -> Arm:
-    assert isinstance(design.mechanism, Arm)
-    return design.mechanism
 
 
 def _hardships(make: str, rng: np.random.Generator) -> tuple[str, ...]:
@@ -143,7 +139,7 @@ def _level(design: Design, count: int, rng: np.random.Generator) -> np.ndarray:
     """(count, 6) rad of an arm with three parallel axes whose hand points down all the time and turns about the
     vertical alone.
     """
-    q = sobol_configurations(_arm(design).limits, count, 0.8, seed=int(rng.integers(1 << 30)))
+    q = sobol_configurations(require_arm(design.mechanism).limits, count, 0.8, seed=int(rng.integers(1 << 30)))
     q[:, 3], q[:, 4] = -np.pi / 2 - q[:, 1] - q[:, 2], -np.pi / 2
     return q[rng.permutation(count)]
 

@@ -43,6 +43,12 @@ class Images:
     compression: int = 1
     processes: int = 0
 
+    def write_pictures(
+        self, simulation: Simulation, out: Path, seed: int, progress: Callable[[int, int], None] | None = None
+    ) -> None:
+        """Draw every image of a simulation into out/images: see `render_images`."""
+        render_images(simulation, out, self, seed, progress)
+
 
 def render_images(
     simulation: Simulation, out: Path, images: Images, seed: int, progress: Callable[[int, int], None] | None = None

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import Design, Hexapod
+from rig.model.design import Design
 from synthetic.rig_meshes import (
     PLATE,
     ROD_RADIUS,
@@ -47,11 +47,8 @@ def is_occluded(
             middle = low[:, i] + SHARE * (high[:, i] - low[:, i])
             blocked |= _through_rod(a, b, low[frame, i], middle[frame], STRUT_RADIUS * radius)
             blocked |= _through_rod(a, b, middle[frame], high[frame, i], ROD_RADIUS * radius)
-        if isinstance(stands.stage, Hexapod):
-            for body, joints in (
-                (stands.base, stands.stage.base_joints),
-                (stands.platform, stands.stage.platform_joints),
-            ):
+        if stands.stage.plates is not None:
+            for body, joints in zip((stands.base, stands.platform), stands.stage.plates):
                 blocked |= _through_disc(
                     *within(body), joints[:, 2].mean() - 0.002, plate_radius(body, joints, design), PLATE
                 )

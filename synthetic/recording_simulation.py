@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -25,9 +25,6 @@ from synthetic.occlusion import is_occluded
 from synthetic.secret_machine import remount_cubes
 from vision.predict import Sightings, State, is_inside_image, markers_facing_cameras, predict_sightings
 from vision.targets import MarkerMap, marker_map
-
-if TYPE_CHECKING:
-    from synthetic.image_simulation import Images
 
 EXACT = Instrument("rig", "rig", 0.0, 0.0)  # where nobody says what measured the poses
 STEEPEST = np.cos(np.radians(70))  # corners are written of markers seen no more obliquely
@@ -56,6 +53,16 @@ class Simulation:
         )
         back = np.argsort(order)
         return [T[back] for T in stage_poses_of_run(run)]
+
+
+class PictureWriter(Protocol):
+    """What draws the images of a Simulation: `synthetic.image_simulation.Images`."""
+
+    def write_pictures(
+        self, simulation: Simulation, out: Path, seed: int, progress: Callable[[int, int], None] | None = None
+    ) -> None:
+        """Write every image into out/images. seed : of the noise; progress : called with (done, of) pictures."""
+        ...
 
 
 def stage_poses_of_run(run: motion_simulation.Run) -> list[RigidTransform]:
@@ -201,13 +208,13 @@ def write_recording(
     text: str,
     rng: np.random.Generator,
     noise: float = 0.0,
-    images: Images | None = None,
+    images: PictureWriter | None = None,
     progress: Callable[[int, int], None] | None = None,
     spoil: Callable[[Corners], Corners] | None = None,
 ) -> None:
     """Write the recording folder of a simulation as its owner would have it.
 
-    out : folder; text : the owner's rig.toml; noise : px, to write corners; or images : Images, to render
+    out : folder; text : the owner's rig.toml; noise : px, to write corners; or images : what renders them
     progress : called with (done, of) pictures, or None; spoil : what happens to Corners (-> Corners) before they are
         written, or None
     """
@@ -256,9 +263,7 @@ def write_recording(
         seen = noisy_corners(simulation, noise, rng)
         write_corners(out / "corners.csv", spoil(seen) if spoil else seen)
     else:
-        from synthetic.image_simulation import render_images
-
-        render_images(simulation, out, images, int(rng.integers(1 << 62)), progress)
+        images.write_pictures(simulation, out, int(rng.integers(1 << 62)), progress)
 
 
 def _write_measured_poses(

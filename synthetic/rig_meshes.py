@@ -13,8 +13,8 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import FACES, Chain, Design, Hexapod, Planar2, Target
-from rig.model.mechanism_kinds import Mechanism, Struts
+from rig.model.design import FACES, Design, Target
+from rig.model.mechanism_kinds import Mechanism, Struts, has_struts
 from vision.targets import MarkerMap, face_pose, marker_cells, marker_map
 
 WHITE, BLACK, METAL, DARK = 0.85, 0.06, 0.35, 0.12  # albedo
@@ -77,10 +77,9 @@ def rig_parts(
     """
     found = []
     for stands in strut_stages(design.mechanism):
-        if isinstance(stands.stage, Hexapod):
-            found += _plate(stands.base, stands.stage.base_joints, design) + _plate(
-                stands.platform, stands.stage.platform_joints, design
-            )
+        if stands.stage.plates is not None:
+            for body, joints in zip((stands.base, stands.platform), stands.stage.plates):
+                found += _plate(body, joints, design)
         found += _struts(stands)
     placed = markers if markers is not None else marker_map(design)
     carriers = {target.name: target.body for target in design.targets}
@@ -114,12 +113,12 @@ class StrutStage(NamedTuple):
 
 def strut_stages(mechanism: Mechanism) -> list[StrutStage]:
     """[StrutStage] of a mechanism: the stages that stand on struts, from the base up; none for an arm."""
-    stages = mechanism.stages if isinstance(mechanism, Chain) else (mechanism,)
+    stages, alone = mechanism.stages, not mechanism.bodies
     names = ["base", *(f"stage {k + 1}" for k in range(len(stages) - 1)), "platform"]
     return [
-        StrutStage(stage, f"stage {k + 1} " if isinstance(mechanism, Chain) else "", names[k], names[k + 1], k)
+        StrutStage(stage, "" if alone else f"stage {k + 1} ", names[k], names[k + 1], k)
         for k, stage in enumerate(stages)
-        if isinstance(stage, Hexapod | Planar2)
+        if has_struts(stage)
     ]
 
 
@@ -187,10 +186,7 @@ def _plate(body: str, joints: np.ndarray, design: Design) -> list[Part]:
 def strut_ends(mechanism: Struts, T_base_platform: RigidTransform) -> tuple[np.ndarray, np.ndarray]:
     """Ends (lower, upper) (..., axes, 3) m of the struts in the base frame at poses (...)."""
     matrix = T_base_platform.as_matrix()
-    if isinstance(mechanism, Planar2):
-        low, joints = np.pad(mechanism.base_joints, ((0, 0), (0, 1))), np.zeros((2, 3))
-    else:
-        low, joints = mechanism.base_joints, mechanism.platform_joints
+    low, joints = mechanism.strut_joints
     high = joints @ np.swapaxes(matrix[..., :3, :3], -1, -2) + matrix[..., None, :3, 3]
     return np.broadcast_to(low, high.shape), high
 

@@ -10,17 +10,16 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.effects.catalogue.cube_misplacement import CubeMisplacement
-from rig.effects.catalogue.effect_list import BY_NAME
+from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_text import Kinds
 from rig.errors import RigError
 from rig.formats import machine_json
-from rig.formats.machine_json import GEOMETRY, PLACES
 from rig.formats.output_files import write_text
 from rig.model import mechanisms
 from rig.model.cube_remounting import design_with_turned_cubes, quarter_turns
 from rig.model.design import Arm, Camera, Chain, Design, Hexapod, Planar2
+from rig.model.mechanism_kinds import has_links, has_stages, has_struts
 from rig.model.pose import exp, pose
 from rig.recording.recording_folder import Sensors
 
@@ -35,25 +34,18 @@ AWAY, HAND = 1.0, 0.1  # m, of where an instrument stands and of its target on t
 def draw_geometry(stated: Design, rng: np.random.Generator, size: float) -> Hexapod | Planar2 | Arm | Chain:
     """True geometry of a stated design's mechanism drawn at random. size : multiplies every deviation"""
     m = stated.mechanism
-    if m.kind == "hexapod":
-        return replace(
-            m,
-            base_joints=m.base_joints + size * JOINT * rng.normal(size=(6, 3)),
-            platform_joints=m.platform_joints + size * JOINT * rng.normal(size=(6, 3)),
-            strut_zeros=m.strut_zeros + size * ZERO * rng.normal(size=6),
-        )
-    if m.kind == "planar2":
-        return replace(
-            m,
-            base_joints=m.base_joints + size * JOINT * rng.normal(size=(2, 2)),
-            strut_zeros=m.strut_zeros + size * ZERO * rng.normal(size=2),
-        )
-    if m.kind == "arm":
+    if has_struts(m):
+        drawn = {
+            name: array + size * (ZERO if name == "strut_zeros" else JOINT) * rng.normal(size=array.shape)
+            for name, array in m.geometry_arrays.items()
+        }
+        return replace(m, **drawn)  # type: ignore[arg-type]
+    if has_links(m):
         return _arm(m, stated, rng, size)
-    if isinstance(m, Chain):
+    if has_stages(m):
         stages = tuple(draw_geometry(replace(stated, mechanism=stage, cameras=()), rng, size) for stage in m.stages)
         return replace(m, stages=stages)  # type: ignore[arg-type]
-    raise RigError(f"a mechanism of kind {m.kind!r} cannot be simulated; {', '.join(GEOMETRY)} can")
+    raise RigError(f"a mechanism of kind {m.kind!r} cannot be simulated; {', '.join(mechanisms.ALL)} can")
 
 
 def _arm(m: Arm, stated: Design, rng: np.random.Generator, size: float) -> Arm:
@@ -65,7 +57,7 @@ def _arm(m: Arm, stated: Design, rng: np.random.Generator, size: float) -> Arm:
         instrument is None and stated.cameras and stated.targets
     ):  # where it stands among the cubes, and how its hand holds them
         ends = [end * exp(size * np.repeat(STOOD, 3) * rng.normal(size=6)) for end in ends]
-    for k, (place, far) in enumerate(zip(PLACES, (AWAY, HAND))):
+    for k, (place, far) in enumerate(zip(m.placements, (AWAY, HAND))):
         if instrument is not None and getattr(instrument, place) == "free":
             ends[k] = pose(far * rng.uniform(-1, 1, 3), rng.normal(size=3))
     return replace(m, joints=rows, base=ends[0], tool=ends[1])
@@ -169,9 +161,12 @@ def remount_cubes(world: World, quarters: Mapping[str, int]) -> World:
         np.array([np.round(camera.matrix, 6) for camera in world.true.cameras]).tobytes()
     )  # a truth file has the same
 
-    def off(name: str, quarter: int) -> CubeMisplacement:
+    displaced = next(kind for kind in ALL if kind.view == "targets")  # all markers of a target moved together
+    motion = displaced.parameters[0].name
+
+    def off(name: str, quarter: int) -> Effect:
         rng = np.random.default_rng([own, zlib.crc32(name.encode()), quarter])
-        return CubeMisplacement(f"target {name}", tuple((SEAT * rng.normal(size=6)).tolist()))
+        return displaced(f"target {name}", **{motion: tuple((SEAT * rng.normal(size=6)).tolist())})
 
     return World(
         stated,

@@ -1,4 +1,4 @@
-"""An effect's name stands in its own room: outside rig/effects nobody asks an effect its name."""
+"""An effect's name and class stand in their own room: outside rig/effects nobody names an effect, or imports one."""
 
 import ast
 import re
@@ -10,6 +10,8 @@ from tests.conftest import ROOT
 
 NAME = re.compile(rf"(?<![\w-])({'|'.join(BY_NAME)})(?![\w-])")
 ROOMS = ("rig", "vision", "calib", "synthetic")
+CATALOGUE, LIST = "rig.effects.catalogue", "effect_list"  # the list of all effects names none
+DIAGNOSIS, MOST = "calib/diagnose", 15  # imports of effects by the diagnosis: this may only fall
 
 
 def named(path):
@@ -47,3 +49,37 @@ def test_no_effect_is_named_outside_its_room(room):
         if (ROOT / "rig" / "effects") not in path.parents
     }
     assert {path: lines for path, lines in found.items() if lines} == {}
+
+
+def imported(path):
+    """[(line, module)] of a file's imports of single effects."""
+    found = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module is not None:
+            whole = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        elif isinstance(node, ast.Import):
+            whole = [alias.name for alias in node.names]
+        else:
+            continue
+        modules = {name.split(".")[3] for name in whole if name.startswith(f"{CATALOGUE}.")}
+        found += [(node.lineno, module) for module in sorted(modules - {LIST})]
+    return found
+
+
+def test_an_import_of_an_effect_is_found(tmp_path):
+    (tmp_path / "a.py").write_text(
+        "from rig.effects.catalogue.backlash import Backlash\nfrom rig.effects.catalogue import effect_list, creep\n"
+        "import rig.effects.catalogue.warm_up as warm\nfrom rig.effects.catalogue.effect_list import ALL\n"
+    )
+    assert imported(tmp_path / "a.py") == [(1, "backlash"), (2, "creep"), (3, "warm_up")]
+
+
+def test_no_effect_is_imported_outside_its_room():
+    found = {
+        str(path.relative_to(ROOT)): lines
+        for room in (*ROOMS, "docs/make")
+        for path in sorted((ROOT / room).rglob("*.py"))
+        if (ROOT / "rig" / "effects") not in path.parents and (lines := imported(path))
+    }
+    assert [path for path in found if not path.startswith(DIAGNOSIS)] == []
+    assert sum(map(len, found.values())) <= MOST, found

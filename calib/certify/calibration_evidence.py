@@ -80,7 +80,7 @@ def calibration_evidence(
         confound_sentences(calibration.confounds),
         tuple(missing),
         tuple(refuted),
-        LOOK if calibration.correction.nominal.kind == "chain" else TAKE_IN,
+        LOOK if calibration.correction.nominal.bodies else TAKE_IN,
     )
 
 

@@ -13,10 +13,7 @@ import numpy as np
 
 from calib.certify.held_out_poses import HeldPoses
 from calib.correct.correction import Correction
-from calib.models.platform.identification import strut_length_jacobian
 from rig.model import mechanisms
-from rig.model.design import Arm, Chain
-from rig.model.mechanisms import arm, chain
 
 POSITIONS, CYCLES = 5, 5  # of ISO 230-2
 
@@ -80,11 +77,8 @@ def iso230_axis_tests(correction: Correction, poses: HeldPoses) -> tuple[AxisTes
 
 def _to_axes(correction: Correction, poses: HeldPoses) -> np.ndarray:
     """(n, axes, 6) change of the axes with the pose's tangent."""
-    if isinstance(correction.fitted, Arm):
-        return np.linalg.pinv(arm.jacobian(poses.commanded, correction.fitted))
-    if isinstance(correction.fitted, Chain):
-        return np.linalg.pinv(chain.jacobian(poses.commanded, correction.fitted))
-    return strut_length_jacobian(poses.T_base_platform, correction.fitted)
+    fitted = correction.fitted
+    return mechanisms.kinematics_of(fitted).axis_changes(poses.T_base_platform, poses.commanded, fitted)
 
 
 def _test(

@@ -110,7 +110,7 @@ def has_six_measuring_limbs(design: Design) -> bool:
     """Whether a design has six measuring limbs that give its platform's pose."""
     return (
         design.insitu is not None
-        and design.mechanism.kind == "hexapod"
+        and design.mechanism.plates is not None
         and len(design.insitu.channels) >= redundant_legs.SIX
     )
 

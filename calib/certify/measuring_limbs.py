@@ -69,9 +69,10 @@ def limb_hexapod(design: Design, limb_numbers: np.ndarray | None = None) -> Hexa
     Raises RigError for a rig without [insitu], with fewer than six limbs, or that is no hexapod
     """
     limbs = stated_limbs(design)
-    if not isinstance(design.mechanism, Hexapod):
-        raise RigError(f"measuring limbs are for hexapods, not for a mechanism of kind {design.mechanism.kind!r}")
-    return measuring_limb_checks.stated_limb_legs(limbs, design.mechanism.home).six(
+    hexapod = require_hexapod(
+        design.mechanism, "measuring limbs are for hexapods, not for a mechanism of kind {kind!r}"
+    )
+    return measuring_limb_checks.stated_limb_legs(limbs, hexapod.home).six(
         np.arange(6) if limb_numbers is None else limb_numbers
     )
 

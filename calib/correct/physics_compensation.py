@@ -16,7 +16,7 @@ from rig.errors import NotConverged, RigError
 from rig.model import mechanisms, motion_simulation
 from rig.model import motion_simulation as machine
 from rig.model.design import Actuator, Arm, Chain, Design, Platform
-from rig.model.mechanism_kinds import Struts
+from rig.model.mechanism_kinds import Struts, has_struts
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Sensors
 
@@ -101,7 +101,7 @@ def samples_with_effects(
 ) -> Samples:
     """Samples with effects applied to their commands, or taken off an arm's poses beyond its joints."""
     t, T = samples.t, samples.T_base_platform
-    if not isinstance(design.mechanism, Arm):
+    if has_struts(design.mechanism):
         return replace(
             samples, known=machine.effective_commands(design, commands, t, T, effects, sensors) - samples.commanded
         )
@@ -170,10 +170,10 @@ class Machine:
         lengths, sway = commands.at(t), np.zeros((len(t), 6))
         if self.physics is not None and effects:
             design, sensed = self.physics.machine(self.correction.fitted), sensors or self.sensors
-            if isinstance(design.mechanism, Arm):
-                lengths, sway = motion_simulation.effective_commands_and_sway(design, commands, t, T, effects, sensed)
-            else:
+            if has_struts(design.mechanism):
                 lengths = motion_simulation.effective_commands(design, commands, t, T, effects, sensed)
+            else:
+                lengths, sway = motion_simulation.effective_commands_and_sway(design, commands, t, T, effects, sensed)
         return lengths - self.correction.rho(lengths), sway
 
 

@@ -27,7 +27,6 @@ from calib.models.platform.identification import (
 from calib.models.platform.parameter_accuracy import stated_geometry_accuracy
 from calib.samples.pose_samples import Samples
 from rig.model import mechanisms
-from rig.model.design import Planar2
 from rig.model.mechanism_kinds import Struts
 from rig.planning.configuration_sets import FILL, sobol_configurations
 
@@ -132,7 +131,7 @@ def pass_residual_poses(samples: Samples, correction: Correction[Any, Any]) -> K
 
 def pose_coordinate_indices(mechanism: Struts) -> tuple[int, ...]:
     """Indices of the pose coordinates in which poses of a mechanism differ."""
-    return (0, 1) if isinstance(mechanism, Planar2) else tuple(range(6))
+    return mechanism.pose_coordinates
 
 
 def home_pose(mechanism: Struts) -> RigidTransform:

@@ -1,6 +1,6 @@
 """Normal equations of a visit in places, geometry and machine changes (wear, temperature, load)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -11,13 +11,12 @@ from calib.drift.first_visit_reference import Reference
 from calib.models.platform.identification import inverse_strut_length_jacobian, pose_parameter_jacobian
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import sample_recording
-from rig.effects.catalogue.backlash import Backlash
-from rig.effects.catalogue.compliance import Compliance
-from rig.effects.catalogue.thermal_expansion import ThermalExpansion
-from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
+from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.play_operator import play_deviation
 from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Design, Hexapod, Platform
+from rig.model.mechanism_kinds import require_hexapod
 from rig.model.pose import log, skew
 from rig.recording.recording_folder import Commands, Recording, Sensors
 from vision.bundle.normal_equations import linearise, normal_equations
@@ -38,10 +37,9 @@ AT_ORIGIN = Platform(
 
 def fitted_hexapod(calibration: Calibration) -> Hexapod:
     """The fitted hexapod. Raises RigError for a calibration of another mechanism."""
-    fitted = calibration.correction.fitted
-    if not isinstance(fitted, Hexapod):
-        raise RigError(f"watching is for hexapods, not for a mechanism of kind {fitted.kind!r}")
-    return fitted
+    return require_hexapod(
+        calibration.correction.fitted, "watching is for hexapods, not for a mechanism of kind {kind!r}"
+    )
 
 
 def _expected_poses(calibration: Calibration, samples: Samples) -> RigidTransform:
@@ -59,18 +57,20 @@ def machine_change_columns(
         else AT_ORIGIN
     )
     there = Design("", design.gravity, mechanism, None, design.actuator, stated, (), ())
-    warm = {f"strut{i + 1}_temperature_C": np.full(2, REFERENCE_TEMPERATURE + 1) for i in range(6)}
-    ends = np.array([commands.t[0], commands.t[-1] + 1.0])
+    ends, goals = np.array([commands.t[0], commands.t[-1] + 1.0]), commands.at(t)
 
-    def lengthened(effect: Effect, **channels: np.ndarray) -> np.ndarray:
-        return motion_simulation.effective_commands(
-            there, commands, t, T, (effect,), Sensors(ends, channels)
-        ) - commands.at(t)
+    def moved(**channels: np.ndarray) -> Motion:
+        bare = motion_simulation.motion_of_commands(there, commands, t, (), Sensors(ends, channels))
+        return replace(bare, T=T)
 
-    yields = Compliance("rig", stiffness=1 / SOFT)
-    out = [lengthened(Backlash(f"strut {i + 1}", gap=GAP)) for i in range(6)]
-    out.append(lengthened(ThermalExpansion("rig", coefficient=GROWTH), **warm))
-    out.append(lengthened(yields, payload_mass_kg=np.ones(2)) - lengthened(yields))
+    def sagging(motion: Motion) -> np.ndarray:
+        return motion.lengths - motion.loads() / (1 / SOFT) - goals
+
+    motion, nuts = moved(), np.eye(6)
+    play = play_deviation(motion, GAP / 2)
+    growth = motion.kind.growth_deviation_and_sway(T, motion.lengths, mechanism, np.full(play.shape, GROWTH))[0]
+    out = [motion.lengths + deviation - goals for deviation in (*(nut * play for nut in nuts), growth)]
+    out.append(sagging(moved(payload_mass_kg=np.ones(2))) - sagging(motion))
     return inverse_strut_length_jacobian(T, mechanism) @ np.stack(out, axis=-1)
 
 

@@ -29,7 +29,7 @@ from calib.experiment.experiment_question import (
 from calib.experiment.platform_outcome_prediction import PlatformQuestion
 from calib.experiment.predicted_recording import predicted_sensor_log
 from rig.errors import RigError
-from rig.model.design import Arm
+from rig.model.mechanism_kinds import require_arm
 from rig.planning.plan import Plan
 
 
@@ -120,11 +120,11 @@ def arm_questions(diagnosis: ArmDiagnosis) -> list[ArmQuestion]:
     open_ones = [f for f in diagnosis.findings if any(not is_ruled_out(f, a, size) for a in f.alternatives)]
     if not open_ones:
         return []
-    if not isinstance(diagnosis.geometry.mechanism, Arm):
-        raise RigError(
-            "an experiment is foretold for platforms on struts and for arms; what is alike in a chain is "
-            "told apart by its stages alone"
-        )
+    require_arm(
+        diagnosis.geometry.mechanism,
+        "an experiment is foretold for platforms on struts and for arms; what is alike in a chain is "
+        "told apart by its stages alone",
+    )
     problem = ArmProblem(diagnosis.arms, [], given=diagnosis.given)
     out = []
     for finding in open_ones:

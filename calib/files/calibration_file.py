@@ -16,25 +16,21 @@ import numpy as np
 from calib.certify.calibration import Calibration
 from calib.certify.held_out_errors import Figures, HeldOut
 from calib.certify.workspace_claim import Claim
-from calib.correct.correction import Correction
-from calib.correct.interpolation import interpolation_methods as kinds
 from calib.correct.interpolation.gaussian_process import Radial
+from calib.correct.interpolation.interpolation_methods import field_from_entries, field_to_dict
 from calib.files.calibration_file_entries import (
     mechanism_dict,
     mechanism_from_entries,
     physics_dict,
     physics_from_entries,
     pose_map_dict,
-    pose_map_from_entries,
     require_same_ranges,
     require_schema_contents,
     require_text,
 )
 from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.error_model import parameter_names
 from calib.models.arm.joint_profiles import Profile
-from calib.models.chain import error_model as chains
-from calib.models.platform.identification import geometric_parameters
+from calib.models.machine_models import model_of
 from calib.samples.confounded_conditions import confounds_from_entries
 from calib.workspace.workspace_cells import workspace_dict, workspace_from_entries
 from rig.effects.catalogue.effect_list import BY_NAME
@@ -43,8 +39,6 @@ from rig.formats import json_file, remote_folders
 from rig.formats.checked_entries import Entries
 from rig.formats.input_files import read_bytes
 from rig.formats.output_files import write_text
-from rig.model.design import Arm, Chain
-from rig.model.mechanism_kinds import Struts, require_struts
 from rig.recording.exposures_and_images import LARGEST_IMAGE_FILE
 from rig.recording.frame_content_hashes import content_hashes, frames_with_known_hashes, hashes_of_frames
 from rig.recording.recording_folder import Recording
@@ -55,26 +49,12 @@ WITH_PHYSICS = (
 )
 WITH_POSE_MAPS = "calibration/3"  # which one that knows no maps in pose space refuses for the same reason
 UNITS = "m, rad, s; covariances in their products"
-FRAMES = (
-    "T_base_platform maps platform coordinates to the base; base and platform frame as the stated targets hold them; "
-    "tangent x y z rx ry rz on the right, in the platform frame; commanded length = joint distance - strut zero"
-)
-ARM_FRAMES = (
-    "T_base_platform maps the target on the hand to the frame of poses.csv = base A_1(theta_1 + q_1) .. A_n tool, "
-    "A = Rz Tz(d) Tx(a) Rx(alpha) Ry(beta); base and tool of the nominal arm are fitted where [instrument] says free; "
-    "a joint turns to q - remainder(q); a slide's q adds to d, m; tangents x y z rx ry rz on the right"
-)
-ARM_FRAMES_KNOWN = (ARM_FRAMES, ARM_FRAMES.replace("a slide's q adds to d, m; ", ""))  # before arms had slides
 CONTENTS: dict[
     str, tuple[tuple[str, ...], tuple[str, ...]]
 ] = {  # what a schema's files must hold, and what they cannot
     SCHEMA: ((), ("physics", "pose_maps")),
     WITH_PHYSICS: (("physics",), ("pose_maps",)),
     WITH_POSE_MAPS: (("pose_maps",), ()),
-}
-PARAMETERS = {
-    "hexapod": "base joints 1..6 (x y z), platform joints 1..6 (x y z), strut zeros 1..6",
-    "planar2": "base joints 1, 2 (x y), strut zeros 1, 2",
 }
 PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "rig")
 
@@ -165,19 +145,19 @@ def _hash(paths: Iterable[Path]) -> str:
 def save(path: Path | str, calibration: Calibration) -> None:
     """Save a Calibration as calibration.json, whole or not at all."""
     correction = calibration.correction
-    arm = isinstance(correction, ArmCorrection)
+    model = model_of(correction.nominal)
     tree = {
         "schema": WITH_POSE_MAPS if correction.posed else SCHEMA if calibration.physics is None else WITH_PHYSICS,
         "units": UNITS,
-        "frames": ARM_FRAMES if arm else FRAMES,
+        "frames": model.frames[0],
         "nominal": mechanism_dict(correction.nominal),
         "fitted": mechanism_dict(correction.fitted),
-        "parameter_order": _order(correction),
+        "parameter_order": model.parameter_order(correction.nominal),
         "parameter_covariance": calibration.covariance.tolist(),
-        _scatter_key(correction.nominal): calibration.scatter.tolist(),
+        model.scatter_key: calibration.scatter.tolist(),
         **({} if calibration.strut_covariance is None else {"strut_covariance": calibration.strut_covariance.tolist()}),
         "remainder": [None if part is None else _part_out(part) for part in correction.remainder],
-        **({"extension": kinds.field_to_dict(correction.extension)} if correction.extension is not None else {}),
+        **({"extension": field_to_dict(correction.extension)} if correction.extension is not None else {}),
         **({"pose_maps": [pose_map_dict(one) for one in correction.posed]} if correction.posed else {}),
         **({"visited": correction.visited.tolist()} if isinstance(correction, ArmCorrection) else {}),
         "fit": {"frames": list(calibration.frames), "left_out": list(calibration.left_out)},
@@ -198,28 +178,21 @@ def load(path: Path | str, effect_kinds: Kinds = BY_NAME) -> Calibration:
     require_same_ranges(tree, nominal, fitted)
     schema = tree.text("schema")
     require_schema_contents(tree, *CONTENTS[schema])
-    correction = _correction_in(tree, nominal, fitted)
-    nominal = correction.nominal
+    model, axes = model_of(nominal), len(nominal.axes)
+    extension = field_from_entries(tree.table("extension"), axes) if "extension" in tree.tree else None
+    correction = model.correction_from_entries(tree, nominal, fitted, _parts_in(tree, axes), extension)
     for key, known in (
         ("units", (UNITS,)),
-        ("frames", ARM_FRAMES_KNOWN if isinstance(nominal, Arm) else (FRAMES,)),
-        ("parameter_order", (_order(correction),)),
+        ("frames", model.frames),
+        ("parameter_order", (model.parameter_order(nominal),)),
     ):
         require_text(tree, key, known)
-    count = len(
-        (
-            chains.parameter_names
-            if isinstance(nominal, Chain)
-            else parameter_names
-            if isinstance(nominal, Arm)
-            else geometric_parameters
-        )(nominal)
-    )
+    count = model.parameter_count(nominal)
     fit = tree.table("fit")
     return Calibration(
         correction,
         covariance_from_entries(tree, count),
-        _spread_in(tree, _scatter_key(nominal), len(nominal.axes)),
+        _spread_in(tree, model.scatter_key, axes),
         fit.wholes("frames"),
         fit.wholes("left_out"),
         _held_out_in(tree.table("held_out")),
@@ -232,29 +205,6 @@ def load(path: Path | str, effect_kinds: Kinds = BY_NAME) -> Calibration:
     )
 
 
-def _correction_in(tree: Entries, nominal: Struts | Arm | Chain, fitted: Struts | Arm | Chain) -> Correction[Any, Any]:
-    axes = len(nominal.axes)
-    extension = kinds.field_from_entries(tree.table("extension"), axes) if "extension" in tree.tree else None
-    if isinstance(nominal, Arm) and isinstance(fitted, Arm):
-        return ArmCorrection(
-            nominal, fitted, _parts_in(tree, axes, True), tree.array("visited", (None, axes)), extension=extension
-        )
-    posed = tuple(pose_map_from_entries(one, require_struts(nominal)) for one in tree.tables("pose_maps"))
-    return Correction(nominal, fitted, _parts_in(tree, axes, False), extension=extension, posed=posed)
-
-
-def _order(correction: Correction[Any, Any]) -> str:
-    """The names of the parameters, in their order."""
-    nominal = correction.nominal
-    if isinstance(nominal, Chain):
-        return "changes from nominal: " + ", ".join(chains.parameter_names(nominal))
-    return ", ".join(parameter_names(nominal)) if isinstance(nominal, Arm) else PARAMETERS[nominal.kind]
-
-
-def _scatter_key(nominal: Struts | Arm | Chain) -> str:
-    return "pose_scatter" if isinstance(nominal, Arm | Chain) else "strut_scatter"
-
-
 def _part_out(part: Radial | Profile) -> dict[str, Any]:
     return {
         name: value.tolist() if isinstance(value, np.ndarray) else value
@@ -262,8 +212,8 @@ def _part_out(part: Radial | Profile) -> dict[str, Any]:
     }
 
 
-def _parts_in(tree: Entries, axes: int, arm: bool) -> tuple[Any, ...]:
-    """Per axis a Radial, of an arm a Profile, or None."""
+def _parts_in(tree: Entries, axes: int) -> list[Entries | None]:
+    """The remainder's table of each axis, None where an axis has none."""
     listed = tree.get("remainder")
     if (
         not isinstance(listed, list)
@@ -271,24 +221,10 @@ def _parts_in(tree: Entries, axes: int, arm: bool) -> tuple[Any, ...]:
         or not all(part is None or isinstance(part, dict) for part in listed)
     ):
         tree.fail(f"remainder must list {axes} parts, each a table or null", "remainder")
-    tables = [
+    return [
         None if part is None else Entries(part, ("remainder", i), tree.file, tree.places)
         for i, part in enumerate(listed)
     ]
-    return tuple(
-        None if table is None else (_profile_in if arm else kinds.gaussian_process_from_entries)(table, axes)
-        for table in tables
-    )
-
-
-def _profile_in(table: Entries, axes: int) -> Profile:
-    orders = table.array("orders", (None,))
-    return Profile(
-        table.whole("axis", 0, most=axes - 1),
-        orders,
-        table.array("own", (2 * len(orders),)),
-        table.array("others", (axes, 2)),
-    )
 
 
 def covariance_from_entries(tree: Entries, count: int, key: str = "parameter_covariance") -> np.ndarray:

@@ -1,6 +1,6 @@
 """Entries of a calibration file as JSON: mechanism, physics and pose space maps, and their checks."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -18,7 +18,7 @@ from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Actuator, Arm, Chain, Hexapod, Planar2, Platform
-from rig.model.mechanism_kinds import Struts
+from rig.model.mechanism_kinds import Struts, has_links, has_stages, has_struts
 from rig.model.pose import pose_to_entry
 
 
@@ -58,7 +58,7 @@ def _require_plausible(table: Entries, mechanism: Struts | Arm, stated: bool) ->
     """Raise FileError for ranges, zeros and joints that no machine has, lengths in m. stated : whether it is the
     owner's, whose home is in reach
     """
-    if isinstance(mechanism, Arm):
+    if has_links(mechanism):
         _arm(table, mechanism)
         return
     for i, (low, high) in enumerate(mechanism.strut_range):
@@ -78,7 +78,7 @@ def _require_plausible(table: Entries, mechanism: Struts | Arm, stated: bool) ->
                 i,
                 value=float(mechanism.strut_zeros[i]),
             )
-    if stated and isinstance(mechanism, Hexapod):
+    if stated and mechanism.home_pose is not None:
         lengths = mechanisms.kinematics_of(mechanism).home(mechanism)
         for i, (length, (low, high)) in enumerate(zip(lengths, mechanism.strut_range)):
             if not low <= length <= high:
@@ -98,7 +98,7 @@ def require_same_ranges(tree: Entries, nominal: Struts | Arm | Chain, fitted: St
             "fitted",
             "kind",
         )
-    if isinstance(nominal, Hexapod | Planar2) and isinstance(fitted, Hexapod | Planar2):
+    if has_struts(nominal) and has_struts(fitted):
         different = np.flatnonzero((nominal.strut_range != fitted.strut_range).any(axis=1))
         if len(different):
             i = int(different[0])
@@ -132,35 +132,30 @@ MOST_JOINTS = 64
 
 def mechanism_dict(mechanism: Struts | Arm | Chain) -> dict[str, Any]:
     """dict of a mechanism, as JSON holds it."""
-    if isinstance(mechanism, Chain):
-        return {"kind": "chain", "stages": [mechanism_dict(stage) for stage in mechanism.stages]}
-    if isinstance(mechanism, Arm):
+    if has_stages(mechanism):
+        return {"kind": mechanism.kind, "stages": [mechanism_dict(stage) for stage in mechanism.stages]}
+    if has_links(mechanism):
         return {
-            "kind": "arm",
+            "kind": mechanism.kind,
             "joints": mechanism.rows.tolist(),
             "limits": mechanism.limits.tolist(),
             "base": pose_to_entry(mechanism.base),
             "tool": pose_to_entry(mechanism.tool),
             **({"slides": mechanism.slides.tolist()} if mechanism.slides.any() else {}),
         }
-    if isinstance(mechanism, Planar2):
-        return {
-            "kind": "planar2",
-            **{name: getattr(mechanism, name).tolist() for name in ("base_joints", "strut_range", "strut_zeros")},
-        }
+    geometry, home = mechanism.geometry_arrays, mechanism.home_pose
+    arrays = {name: array for name, array in geometry.items() if name != "strut_zeros"}
+    arrays |= {"strut_range": mechanism.strut_range, "strut_zeros": mechanism.strut_zeros}
     return {
         "kind": mechanism.kind,
-        "base_joints": mechanism.base_joints.tolist(),
-        "platform_joints": mechanism.platform_joints.tolist(),
-        "strut_range": mechanism.strut_range.tolist(),
-        "strut_zeros": mechanism.strut_zeros.tolist(),
-        "home": pose_to_entry(mechanism.home),
+        **{name: array.tolist() for name, array in arrays.items()},
+        **({} if home is None else {"home": pose_to_entry(home)}),
     }
 
 
 def mechanism_from_entries(table: Entries, stated: bool = False) -> Struts | Arm | Chain:
     """Mechanism from its JSON entries. stated : whether it is the nominal one. Raises FileError for anything else."""
-    if table.text("kind", ("hexapod", "planar2", "arm", "chain")) == "chain":
+    if table.text("kind", (*READERS, CHAIN)) == CHAIN:
         stages = table.tables("stages")
         if len(stages) < 2:
             table.fail(f"{table.name('stages')} of a chain are two or more, got {len(stages)}", "stages")
@@ -170,34 +165,35 @@ def mechanism_from_entries(table: Entries, stated: bool = False) -> Struts | Arm
 
 def _stage_in(table: Entries, stated: bool) -> Struts | Arm:
     """A mechanism that stands alone, or in a chain, of figures that a machine may have."""
-    found = _figures_of(table)
+    found = READERS[table.text("kind", tuple(READERS))](table)
     _require_plausible(table, found, stated)
     return found
 
 
-def _figures_of(table: Entries) -> Struts | Arm:
-    kind = table.text("kind", ("hexapod", "planar2", "arm"))
-    if kind == "planar2":
-        return Planar2(
-            table.array("base_joints", (2, 2), length_limit=LARGEST_RIG),
-            table.array("strut_range", (2, 2), length_limit=LARGEST_RIG),
-            table.array("strut_zeros", (2,), length_limit=LARGEST_RIG),
-        )
-    if kind == "arm":
-        rows = table.get("joints")
-        columns = (
-            len(rows[0]) if isinstance(rows, list) and rows and isinstance(rows[0], list) and len(rows[0]) == 4 else 5
-        )
-        joints = table.array("joints", (None, columns))
-        if not 0 < len(joints) <= MOST_JOINTS:
-            table.fail(f"{table.name('joints')} has {len(joints)} rows; an arm has 1 to {MOST_JOINTS} joints", "joints")
-        return Arm(
-            joints,
-            table.array("limits", (len(joints), 2)),
-            table.pose("base"),
-            table.pose("tool"),
-            _slides_in(table, len(joints)),
-        )
+def _planar(table: Entries) -> Planar2:
+    return Planar2(
+        table.array("base_joints", (2, 2), length_limit=LARGEST_RIG),
+        table.array("strut_range", (2, 2), length_limit=LARGEST_RIG),
+        table.array("strut_zeros", (2,), length_limit=LARGEST_RIG),
+    )
+
+
+def _arm(table: Entries) -> Arm:
+    rows = table.get("joints")
+    columns = len(rows[0]) if isinstance(rows, list) and rows and isinstance(rows[0], list) and len(rows[0]) == 4 else 5
+    joints = table.array("joints", (None, columns))
+    if not 0 < len(joints) <= MOST_JOINTS:
+        table.fail(f"{table.name('joints')} has {len(joints)} rows; an arm has 1 to {MOST_JOINTS} joints", "joints")
+    return Arm(
+        joints,
+        table.array("limits", (len(joints), 2)),
+        table.pose("base"),
+        table.pose("tool"),
+        _slides_in(table, len(joints)),
+    )
+
+
+def _hexapod(table: Entries) -> Hexapod:
     return Hexapod(
         table.array("base_joints", (6, 3), length_limit=LARGEST_RIG),
         table.array("platform_joints", (6, 3), length_limit=LARGEST_RIG),
@@ -213,6 +209,10 @@ def _slides_in(table: Entries, count: int) -> np.ndarray:
     if not isinstance(listed, list) or len(listed) != count or not all(isinstance(slide, bool) for slide in listed):
         table.fail(f"{table.name('slides')} must list {count} times true or false", "slides")
     return np.array(listed, bool)
+
+
+READERS: dict[str, Callable[[Entries], Struts | Arm]] = {"hexapod": _hexapod, "planar2": _planar, "arm": _arm}
+CHAIN = Chain.kind
 
 
 def physics_dict(physics: Physics) -> dict[str, Any]:

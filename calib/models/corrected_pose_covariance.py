@@ -5,23 +5,16 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify import platform_certification
 from calib.certify.calibration import Calibration
-from calib.models.arm import certification as arms
-from calib.models.chain import certification as chains
+from calib.models.machine_models import model_of
 from calib.workspace.workspace_cells import map_workspace
-from rig.model.design import Arm, Chain
 
 
 def corrected_pose_covariance(
     calibration: Calibration, T_base_platform: RigidTransform, commands: np.ndarray
 ) -> np.ndarray:
     """Covariance (n, 6, 6) (m, rad) of the corrected poses (n,) at commands (n, axes), docs/mathematics.md (21)."""
-    if isinstance(calibration.correction.nominal, Arm):
-        return arms.arm_pose_covariance(calibration, commands)
-    if isinstance(calibration.correction.nominal, Chain):
-        return chains.chain_pose_covariance(calibration, commands)
-    return platform_certification.platform_pose_covariance(calibration, T_base_platform)
+    return model_of(calibration.correction.nominal).pose_covariance(calibration, T_base_platform, commands)
 
 
 def calibration_with_workspace(calibration: Calibration) -> Calibration:
@@ -29,7 +22,7 @@ def calibration_with_workspace(calibration: Calibration) -> Calibration:
 
     Raises NotConverged where no configuration closes on a pose
     """
-    if isinstance(calibration.correction.nominal, Chain):
+    if calibration.correction.nominal.bodies:
         return calibration
     return replace(
         calibration,

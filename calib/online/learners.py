@@ -17,6 +17,7 @@ from rig.formats import json_file
 from rig.formats.checked_entries import LARGEST_RIG
 from rig.formats.output_files import write_text
 from rig.model.design import Hexapod
+from rig.model.mechanism_kinds import has_plates
 
 NO_SCATTER = np.zeros(6)
 
@@ -221,7 +222,7 @@ def load_learner(path: Path | str) -> Learner:
     tree = json_file.load(Path(path), "state of a learner", SCHEMA)
     kind = LEARNERS[tree.text("learner", tuple(LEARNERS))]
     nominal = mechanism_from_entries(tree.table("nominal"))
-    if not isinstance(nominal, Hexapod):
+    if not has_plates(nominal):
         tree.fail("nominal is no hexapod", "nominal")
     try:
         learner = kind(nominal, tree.number(kind.SETTING))

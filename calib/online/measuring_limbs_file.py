@@ -17,6 +17,7 @@ from rig.formats import json_file
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files import write_text
 from rig.model.design import Design, Hexapod
+from rig.model.mechanism_kinds import has_plates
 
 SCHEMA = "limbs/1"
 UNITS = (
@@ -178,7 +179,7 @@ def is_limbs_file(path: Path) -> bool:
 
 def _hexapod(tree: Entries, key: str) -> Hexapod:
     found = mechanism_from_entries(tree.table(key))
-    if not isinstance(found, Hexapod):
+    if not has_plates(found):
         tree.fail(
             f"{key} is a mechanism of kind {found.kind!r}; limbs that tell poses are six, as those of a hexapod", key
         )

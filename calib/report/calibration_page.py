@@ -16,7 +16,6 @@ from calib.models.platform.parameter_accuracy import parameter_combinations
 from calib.report.pose_figures import correction_error_figures, pose_coverage_figures, rig_scene
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
-from rig.formats.machine_json import GEOMETRY
 from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts
 from rig.model.pose import pose_to_vector
@@ -161,7 +160,7 @@ def _parameters(calibration: Calibration) -> str:
     fitted, nominal = calibration.correction.fitted, calibration.correction.nominal
     sigma = np.sqrt(np.diag(calibration.covariance))
     rows, start = [], 0
-    for name in GEOMETRY[nominal.kind]:
+    for name in nominal.geometry_arrays:
         for i, own in enumerate((getattr(fitted, name) - getattr(nominal, name)).reshape(len(nominal.axes), -1)):
             u = sigma[start : start + len(own)]
             rows.append(

@@ -5,8 +5,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_geometry import Arm, Chain, Hexapod, Planar2
-from rig.model.mechanisms import arm as arms
+from rig.model.mechanism_geometry import Arm, Chain
 from rig.model.pose import pose_to_vector
 from rig.report.pages.plots import Series, panel_row, plot_panel
 from rig.report.pages.view_3d import Effect, Scene
@@ -70,15 +69,12 @@ def rig_scene(
     base = platform = np.zeros((0, 3))
     moved = [] if markers is None else [_face(markers, int(k)) for k in np.flatnonzero(markers.on_platform)]
     fixed, links = fixed_rig_lines(design, markers), None
-    if isinstance(m, Hexapod):
-        base, platform = m.base_joints, m.platform_joints
-        fixed.append({"kind": "plate", "points": closed_outline(base)})
-        moved.append({"kind": "plate", "points": closed_outline(platform)})
-    elif isinstance(m, Planar2):
-        base = np.column_stack([m.base_joints, np.zeros(len(m.base_joints))])
-        platform = np.zeros_like(base)
-    elif isinstance(m, Arm) and values is not None:
-        links = arms.frames(values, m)[..., :3, 3]
+    if m.strut_joints is not None:
+        base, platform = m.strut_joints
+    elif m.axes and values is not None:
+        links = mechanisms.kinematics_of(m).link_points(values, m)
+    for lines, joints in zip((fixed, moved), m.plates or ()):
+        lines.append({"kind": "plate", "points": closed_outline(joints)})
     if not len(platform):
         moved += _cross()
     return Scene(
@@ -91,7 +87,7 @@ def rig_scene(
         base,
         platform,
         links,
-        platform if isinstance(m, Hexapod) else np.zeros((1, 3)),
+        m.plates[1] if m.plates is not None else np.zeros((1, 3)),
         errors or {},
         effects,
     )
@@ -101,8 +97,8 @@ def mechanism_scene(
     mechanism: Arm | Chain, frames: np.ndarray, values: np.ndarray, effects: tuple[Effect, ...] = ()
 ) -> Scene:
     """Scene of a mechanism without cameras and targets. frames : (n,) numbers; values : (n, axes) rad or m"""
-    links = arms.frames(values, mechanism)[..., :3, 3] if isinstance(mechanism, Arm) else None
-    T = mechanisms.kinematics_of(mechanism).forward(values, mechanism)
+    kinematics = mechanisms.kinematics_of(mechanism)
+    links, T = kinematics.link_points(values, mechanism), kinematics.forward(values, mechanism)
     base = np.zeros((1, 3))
     size = float(
         np.ptp(np.concatenate([base, T.translation] if links is None else [links.reshape(-1, 3)]), axis=0).max()

@@ -9,6 +9,7 @@ import numpy as np
 from calib.samples.pose_samples import Samples, add_stage_measurements, pair_samples, planar_samples
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Instrument
+from rig.model.mechanism_kinds import has_links
 from rig.recording.corner_and_pose_tables import Corners, Poses
 from rig.recording.recording_folder import Recording
 from vision.reading.recording_corners import Collected
@@ -81,39 +82,45 @@ def sample_recording(
         source,
         measured,
         collected,
-        instrument=CAMERAS if recording.design.mechanism.kind == "arm" else None,
+        instrument=CAMERAS if has_links(recording.design.mechanism) else None,
     )
 
 
 def samples_within_freedoms(recording: Recording, samples: Samples) -> Samples:
     """Samples restricted to the freedoms of a recording's machine: planar ones of two struts."""
-    return planar_samples(samples) if recording.design.mechanism.kind == "planar2" else samples
+    return planar_samples(samples) if recording.design.mechanism.pose_coordinates == (0, 1) else samples
 
 
 def _from_poses(recording: Recording, poses: Poses) -> Samples:
     instrument = recording.design.instrument
+    if instrument is not None and not has_links(recording.design.mechanism):
+        _require_whole_poses(recording, instrument)
+    found = pair_samples(recording, poses.frame, poses.T_base_platform, _covariance(poses, instrument))
+    for stage, below in recording.stages.items():
+        found = add_stage_measurements(found, stage, below.frame, below.T_base_platform, _covariance(below, instrument))
+    return found
+
+
+def _require_whole_poses(recording: Recording, instrument: Instrument) -> None:
+    """Raise RigError for an instrument whose place is solved for with arms alone, or that measures a part of poses."""
     kind = recording.design.mechanism.kind
-    if instrument is not None and "free" in (instrument.base, instrument.tool) and kind != "arm":
+    if "free" in (instrument.base, instrument.tool):
         raise RigError(
             f'{recording.folder}: an instrument whose place is unknown (base or tool "free") is solved for '
             "with arms, not with a "
             f"mechanism of kind {kind!r}; state its poses in the rig's own frames"
         )
-    if instrument is not None and instrument.kind != "pose" and kind != "arm":
+    if instrument.kind != "pose":
         raise RigError(
             f"{recording.folder}: an [instrument] of kind {instrument.kind!r} calibrates arms, not a "
             f"mechanism of kind {kind!r}"
         )
-    if instrument is not None and instrument.rotation_sigma is None and kind != "arm":
+    if instrument.rotation_sigma is None:
         raise RigError(
             f"{recording.folder}: [instrument] states no rotation_sigma, and positions alone calibrate arms, "
             "not a mechanism of "
             f"kind {kind!r}"
         )
-    found = pair_samples(recording, poses.frame, poses.T_base_platform, _covariance(poses, instrument))
-    for stage, below in recording.stages.items():
-        found = add_stage_measurements(found, stage, below.frame, below.T_base_platform, _covariance(below, instrument))
-    return found
 
 
 def _covariance(poses: Poses, instrument: Instrument | None) -> np.ndarray:

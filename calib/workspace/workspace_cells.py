@@ -12,7 +12,7 @@ from calib.correct.summand_extension import home_pose
 from calib.workspace.reachable_poses import Side, reachable_side, uncorrected_machine
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
-from rig.model.design import Arm
+from rig.model.mechanism_kinds import has_struts
 from rig.model.pose import pose_to_vector
 from rig.planning.configuration_sets import sobol_configurations
 
@@ -85,11 +85,11 @@ def map_workspace(correction: Correction[Any, Any], covariance: Covariance, coun
     Raises NotConverged where no configuration closes on a pose
     """
     nominal = correction.nominal
-    count = count or (FEWER if isinstance(nominal, Arm) else DRAWN)
+    count = count or (DRAWN if has_struts(nominal) else FEWER)
     drawn = sobol_configurations(mechanisms.kinematics_of(nominal).travel(nominal), count, 1.0)
     owner = uncorrected_machine(correction)
     believed, real = reachable_side(owner, correction, drawn), reachable_side(correction, owner, drawn)
-    short = isinstance(nominal, Arm) and len(nominal.axes) < 6
+    short = not has_struts(nominal) and len(nominal.axes) < 6
     lost, gained = (np.zeros(len(one.out), bool) if short else one.out for one in (believed, real))
     positions = np.concatenate([believed.T_base_platform.translation, real.T_base_platform.translation])
     origin, size = _corner(positions)
@@ -110,7 +110,7 @@ def map_workspace(correction: Correction[Any, Any], covariance: Covariance, coun
         np.stack([np.trace(C[:, part, part], axis1=1, axis2=2) for part in (slice(0, 3), slice(3, 6))], axis=1)
     )
     middles = origin + (index + 0.5) * size
-    room = most(_room(correction, real.commands)) if isinstance(nominal, Arm) else _at_home(correction, middles)
+    room = _at_home(correction, middles) if has_struts(nominal) else most(_room(correction, real.commands))
     return Workspace(
         count,
         None if short else float(lost.mean()),
@@ -154,11 +154,7 @@ def _singular(correction: Correction[Any, Any], real: Side) -> np.ndarray:
     like moves on the whole.
     """
     fitted, kinematics = correction.fitted, mechanisms.kinematics_of(correction.fitted)
-    if isinstance(fitted, Arm):
-        corrected = real.commands - correction.rho(real.commands)
-        J = np.swapaxes(kinematics.jacobian(corrected, fitted), 1, 2)  # type: ignore[attr-defined]
-    else:
-        J = kinematics.jacobian(real.T_base_platform, fitted)  # type: ignore[attr-defined]
+    J = kinematics.singularity_rows(real.T_base_platform, real.commands - correction.rho(real.commands), fitted)
     move, turn = (np.sqrt((J[..., part] ** 2).sum(axis=(1, 2)).mean()) for part in (slice(0, 3), slice(3, 6)))
     if turn:
         J = J * np.repeat([1.0, move / turn], 3)
@@ -168,7 +164,7 @@ def _singular(correction: Correction[Any, Any], real: Side) -> np.ndarray:
 
 def axis_margin_description(correction: Correction[Any, Any]) -> str:
     """Description of the map's margin to the axis limits, in words."""
-    if isinstance(correction.nominal, Arm):
+    if not has_struts(correction.nominal):
         return "the most that a pose drawn there leaves"
     degrees = np.degrees(pose_to_vector(home_pose(correction.nominal))[3:])
     return "the pose in its middle, turned like home (" + " ".join(f"{angle:.3g}" for angle in degrees) + " degrees)"

@@ -14,8 +14,13 @@ import cv2
 import numpy as np
 
 from rig.cli.command_line import main
+from rig.effects.catalogue.effect_list import ALL
+from rig.effects.framework.effect import Effect
 
-HIDDEN = "backlash:strut3:gap=2e-4"
+LOST = next(kind for kind in ALL if kind.forgets is not Effect.forgets)  # how an axis came to its place matters
+SCALED = next(kind for kind in ALL if kind.form == "slope")  # it grows with the travel
+LATE = next(kind for kind in ALL if kind.retimes() and "rig" in kind.places)  # the axes follow their commands late
+HIDDEN = f"{LOST.name}:strut3:{LOST.parameters[0].name}=2e-4"
 BOARD = "charuco:7x5:0.03:0.022:DICT_5X5_100"
 SHOTS, PIXELS, STARTED = (
     12,
@@ -68,7 +73,7 @@ def quick(at: Path) -> dict[str, Path]:
         )
         rig("measure", "pictures", "--out", "measured")
         rig("calibrate", "rec", "--out", "calibration.json")
-        rig("diagnose", "rec", "--only", "backlash", "--only", "scale_error", "--out", "found")
+        rig("diagnose", "rec", "--only", LOST.name, "--only", SCALED.name, "--out", "found")
         rig("verify", "calibration.json", "rec2", "--page", "verified.html")
         rig(
             "certify",
@@ -117,7 +122,7 @@ def slow(at: Path) -> dict[str, Path]:
             "--plan",
             "sobol:4",
             "--effect",
-            "servo_lag:rig:time_constant=0.012",
+            f"{LATE.name}:rig:{LATE.parameters[0].name}=0.012",
             "--seed",
             "1",
             "--out",

@@ -34,6 +34,7 @@ from rig.model.design import (
     SensorPort,
     Target,
 )
+from rig.model.mechanism_kinds import has_links
 from rig.planning.layout import hexapod_and_two_strut_layout, shipped_arm_layout
 
 HEAD = """# rig.toml, table by table
@@ -247,7 +248,7 @@ def asked() -> dict[tuple[str, Key], Asked]:
         text = tomlkit.dumps({key: value for key, value in tree.items() if value is not None})
         root = Log(tomllib.loads(text), (), Path("rig.toml"), value_positions(text), found)
         mechanism = design_file.design_of_entries(root).mechanism
-        if isinstance(mechanism, Arm):
+        if has_links(mechanism):
             arm_dynamics_entries.dynamics_of_table(root.table("dynamics", optional=True), len(mechanism.axes))
     return {at: what for at, what in found.items() if at[1] not in TABLE_KEYS or at == ("[instrument]", "kind")}
 

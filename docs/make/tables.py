@@ -9,7 +9,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from unittest.mock import patch
 
-from rig.effects.catalogue.thermal_expansion import AMBIENT
 from rig.formats import csv_table
 from rig.formats.csv_table import Table
 from rig.planning.layout import hexapod_and_two_strut_layout
@@ -119,7 +118,11 @@ def page() -> str:
 
 def channels() -> list[tuple[str, str]]:
     """Names that a sensors.csv's channels have where the program knows what they are, with their units."""
-    temperatures = (AMBIENT, "strut1_temperature_C` .. `strut6_temperature_C", "camera_NAME_temperature_C")
+    temperatures = (
+        "ambient_temperature_C",
+        "strut1_temperature_C` .. `strut6_temperature_C",
+        "camera_NAME_temperature_C",
+    )
     return [
         *((name, "degrees Celsius") for name in temperatures),
         ("payload_mass_kg", "kg"),

@@ -139,8 +139,9 @@ def environment_mistakes(design: Design) -> Iterator[Mistake]:
         yield Mistake(
             f"rig.toml: gravity is {said}: {size:g}", "State environment.gravity in m/s^2 in the base frame", False, 0.7
         )
-    if design.mechanism.kind == "hexapod" and size > 0:
-        up = design.mechanism.home.translation
+    home = design.mechanism.home_pose
+    if home is not None and size > 0:
+        up = home.translation
         if (g @ up) / (size * np.linalg.norm(up)) > 0.5:
             yield Mistake(
                 "rig.toml: gravity has the wrong sign: it points from the base to the platform, as in a "

@@ -130,7 +130,7 @@ def _all(recording: Recording) -> Iterator[Mistake]:
         odd = list(units_and_conventions.command_unit_mistakes(r.commands, design))
         yield from odd
         if not odd:
-            unit = "rad" if design.mechanism.kind == "arm" else "m"
+            unit = design.mechanism.axis_unit
             yield from clock_mistakes.speed_mistakes(
                 r.commands.t,
                 r.commands.values,

@@ -6,6 +6,7 @@ import numpy as np
 
 from rig.checks.user_mistake import Mistake
 from rig.model.design import Arm, Camera, Design
+from rig.model.mechanism_kinds import has_links
 
 TURN = 2.2 * np.pi  # rad; nobody writes a rotation vector that is longer
 WIDE = (0.15, 20.0)  # focal length in image widths that lenses have
@@ -18,7 +19,7 @@ TANGENTIAL = 0.03
 
 def implausible_values(design: Design) -> Iterator[Mistake]:
     """Mistakes of implausible values in a Design: camera matrices, lenses, an arm's rows and limits."""
-    if design.mechanism.kind == "arm":
+    if has_links(design.mechanism):
         yield from _arm(design.mechanism)
     for camera in design.cameras:
         yield from _matrix(camera)

@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.checks.user_mistake import Mistake
 from rig.model import mechanisms
 from rig.model.design import Design
+from rig.model.mechanism_kinds import has_links, has_struts
 from rig.recording.recording_folder import Commands
 
 UNITS = {"millimetres": 1e3, "centimetres": 1e2, "micrometres": 1e6, "inches": 1 / 0.0254}  # per metre
@@ -18,12 +19,11 @@ MUCH = 0.1  # share of commands beyond the range by more than a tenth of it, tha
 def command_unit_mistakes(commands: Commands, design: Design) -> Iterator[Mistake]:
     """Mistakes of the unit or origin of commands, from values (n, axes) outside the design's ranges."""
     m = design.mechanism
-    if m.kind == "arm":
+    if has_links(m):
         yield from _angles(commands.values[:, ~m.slides], m.limits[~m.slides])
         yield from _slides(commands.values[:, m.slides], m.limits[m.slides])
-    elif m.kind in ("hexapod", "planar2"):
-        home = mechanisms.kinematics_of(m).inverse(m.home, m) if m.kind == "hexapod" else m.strut_range.mean(axis=1)
-        yield from _lengths(commands.values, m.strut_range, home)
+    elif has_struts(m):
+        yield from _lengths(commands.values, m.strut_range, mechanisms.kinematics_of(m).home(m))
 
 
 def _outside(values: np.ndarray, ranges: np.ndarray) -> np.ndarray:

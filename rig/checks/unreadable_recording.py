@@ -13,8 +13,6 @@ from rig.errors import FileError, RigError
 from rig.formats import csv_table, remote_folders
 from rig.formats.input_files import read_text
 from rig.formats.rig_toml import design_file
-from rig.model.design import Chain, Free
-from rig.model.mechanisms import arm
 
 SPREAD = {
     "arm": 0.4,
@@ -66,9 +64,9 @@ def _poses(folder: Path, complaint: str) -> Iterator[Mistake]:
     if "poses.csv" not in complaint or "implausible" not in complaint:
         return
     m = design_file.load_design(folder / "rig.toml").mechanism
-    if isinstance(m, Free | Chain):  # moved by hand, or by several: nothing is known of its size as a whole
+    size = m.reach
+    if size is None:
         return
-    size = arm.reach(m) if m.kind == "arm" else float(m.strut_range.max())
     p = csv_table.read(folder / "poses.csv", ("x", "y", "z")).matrix(("x", "y", "z"))
     spread = float(np.sqrt(((p - p.mean(axis=0)) ** 2).sum(axis=1).mean())) / (SPREAD[m.kind] * size)
     unit, per = min(

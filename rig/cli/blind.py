@@ -8,15 +8,13 @@ import re
 import sys
 import time
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from signal import SIGKILL
 from subprocess import CompletedProcess
 from typing import TYPE_CHECKING
 
+from rig.cli.shared import blind_case_process
 from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option
 from rig.cli.shared.worker_options import results_with_progress, worker_pool
 from rig.compute.worker_processes import run_child_process
@@ -28,18 +26,8 @@ from rig.formats.number_parsing_and_rounding import parse_whole_number
 if TYPE_CHECKING:
     from types import ModuleType
 
-    import numpy as np
-
     from synthetic.diagnosis_score import Case
 
-# a child does not outlive this process
-ALONE = "import sys; from rig.compute.worker_processes import end_when_parent_ends; end_with_parent(int(sys.argv[1])); "
-DIAGNOSE = (
-    ALONE
-    + "from rig.cli.shared.child_processes import forbid_folder; from rig.cli.command_line import main; "
-    + "forbid_folder(sys.argv[2]); sys.exit(main(sys.argv[3:]))"
-)
-DRAW = ALONE + "import json; from rig.cli.blind import draw_blind_case; draw_blind_case(*json.loads(sys.argv[2]))"
 ONE_THREAD = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
 ROOT = Path(__file__).parents[2]  # children run the code that runs here, wherever they stand
 MOST, MOST_FRAMES = 1_000_000, 10_000  # cases of a campaign, frames of a case
@@ -195,59 +183,8 @@ def _same_campaign(path: Path, settings: dict) -> None:
     write_text(path, json.dumps(settings, indent=1) + "\n")
 
 
-def draw_blind_case(out: Path, index: int, settings: dict) -> None:
-    """Draw a blind case: write its recording, its truth, and last the hash of the truth."""
-    from rig.formats.output_files import Outputs, write_text
-
-    out = Path(out)
-    folder, truth = out / "recordings" / f"{index:04d}", out / "truth" / f"{index:04d}.json"
-    drawn = _drawn_arm_case if settings.get("mechanism") == "arm" else _drawn_case
-    with Outputs("blind", force=True) as outputs:
-        write_truth, strengths = drawn(index, settings, outputs.folder(folder))
-    write_truth(truth, index=index, settings=settings, strengths=strengths.tolist())
-    write_text(_hash(out, index), f"{sha256(truth.read_bytes()).hexdigest()}  ../truth/{truth.name}\n")
-
-
-def _drawn_case(index: int, settings: dict, folder: Path) -> tuple[Callable[..., None], np.ndarray]:
-    """(what writes the truth of a hexapod's case, its effects' strengths), its recording written."""
-    from calib.diagnose.problems.platform.effect_strength import platform_effect_strengths
-    from rig.recording import recording_folder
-    from synthetic import blind_cases as blind
-
-    case = blind.draw_case(
-        settings["seed"],
-        index,
-        settings["frames"],
-        settings["withhold"],
-        settings["hide"],
-        settings["effects"],
-        settings.get("images", False),
-    )
-    blind.write_recording(case, folder)
-    world, written = case.simulation.world, recording_folder.load_recording(folder)
-    written = written if case.image_settings is None else replace(written, corners=blind.simulated_corners(case))
-    values = platform_effect_strengths(written, world.true, case.noise, world.effects, case.simulation.sensors)[
-        : len(case.hidden)
-    ]
-    return partial(blind.write_truth, case), values
-
-
-def _drawn_arm_case(index: int, settings: dict, folder: Path) -> tuple[Callable[..., None], np.ndarray]:
-    """The same of an arm's case."""
-    from calib.diagnose.problems.arm.effect_strength import arm_effect_strengths
-    from synthetic import blind_arm_cases as blind_arm
-
-    case = blind_arm.draw_arm_case(settings["seed"], index, settings["frames"], settings["hide"], settings["effects"])
-    blind_arm.write_recording(case, folder)
-    done = case.simulation
-    seen = case.sigma[: 1 if "positions" in case.hard else 2]
-    return partial(blind_arm.write_truth, case), arm_effect_strengths(
-        done.world.true, done.plan.commands, done.plan.t, seen, done.world.effects, done.sensors
-    )
-
-
 def _drawn(out: Path, index: int, settings: dict) -> None:
-    done = _child([sys.executable, "-P", "-c", DRAW, str(os.getpid()), json.dumps([out, index, settings])])
+    done = _child(["draw", out, str(index), json.dumps(settings)])
     if done.returncode:
         raise RigError(f"case {index} could not be drawn: {done.stderr.strip() or 'stopped'}")
 
@@ -262,11 +199,7 @@ def _diagnosed(out: Path, index: int) -> tuple[int, float, str | None]:
     record.unlink(missing_ok=True)
     start = time.monotonic()
     command = [
-        sys.executable,
-        "-P",
-        "-c",
-        DIAGNOSE,
-        str(os.getpid()),
+        "command",
         out / "truth",
         "diagnose",
         out / "recordings" / f"{index:04d}",
@@ -285,9 +218,10 @@ def _diagnosed(out: Path, index: int) -> tuple[int, float, str | None]:
 
 
 def _child(command: list) -> CompletedProcess:
-    """A child process once it has ended; one that is ended from outside, as a system does that is short of memory, is
-    begun once more.
+    """A process of `blind_case_process` once it has ended; one that is ended from outside, as a system does that is
+    short of memory, is begun once more.
     """
+    command = [sys.executable, "-P", "-m", blind_case_process.__name__, str(os.getpid()), *command]
     done = run_child_process(command, _environment())
     return run_child_process(command, _environment()) if done.returncode == -SIGKILL else done
 
@@ -301,15 +235,11 @@ def _environment() -> dict[str, str]:
     }
 
 
-def _hash(out: Path, index: int) -> Path:
-    return out / "hashes" / f"{index:04d}.sha256"
-
-
 def _digest(out: Path, index: int) -> str | None:
     """What a case's hash says, or None where there is none or it is torn, which is said: the case is then drawn anew,
     the same by its seed.
     """
-    path = _hash(out, index)
+    path = blind_case_process.hash_file(out, index)
     if not path.exists():
         return None
     found = re.match(rb"[0-9a-f]{64}\b", read_bytes(path))

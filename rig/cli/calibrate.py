@@ -98,7 +98,7 @@ def run(arguments: Namespace) -> None:
     page = arguments.outputs.stage_file(out, ".html")
     links = page_links(arguments, arguments.out.with_suffix(".html")) if page else []
     nominal = recording.design.mechanism
-    told = page is not None and nominal.kind != "chain"
+    told = page is not None and not nominal.bodies
     values = arguments.outputs.file(arguments.out.with_name(_values_name(arguments.out))) if told else None
 
     import numpy as np
@@ -111,14 +111,14 @@ def run(arguments: Namespace) -> None:
     correction_extension.refuse_incompatible_extension_options(arguments, nominal.kind)
     if arguments.extend:
         calibration = _extended(recording, sampled, (out, page, links), arguments, rng, progress)
-    elif arguments.joint and nominal.kind in ("arm", "chain"):
+    elif arguments.joint and nominal.strut_joints is None:
         raise RigError(
             f"--joint solves a hexapod's cameras and struts together; a mechanism of kind {nominal.kind!r} "
             "takes none of it"
         )
-    elif nominal.kind == "chain":
+    elif nominal.bodies:
         calibration = _chain(recording, sampled, (out, page, links), arguments, rng, progress)
-    elif nominal.kind == "arm":
+    elif nominal.link_rows is not None:
         known = (
             _taken_arm(recording, sampled, findings, own, progress) if arguments.find or findings is not None else None
         )
@@ -136,7 +136,7 @@ def run(arguments: Namespace) -> None:
 def _findings(arguments: Namespace, recording: Recording, own: Kinds) -> Findings | None:
     """Findings of the diagnosis that is named, None where none is. Raises RigError for what cannot take any in."""
     asked = "--find" if arguments.find else "--diagnosis" if arguments.diagnosis is not None else None
-    if asked and recording.design.mechanism.kind == "chain":
+    if asked and recording.design.mechanism.bodies:
         raise RigError(f"{asked} is for platforms on struts and for arms; a chain is corrected by its geometry")
     if asked and arguments.joint:
         raise RigError(
@@ -187,7 +187,7 @@ def _write_summands(path: Path, samples: Samples, calibration: Calibration) -> N
     from rig.recording.recording_tables import write_table
 
     nominal = calibration.correction.nominal
-    if nominal.kind == "arm":
+    if nominal.link_rows is not None:
         from calib.models.arm.certification import UNPLACED
         from calib.models.arm.extension_certification import stated_model_summands
 

@@ -112,7 +112,8 @@ def run(arguments: Namespace) -> None:
     out = arguments.outputs.folder(arguments.out)
 
     calibration = None if arguments.calibration is None else _known(arguments.calibration, recording, own)
-    diagnosed = _arm if recording.design.mechanism.kind in ("arm", "chain") else _platform
+    mechanism = recording.design.mechanism
+    diagnosed = _arm if mechanism.axes and mechanism.strut_joints is None else _platform
     _print(
         diagnosed(
             recording,
@@ -213,7 +214,7 @@ def _platform(recording: Recording, arguments: Namespace, known: Beforehand, out
 
     sampled = (
         None
-        if recording.commands is None or recording.design.mechanism.kind == "free"
+        if recording.commands is None or not recording.design.mechanism.axes
         else sample_recording(recording, progress=progress)
     )
     found = replace(

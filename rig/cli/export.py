@@ -140,7 +140,7 @@ def _export(arguments: Namespace) -> list[str]:
         ),
         "urdf": lambda: (
             arm_urdf.arm_urdf(require_arm(mechanism), arguments.machine.stem)
-            if mechanism.kind == "arm"
+            if mechanism.link_rows is not None
             else hexapod_urdf_and_sdf.hexapod_urdf(require_hexapod(mechanism), arguments.machine.stem)
         ),
         "sdf": lambda: hexapod_urdf_and_sdf.hexapod_sdf(require_hexapod(mechanism), arguments.machine.stem),
@@ -171,7 +171,7 @@ def _tables(arguments: Namespace) -> None:
         raise RigError(f"{arguments.format} takes a calibration.json and --out")
     correction = calibration_file.load(arguments.machine).correction
     mechanism = correction.nominal
-    if mechanism.kind == "arm":
+    if mechanism.link_rows is not None:
         raise RigError(f"{arguments.format} takes a hexapod's calibration; an arm's is corrected by `rig correct`")
     parts = arguments.parts if arguments.parts is not None else 3 if arguments.format == "grid" else 64
     most = 9 if arguments.format == "grid" else linuxcnc_and_compensation_tables.MOST - 1
@@ -284,4 +284,4 @@ def _exported(mechanism: Mechanism) -> Hexapod | Arm:
     """The mechanism, which has a geometry that can be written."""
     from rig.model.mechanism_kinds import require_arm, require_hexapod
 
-    return require_arm(mechanism) if mechanism.kind == "arm" else require_hexapod(mechanism)
+    return require_arm(mechanism) if mechanism.link_rows is not None else require_hexapod(mechanism)

@@ -147,7 +147,7 @@ def _same(nominal: Hexapod, mechanism: Hexapod, arguments: Namespace) -> None:
     """Raise RigError where a calibration is of another rig than the one to drive."""
     import numpy as np
 
-    names = ("base_joints", "platform_joints") if mechanism.kind == "hexapod" else ("base_joints",)
+    names = [name for name in mechanism.geometry_arrays if name != "strut_zeros"]
     if nominal.kind != mechanism.kind or not all(
         np.allclose(getattr(nominal, name), getattr(mechanism, name), rtol=0, atol=1e-6) for name in names
     ):

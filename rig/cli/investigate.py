@@ -89,12 +89,12 @@ def run(arguments: Namespace) -> int:
     from rig.formats.rig_toml import design_file
 
     design = design_file.load_design(arguments.design)
-    if design.mechanism.kind not in ("hexapod", "planar2", "arm"):
+    if len(design.mechanism.stages) != 1:
         raise RigError(
             "an investigation is of a platform on struts or of an arm, not of a mechanism of kind "
             f"{design.mechanism.kind!r}"
         )
-    if design.mechanism.kind == "arm" and design.instrument is None and not (design.cameras and design.targets):
+    if design.mechanism.link_rows is not None and design.instrument is None and not (design.cameras and design.targets):
         raise RigError(
             "an investigation of an arm takes an [instrument] that measures its poses, or cameras and "
             "targets that show them"

@@ -63,9 +63,11 @@ def run(arguments: Namespace) -> None:
     progress("reading the recording", 0, 1)
     recording = recording_checks.load_recording(arguments)
     look = recording_checks.check_recording(recording, arguments.anyway)
-    mechanism = recording.design.mechanism
-    if mechanism.kind != "hexapod":
-        raise RigError(f"on-line learning is for hexapods, not for a mechanism of kind {mechanism.kind!r}")
+    from rig.model.mechanism_kinds import require_hexapod
+
+    mechanism = require_hexapod(
+        recording.design.mechanism, "on-line learning is for hexapods, not for a mechanism of kind {kind!r}"
+    )
     state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
     page = page_path(arguments)
 

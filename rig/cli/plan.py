@@ -164,12 +164,13 @@ def _promise(arguments: Namespace) -> Made:
     """Write the fewest configurations that keep a promise; nothing where it is met without any."""
     from rig.formats.number_parsing_and_rounding import quantity_text
     from rig.formats.rig_toml import design_file
+    from rig.model.mechanism_kinds import require_hexapod
     from rig.recording import recording_tables
 
     design = design_file.load_design(arguments.design)
-    mechanism = design.mechanism
-    if mechanism.kind != "hexapod":
-        raise RigError(f"plans for a promise are for hexapods, not for a mechanism of kind {mechanism.kind!r}")
+    mechanism = require_hexapod(
+        design.mechanism, "plans for a promise are for hexapods, not for a mechanism of kind {kind!r}"
+    )
     out = arguments.outputs.file(arguments.out)
 
     from calib.models.platform.optimal_configurations import fewest_configurations
@@ -231,9 +232,11 @@ def _parts(arguments: Namespace) -> Made:
     )
     recording_tables.write_configurations(arguments.outputs.file(arguments.out), mechanism.axes, goals)
     said = [f"{len(goals)} configurations of {arguments.parts}"]
-    if mechanism.kind == "hexapod":
+    if mechanism.home_pose is not None:
         moved = (
-            pose_difference(mechanism.home, mechanisms.kinematics_of(mechanism).forward(np.array(goals), mechanism))
+            pose_difference(
+                mechanism.home_pose, mechanisms.kinematics_of(mechanism).forward(np.array(goals), mechanism)
+            )
             * 1e3
         )
         low, high = moved.min(axis=0), moved.max(axis=0)
@@ -277,19 +280,19 @@ def _separate(arguments: Namespace) -> Made:
             "plans to separate effects are for what is commanded, not for a mechanism of kind "
             f"{design.mechanism.kind!r}"
         )
-    if design.mechanism.kind == "hexapod":
-        from calib.diagnose.problems.platform.effect_separation import platform_effect_separation
-    else:
+    if design.mechanism.plates is not None:
         pass
+    else:
+        from calib.diagnose.problems.arm.effect_separation import arm_effect_separation
     out = arguments.outputs.file(arguments.out)
     trials = []
-    moves = [text for text in MOVES if design.mechanism.kind == "hexapod" or not text.startswith("axes")]
+    moves = [text for text in MOVES if design.mechanism.plates is not None or not text.startswith("axes")]
     for text in (*moves, *(",".join(pair) for pair in combinations(moves, 2))):
         plan = build_plan(design, text, SEED)
         sensors, _ = draw_temperatures(plan.commands.t[-1], np.random.default_rng(SEED))
         trials.append(
             (
-                platform_effect_separation(
+                arm_effect_separation(
                     text, design, plan.commands, plan.t, add_payload_channel(plan, sensors), effects, arguments.sigma
                 ),
                 plan,
@@ -320,22 +323,20 @@ def _separate(arguments: Namespace) -> Made:
 
 def _parameters(arguments: Namespace) -> Made:
     from rig.formats.rig_toml import design_file
-    from rig.model.design import Free, Hexapod
+    from rig.model.mechanism_kinds import has_plates, require_axes
     from rig.recording import recording_tables
 
     design = design_file.load_design(arguments.design)
-    mechanism = design.mechanism
-    if isinstance(mechanism, Free):
-        raise RigError(
-            f"plans for parameters are for what is commanded, not for a mechanism of kind {mechanism.kind!r}"
-        )
+    mechanism = require_axes(
+        design.mechanism, "plans for parameters are for what is commanded, not for a mechanism of kind {kind!r}"
+    )
     if arguments.count < 1 or min(arguments.sigma) <= 0:
         raise RigError(
             f"--count and --sigma take positive numbers, got {arguments.count} and {arguments.sigma[0]:g} "
             f"{arguments.sigma[1]:g}"
         )
     out = arguments.outputs.file(arguments.out)
-    if not isinstance(mechanism, Hexapod):
+    if not has_plates(mechanism):
         return _of_any(arguments, design, mechanism, out)
 
     from calib.models.platform.optimal_configurations import choose_d_optimal_configurations as choose

@@ -48,7 +48,7 @@ def run(arguments: Namespace) -> None:
     if arguments.out is not None and arguments.out.suffix:
         raise RigError(f"{arguments.out}: --out takes a folder, for three files")
     calibration = calibration_file.load(arguments.calibration)
-    if calibration.correction.nominal.kind == "chain":
+    if calibration.correction.nominal.bodies:
         raise RigError(
             f"{arguments.calibration} is of a chain, which comes to most poses in many ways: it has no map "
             "of its workspace"

@@ -106,9 +106,9 @@ def require_safe_path(
     share = np.linspace(0.0, 1.0, count + 1)
     way = start + share[:, None] * (target - start)
     module = mechanisms.kinematics_of(mechanism)
-    home = (
-        mechanism.home if mechanism.kind == "hexapod" else module.forward(mechanism.strut_range.mean(axis=1), mechanism)
-    )
+    home = mechanism.home_pose
+    if home is None:
+        home = module.forward(module.home(mechanism), mechanism)
     try:
         poses = module.forward(way, mechanism)
     except NotConverged as error:
@@ -132,6 +132,6 @@ def require_safe_path(
 def _dexterity(module: Any, poses: RigidTransform, mechanism: Hexapod | Planar2) -> np.ndarray:
     """(...) least singular value of the Jacobian, turns taken as lengths at the platform joints' mean radius."""
     J = module.jacobian(poses, mechanism)
-    if mechanism.kind == "hexapod":
-        J = J / np.r_[1, 1, 1, np.full(3, np.linalg.norm(mechanism.platform_joints, axis=1).mean())]
+    if mechanism.plates is not None:
+        J = J / np.r_[1, 1, 1, np.full(3, np.linalg.norm(mechanism.plates[1], axis=1).mean())]
     return np.linalg.svd(J, compute_uv=False)[..., -1]

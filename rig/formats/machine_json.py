@@ -13,17 +13,10 @@ from rig.effects.texts.effect_text import Kinds, effect_from_dict, effect_to_dic
 from rig.errors import FileError, RigError
 from rig.formats import json_file
 from rig.formats.checked_entries import LARGEST_RIG, Entries
-from rig.model.design import Arm, Camera, Chain, Design
-from rig.model.mechanism_kinds import Mechanism
+from rig.model.design import Camera, Design
+from rig.model.mechanism_kinds import Mechanism, has_stages
 from rig.model.pose import pose, pose_to_vector
 
-GEOMETRY = {
-    "hexapod": ("base_joints", "platform_joints", "strut_zeros"),
-    "planar2": ("base_joints", "strut_zeros"),
-    "arm": ("joints",),
-    "chain": (),
-}
-PLACES = ("base", "tool")  # of an arm, as poses
 LIMBS = ("base_joints", "platform_joints", "zeros")
 
 
@@ -47,14 +40,12 @@ def machine_dict(design: Design, effects: Iterable[Effect]) -> dict:
 
 def _geometry(m: Mechanism) -> dict[str, Any]:
     """Geometry by name; of a chain that of each stage."""
-    if isinstance(m, Chain):
+    if m.bodies:
         return {"stages": [_geometry(stage) for stage in m.stages]}
-    own = {name: getattr(m, name).tolist() for name in GEOMETRY.get(m.kind, ())}
-    return (
-        own | {"joints": m.rows.tolist(), **{name: pose_to_vector(getattr(m, name)).tolist() for name in PLACES}}
-        if isinstance(m, Arm)
-        else own
-    )
+    return {
+        **{name: array.tolist() for name, array in m.geometry_arrays.items()},
+        **{name: pose_to_vector(getattr(m, name)).tolist() for name in m.placements},
+    }
 
 
 def load_machine(
@@ -86,18 +77,17 @@ def load_machine(
 
 def _mechanism(stated: Mechanism, table: Entries) -> Mechanism:
     """The mechanism of such a file, as far as it says; the rest as stated."""
-    if isinstance(stated, Chain):
+    if has_stages(stated):
         parts = table.tables("stages")
         if len(parts) != len(stated.stages):
             table.fail(f"{table.name('stages')} must hold {len(stated.stages)} stages, got {len(parts)}", "stages")
         stages = tuple(_mechanism(stage, part) for stage, part in zip(stated.stages, parts))
         return replace(stated, stages=stages)  # type: ignore[arg-type]
     found = {}
-    for name in GEOMETRY.get(stated.kind, ()):
+    for name, array in stated.geometry_arrays.items():
         if name in table.tree:
-            shape = (len(stated.axes), 5) if name == "joints" else getattr(stated, name).shape
-            found[name] = table.array(name, shape, length_limit=LARGEST_RIG)
-    for name in PLACES if stated.kind == "arm" else ():
+            found[name] = table.array(name, array.shape, length_limit=LARGEST_RIG)
+    for name in stated.placements:
         if name in table.tree:
             found[name] = pose(*np.split(table.array(name, (6,), length_limit=LARGEST_RIG), 2))
     return replace(stated, **found)

@@ -10,9 +10,9 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.machine_motion import Motion, Path
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
-from rig.model.design import Chain, Design, Hexapod, Planar2
-from rig.model.mechanism_kinds import require_axes
-from rig.model.mechanisms import chain, hexapod, two_strut_plane
+from rig.model.design import Design
+from rig.model.mechanism_kinds import has_stages, require_axes, require_struts
+from rig.model.mechanisms import chain
 from rig.model.pose import exp, pose_difference
 from rig.recording.recording_folder import Commands, Sensors
 
@@ -108,7 +108,7 @@ def run_machine(
                 left[failed],
             )
     sway = sum((effect.sway(state) for effect in effects), np.zeros((len(state.t), 6)))
-    stages = chain.stage_poses(state.lengths + deviation, m)[:-1] if isinstance(m, Chain) else []
+    stages = chain.stage_poses(state.lengths + deviation, m)[:-1] if has_stages(m) else []
     return Run(T * exp(sway) if sway.any() else T, deviation, stages=tuple(stages))
 
 
@@ -148,12 +148,8 @@ def effective_commands_and_sway(
 
 def apparent_strut_elongations(design: Design, T: RigidTransform, sway: np.ndarray) -> np.ndarray:
     """(n, axes) m apparent elongation of struts where the platform at T (n,) is displaced by sway (n, 6)."""
-    m = design.mechanism
-    if isinstance(m, Hexapod):
-        return np.einsum("nij,nj->ni", hexapod.jacobian(T, m), sway)
-    if isinstance(m, Planar2):
-        return np.einsum("nij,nj->ni", two_strut_plane.jacobian(T, m), sway)
-    raise RigError(f"a {m.kind} has no struts")
+    m = require_struts(design.mechanism, "a {kind} has no struts")
+    return np.einsum("nij,nj->ni", mechanisms.kinematics_of(m).axis_changes(T, np.zeros(0), m), sway)
 
 
 def has_rolling_shutter(design: Design, effects: Iterable[Effect]) -> bool:

@@ -12,6 +12,7 @@ from rig.formats import csv_table
 from rig.formats.input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design, Hexapod
+from rig.model.mechanism_kinds import require_hexapod
 from rig.model.pose import pose
 from rig.planning import sobol_points
 
@@ -155,9 +156,7 @@ def translation_rotation_moves(design: Design, per_pair: int = 6) -> np.ndarray:
 
 def _hexapod(design: Design, what: str) -> Hexapod:
     """A design's mechanism. Raises RigError for one that is no hexapod, of which `what` says the rest."""
-    if not isinstance(design.mechanism, Hexapod):
-        raise RigError(f"{what}, not for a mechanism of kind {design.mechanism.kind!r}")
-    return design.mechanism
+    return require_hexapod(design.mechanism, f"{what}, not for a mechanism of kind {{kind!r}}")
 
 
 def _through_home(mechanism: Hexapod, ways: np.ndarray, count: int) -> np.ndarray:

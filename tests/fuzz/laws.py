@@ -10,6 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from calib.files import calibration_file
+from calib.models import machine_models
 from rig.driving.cameras.opencv_camera import gstreamer_pipeline_problem
 from rig.errors import RigError
 from rig.formats.json_file import Places, first_repeated_key
@@ -81,8 +82,8 @@ def a_calibration(path: Path) -> None:
         return dict(pairs)
 
     tree = json.loads(path.read_bytes().decode("utf-8-sig"), object_pairs_hook=looked)
-    assert not doubles and tree["units"] == calibration_file.UNITS and tree["frames"] == calibration_file.FRAMES
-    assert tree["parameter_order"] == calibration_file.PARAMETERS[tree["nominal"]["kind"]]
+    assert not doubles and tree["units"] == calibration_file.UNITS and tree["frames"] == machine_models.FRAMES
+    assert tree["parameter_order"] == machine_models.MODELS[tree["nominal"]["kind"]].order
     assert ("physics" in tree) == (tree["schema"] == calibration_file.WITH_PHYSICS) or tree[
         "schema"
     ] == calibration_file.WITH_POSE_MAPS

@@ -12,6 +12,7 @@ import pytest
 
 from rig.cli import blind as command
 from rig.cli import command_line
+from rig.cli.shared import blind_case_process
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.framework.effect_validity import check_effect
 from rig.effects.texts.effect_text import parse_effect
@@ -185,7 +186,7 @@ def test_a_campaign_is_blinded_scored_and_goes_on(tmp_path, monkeypatch, capfd):
         "1",
     ]
     assert command_line.main([*call, "--cases", "1-2"]) == 0 and seen == [1, 2]
-    monkeypatch.setattr(command, "_drawn", command.draw_blind_case)  # a process has been seen to do it
+    monkeypatch.setattr(command, "_drawn", blind_case_process.draw_blind_case)  # a process has been seen to do it
     blinded = (tmp_path / "s" / "hashes" / "0001.sha256").read_text()
     assert command_line.main([*call, "--cases", "1,3"]) == 0 and seen == [1, 2, 3]
     assert (tmp_path / "s" / "hashes" / "0001.sha256").read_text() == blinded

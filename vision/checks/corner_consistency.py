@@ -9,7 +9,7 @@ import scipy
 from scipy.spatial.transform import RigidTransform
 
 from rig.checks import Mistake, platform_commands_and_poses, sort_mistakes
-from rig.effects.catalogue.edge_bias import EdgeBias
+from rig.effects.framework.edge_motion import move_edges_inward
 from rig.model.design import Camera, Design
 from rig.recording.recording_folder import Corners, Recording
 from vision.checks import camera_mistakes as cameras
@@ -227,7 +227,7 @@ def _edges(first: Trial) -> float:
         order = np.lexsort((c.corner, c.marker, c.frame, names))
         uv = c.uv.copy()
         quads = order.reshape(-1, 4)
-        uv[quads] = EdgeBias("cameras", bias).print_(seen.design.cameras[0], c.uv[quads])
+        uv[quads] = move_edges_inward(c.uv[quads], bias) if bias else c.uv[quads]
         return seen.with_corners(uv=uv)
 
     if (
@@ -394,7 +394,7 @@ def _moved(recording: Recording, corners: Corners | None, m: Measurement, thorou
     """What commands and the poses seen say of each other. corners : all there are, for more poses; None where they are
     not as stated.
     """
-    if recording.commands is None or recording.design.mechanism.kind != "hexapod":
+    if recording.commands is None or recording.design.mechanism.plates is None:
         return []
     few = platform_commands_and_poses.moves_of_recording(recording, m.frames, m.T_base_platform)
     if corners is not None and (thorough or platform_commands_and_poses.commands_disagree_with_poses(few)):

@@ -118,7 +118,7 @@ def _directions(found: MarkerMap) -> Iterator[str]:
 
 def _cameras(design: Design, found: MarkerMap) -> Iterator[str]:
     """Fixed cameras that see too little of a body with the platform at home."""
-    home = design.mechanism.home if design.mechanism.kind == "hexapod" else None
+    home = design.mechanism.home_pose
     if home is None:
         return
     for camera in design.cameras:

@@ -74,7 +74,7 @@ def _commanded(recording: Recording, m: Measurement, frames: np.ndarray) -> dict
     """{frame: pose} that the commands say, brought to the frames measured; empty where that is not where the platform
     is seen.
     """
-    if recording.commands is None or recording.design.mechanism.kind != "hexapod":
+    if recording.commands is None or recording.design.mechanism.plates is None:
         return {}
     numbers, _, values = recording.commanded()
     mechanism = recording.design.mechanism

@@ -15,6 +15,7 @@ from rig.checks.units_and_conventions import poses_in_other_conventions
 from rig.checks.user_mistake import Mistake, sort_mistakes
 from rig.errors import RigError
 from rig.model.design import Arm, Instrument
+from rig.model.mechanism_kinds import has_links
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
@@ -139,7 +140,7 @@ def find_arm_mistakes(recording: Recording) -> tuple[Mistake, ...]:
     if (
         recording.commands is None
         or recording.poses is None
-        or not isinstance(arm, Arm)
+        or not has_links(arm)
         or (instrument and instrument.kind != "pose")
     ):
         return ()

@@ -85,7 +85,7 @@ def print_status(status: Status, design: Design) -> None:
     if not status.known:
         print("position not known: " + ("home it" if homing else "see that it is true, then say --trust"))
     print(f"lengths {lengths_text(status.lengths)}")
-    if design.mechanism.kind == "hexapod" and status.known:
+    if design.mechanism.plates is not None and status.known:
         try:
             v = pose_to_vector(mechanisms.kinematics_of(design.mechanism).forward(status.lengths, design.mechanism))
         except NotConverged:

@@ -113,7 +113,7 @@ def certify_correction_extension(
     """Extend the corrections of struts or an arm as --extend requests and certify it. Raises RigError for a chain."""
     from rig.model.mechanism_kinds import require_arm, require_struts
 
-    if mechanism.kind == "arm":
+    if mechanism.link_rows is not None:
         return _of_arm(arguments, require_arm(mechanism), sampled.samples, sampled.instrument, rng, progress)
     from calib.certify.extension_certification import Asked, certify_extended_correction, claim_without_geometry
     from calib.certify.platform_certification import platform_workspace_claim

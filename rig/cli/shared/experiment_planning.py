@@ -32,7 +32,7 @@ def calibrated_geometry_and_avoidance(arguments: Namespace, mechanism: Hexapod) 
     from calib.workspace.reachable_poses import is_pose_lost
 
     correction = calibration_file.load(arguments.calibration).correction
-    if correction.fitted.kind != "hexapod":
+    if correction.fitted.plates is None:
         raise RigError(
             f"{arguments.calibration} is a calibration of a mechanism of kind {correction.fitted.kind!r}, "
             "not of a hexapod"
@@ -47,7 +47,7 @@ def visited_configurations(path: Path, mechanism: Hexapod | Planar2 | Arm | Free
 
     if path.is_dir():
         read = recording_folder.load_recording(path)
-        if read.design.mechanism.kind != "hexapod":
+        if read.design.mechanism.plates is None:
             raise RigError(f"{path} is a recording of a mechanism of kind {read.design.mechanism.kind!r}")
         return read.commanded()[2]
     return csv_table.read(path, ("frame", *mechanism.axes)).matrix(mechanism.axes)

@@ -250,7 +250,7 @@ def _write_verification_poses(path: Path, rig: InvestigationMachine, arguments: 
 
     m = rig.design.mechanism
     lengths = sobol_configurations(axis_strokes(rig.design), arguments.verify, REACH, arguments.seed + VERIFYING)
-    if m.kind == "arm":
+    if m.link_rows is not None:
         from calib.files import calibration_file
         from calib.models.arm import error_model
 

@@ -89,7 +89,7 @@ def load_and_check_recordings(
     print("\n".join(found.lines()), flush=True)
     recording = found.recording
     if is_measured_by_instrument(recording):
-        if recording.design.mechanism.kind in ("hexapod", "planar2"):
+        if recording.design.mechanism.strut_joints is not None:
             from calib.drift.instrument_displacement import remove_instrument_displacement
 
             recording, places = remove_instrument_displacement(recording)
@@ -137,12 +137,12 @@ def pose_command_mistakes(recording: "Recording") -> tuple[Mistake, ...]:
     """Mistakes visible from poses and commands together: where poses.csv and commands.csv contradict each other."""
     if recording.poses is None or recording.commands is None:
         return ()
-    kind = recording.design.mechanism.kind
-    if kind == "arm":
+    mechanism = recording.design.mechanism
+    if mechanism.link_rows is not None:
         from calib.models.arm.command_and_pose_mistakes import find_arm_mistakes as look
 
         return look(recording)
-    if kind != "hexapod":
+    if mechanism.plates is None:
         return ()
     from rig.checks import platform_commands_and_poses, sort_mistakes
 

@@ -338,7 +338,7 @@ class RunObserver:
                 return self._learner.expected(shot.commanded)
             return (
                 mechanisms.kinematics_of(mechanism).forward(shot.commanded, mechanism)
-                if mechanism.kind == "hexapod"
+                if mechanism.plates is not None
                 else None
             )
         except NotConverged:

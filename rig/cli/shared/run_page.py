@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.report.pose_figures import closed_outline, fixed_rig_lines
 from rig.cli.shared.run_observation import MeasuredFrame, RunObserver, View
 from rig.model.design import Camera, Design
+from rig.model.mechanism_kinds import has_plates
 from rig.model.pose import pose_to_vector, transform_points
 from rig.report.pages.run_page_server import PageServer
 from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
@@ -160,7 +161,7 @@ def _rig(design: Design, fixed: list[dict], markers: MarkerMap | None, T: RigidT
     """The rig as lines at a pose of the platform, at home before one is known."""
     m, parts = design.mechanism, list(fixed)
     middle = [0.0, 0.0, 0.0]
-    if m.kind == "hexapod":
+    if has_plates(m):
         T = m.home if T is None else T
         top = T.apply(m.platform_joints)
         parts += [

@@ -32,6 +32,7 @@ from rig.errors import RigError
 from rig.formats.output_files import write_bytes
 from rig.model import mechanisms
 from rig.model.design import Camera, Design
+from rig.model.mechanism_kinds import has_plates
 from vision.corners.marker_detection import detect_markers, grey_images_for_reader_and_fit
 from vision.corners.marker_reader import read_markers
 from vision.hand_mounted_cameras import has_hand_cameras
@@ -46,7 +47,7 @@ CELL = 8  # px of a cell before it is drawn as it is seen
 def warm_up(design: Design) -> None:
     """Warm up for a run: compile kernels by measuring one drawn image of a hexapod at home, and discard the result."""
     m = design.mechanism
-    if m.kind != "hexapod" or not design.cameras or not any(target.body == "platform" for target in design.targets):
+    if not has_plates(m) or not design.cameras or not any(target.body == "platform" for target in design.targets):
         return
     markers, live = marker_map(design), Live(design)
     images = draw_markers(design.cameras, m.home, markers)
@@ -212,7 +213,7 @@ def run_observer_of_arguments(
         has_hand_cameras(design) or any(target.body == "platform" for target in design.targets)
     )
     learner = None
-    if measured and design.mechanism.kind == "hexapod":
+    if measured and has_plates(design.mechanism):
         learner = Learner(
             design.mechanism,
             calibration,

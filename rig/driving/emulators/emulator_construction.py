@@ -65,6 +65,7 @@ def emulator_of_design(
 
 def home_lengths(mechanism: Hexapod | Planar2) -> np.ndarray:
     """Home lengths (n,) m: strut lengths at a Hexapod's home pose; for two struts the middle of their ranges."""
-    if mechanism.kind != "hexapod":
+    home, (base, platform) = mechanism.home_pose, mechanism.strut_joints
+    if home is None:
         return mechanism.strut_range.mean(axis=1)
-    return np.linalg.norm(mechanism.home.apply(mechanism.platform_joints) - mechanism.base_joints, axis=1)
+    return np.linalg.norm(home.apply(platform) - base, axis=1)

@@ -5,6 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from rig.effects.framework.edge_motion import move_edges_inward
 from rig.effects.framework.effect import Effect, Parameter
 from rig.model.design import Camera
 
@@ -28,9 +29,4 @@ class EdgeBias(Effect):
     def print_(self, camera: Camera, quads: np.ndarray) -> np.ndarray:
         if self.bias == 0 or not self.at(f"camera {camera.name}"):
             return quads
-        edge = np.roll(quads, -1, axis=-2) - quads  # edge k runs from corner k to k + 1
-        unit = edge / np.linalg.norm(edge, axis=-1, keepdims=True)
-        before = np.roll(unit, 1, axis=-2)
-        # a corner moves along both its edges by bias / sin of the angle between them
-        sine = np.abs(before[..., 0] * unit[..., 1] - before[..., 1] * unit[..., 0])
-        return quads + self.bias / sine[..., None] * (unit - before)
+        return move_edges_inward(quads, self.bias)

@@ -29,7 +29,7 @@ class ScrewCoupling(Effect):
     on_pose: ClassVar = True
 
     def needs(self, motion: Motion) -> str | None:
-        if motion.mechanism.kind != "hexapod":
+        if motion.mechanism.plates is None:
             return "takes a hexapod, whose struts end in cardans"
         if motion.actuator.screw_lead is None or motion.actuator.joints is None:
             return "needs [actuator] screw_lead and joints in rig.toml"

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -77,9 +77,6 @@ def temperature_covariate(values: np.ndarray, part: str) -> Covariate:
     return Covariate(values, f"temperature of {part}, °C")
 
 
-if TYPE_CHECKING:
-    from rig.effects.framework.effect import Effect
-
 QUADRATURE = "_quadrature"  # the cosine beside the sine of a sinusoid: stands for its phase
 COUNT = "_count"  # in a node: how many numbers a vector of any length has
 
@@ -92,42 +89,6 @@ class Linear(NamedTuple):
     name: str
     entry: int | None
     step: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Candidate:
-    """An effect at a place with the values of its nonlinear parameters among which to search.
-
-    kind : class of the effect; place; grid : [{parameter: value}], in the order of the search
-    linear : [Linear] of the columns, none where the effect's size is part of its node
-    label : which variant; extra : how many nonlinear parameters the search chooses
-    tied : how many of the columns' coefficients the others determine
-    spacing : between values of the one parameter of the grid that are even multiples of it, 0 for all others
-    """
-
-    kind: "type[Effect]"
-    place: str
-    grid: list[dict]
-    linear: list[Linear]
-    label: str = ""
-    extra: int = 0
-    tied: int = 0
-    spacing: float = 0.0
-
-    @property
-    def plane(self) -> str:
-        """Plane "struts" for what moves the platform, "view" for what changes only what is seen."""
-        return "view" if self.kind.stage in ("targets", "view") else "struts"
-
-    def effect(self, node: dict, coefficients: np.ndarray) -> "Effect":
-        """The effect of a node with coefficients (q,) of its linear parameters."""
-        return self.kind.composed(self, node, coefficients)
-
-    def deviation(self, node: dict, motion: Motion) -> np.ndarray:
-        """(n, axes, q) m or rad per unit of each linear parameter that the axes deviate at a Motion; (n, axes, 1) whole
-        where the size is part of the node. For effects that neither shift time nor change the path: see
-        Effect.follow."""
-        return self.kind.columns(self, node, motion)
 
 
 def parameter_values(

@@ -7,21 +7,13 @@ that it needs.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from itertools import product
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from rig.effects.framework.diagnosis_interface import (
-    COUNT,
-    QUADRATURE,
-    Candidate,
-    Context,
-    Covariate,
-    Linear,
-    parameter_values,
-)
+from rig.effects.framework.diagnosis_interface import COUNT, QUADRATURE, Context, Covariate, Linear, parameter_values
 from rig.effects.framework.machine_motion import SOON, Motion, Path
 from rig.effects.framework.parameter import Drawing, Parameter, derivative_step, draw_parameter, parameter_grid
 from rig.effects.framework.place_names import AXES, axis_mask, axis_word, includes_place, kind_of
@@ -32,6 +24,42 @@ REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stat
 MOTION_STAGES = ("command", "struts", "structure")
 AT_REST = 1e-9  # m/s or rad/s
 SELDOM = 0.25  # share of draws in which an effect that may start at a moment does so
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """An effect at a place with the values of its nonlinear parameters among which to search.
+
+    kind : class of the effect; place; grid : [{parameter: value}], in the order of the search
+    linear : [Linear] of the columns, none where the effect's size is part of its node
+    label : which variant; extra : how many nonlinear parameters the search chooses
+    tied : how many of the columns' coefficients the others determine
+    spacing : between values of the one parameter of the grid that are even multiples of it, 0 for all others
+    """
+
+    kind: "type[Effect]"
+    place: str
+    grid: list[dict]
+    linear: list[Linear]
+    label: str = ""
+    extra: int = 0
+    tied: int = 0
+    spacing: float = 0.0
+
+    @property
+    def plane(self) -> str:
+        """Plane "struts" for what moves the platform, "view" for what changes only what is seen."""
+        return "view" if self.kind.stage in ("targets", "view") else "struts"
+
+    def effect(self, node: dict, coefficients: np.ndarray) -> "Effect":
+        """The effect of a node with coefficients (q,) of its linear parameters."""
+        return self.kind.composed(self, node, coefficients)
+
+    def deviation(self, node: dict, motion: Motion) -> np.ndarray:
+        """(n, axes, q) m or rad per unit of each linear parameter that the axes deviate at a Motion; (n, axes, 1) whole
+        where the size is part of the node. For effects that neither shift time nor change the path: see
+        Effect.follow."""
+        return self.kind.columns(self, node, motion)
 
 
 class Effect:

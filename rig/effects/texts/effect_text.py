@@ -15,7 +15,7 @@ from rig.formats.checked_entries import NAME, nearest_known_word
 from rig.formats.input_files import short_repr
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.model import mechanisms
-from rig.model.design import Chain, Design
+from rig.model.design import Design
 
 Kinds = Mapping[str, type[Effect]]  # effects by their names
 
@@ -172,7 +172,7 @@ def require_existing_place(effect: Effect, design: Design) -> Effect:
             return check_effect(replace(effect, place=f"{stage}slide {name}"))
         except ValueError as error:
             raise RigError(str(error)) from None
-    if kind in AXES and isinstance(design.mechanism, Chain) and effect.place not in places:
+    if kind in AXES and design.mechanism.bodies and effect.place not in places:
         near = nearest_known_word(effect.place, places)
         raise RigError(
             f"{effect.name} at {effect.place}: this rig has no such axis"

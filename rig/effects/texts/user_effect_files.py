@@ -29,6 +29,7 @@ KINDS = ("axis", *AXES, "rig", "clock", "camera", "cameras", "marker", "markers"
 ROLES = ("linear", "inverse", "size", "phase", "log", "even", "moment", "direction", "choice")  # of a parameter
 ARRAYS = ("times", "deviation", "sway", "mount", "focal", "late")  # hooks whose answer has a shape
 HOOKS = (*ARRAYS, "needs", "follow", "attach", "camera", "bend", "print_", "covariate")
+RESERVED = frozenset(name for name in dir(Effect) if not name.startswith("__"))  # names that no parameter may have
 EXAMPLE = {
     "axis": "strut 1",
     "strut": "strut 1",
@@ -96,6 +97,14 @@ def effects_of_source(text: str, path: Path) -> tuple[type[Effect], ...]:
     if not found:
         raise FileError(path, "defines no effect: a dataclass that stands on rig.effects.base.Effect")
     for kind in found:
+        taken = next((name for name in _field_names(kind) if name in RESERVED), None)
+        if taken is not None:
+            raise FileError(
+                path,
+                f"{kind.__name__} has a parameter {taken!r}, which every effect has as a hook or an attribute: "
+                "take another name",
+                _line(text, kind, taken),
+            )
         problem = _problem(kind)
         if problem:
             raise FileError(path, f"{kind.__name__} {problem}", _line(text, kind))
@@ -109,6 +118,11 @@ def effect_name_problem(name: str) -> str | None:
     if not name.isidentifier() or keyword.iskeyword(name) or name != name.lower() or name.startswith("_"):
         return f"takes a name of small letters, digits and underscores, not {name!r}"
     return f"collides with the catalogue's {name}: take another name" if name in BY_NAME else None
+
+
+def _field_names(kind: type[Effect]) -> tuple[str, ...]:
+    """Names of a class' fields; none of one that is no dataclass."""
+    return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else ()
 
 
 def _problem(kind: type[Effect]) -> str | None:
@@ -223,9 +237,11 @@ def _within(error: Exception, path: Path) -> int | None:
     return lines[-1] if lines else None
 
 
-def _line(text: str, kind: type[Effect]) -> int | None:
-    """Where a source text defines a class; None where that is not at its top level."""
-    return next(
-        (node.lineno for node in ast.parse(text).body if isinstance(node, ast.ClassDef) and node.name == kind.__name__),
-        None,
-    )
+def _line(text: str, kind: type[Effect], field: str | None = None) -> int | None:
+    """Where a source text defines a class, or a field of it; None where that is not at its top level."""
+    for node in ast.parse(text).body:
+        if isinstance(node, ast.ClassDef) and node.name == kind.__name__:
+            own = (part for part in node.body if isinstance(part, ast.AnnAssign) and isinstance(part.target, ast.Name))
+            lines = [part.lineno for part in own if isinstance(part.target, ast.Name) and part.target.id == field]
+            return lines[0] if lines else node.lineno
+    return None

@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterable
 
 from rig.model.design import Arm, Hexapod
+from rig.model.mechanism_kinds import has_plates
 from rig.model.pose import pose_to_entry, pose_to_vector
 
 HEXAPOD = (
@@ -23,7 +24,7 @@ ARM = ("joint", "theta", "d", "a", "alpha", "beta", "lowest", "highest", "slides
 
 def geometry_json(mechanism: Hexapod | Arm) -> str:
     """Geometry of a Hexapod or an Arm as JSON."""
-    if mechanism.kind == "hexapod":
+    if has_plates(mechanism):
         tree = {
             name: getattr(mechanism, name).tolist()
             for name in ("base_joints", "platform_joints", "strut_zeros", "strut_range")
@@ -45,15 +46,16 @@ def geometry_json(mechanism: Hexapod | Arm) -> str:
 
 def geometry_csv(mechanism: Hexapod | Arm) -> str:
     """Geometry as CSV: a row per strut of a Hexapod, a row per joint of an Arm."""
-    header: tuple[str, ...] = HEXAPOD if mechanism.kind == "hexapod" else ARM
+    header: tuple[str, ...]
     parts: Iterable[tuple]
-    if mechanism.kind == "hexapod":
+    if has_plates(mechanism):
+        header, last = HEXAPOD, [""] * len(mechanism.axes)
         parts = zip(
             mechanism.base_joints, mechanism.platform_joints, mechanism.strut_zeros[:, None], mechanism.strut_range
         )
     else:
+        header, last = ARM, [f",{int(slide)}" for slide in mechanism.slides]
         parts = zip(mechanism.rows, mechanism.limits)
-    last = [f",{int(slide)}" for slide in mechanism.slides] if mechanism.kind == "arm" else [""] * len(mechanism.axes)
     rows = [
         ",".join([str(i + 1), *(f"{value:.12f}" for part in row for value in part)]) + end
         for i, (row, end) in enumerate(zip(parts, last))

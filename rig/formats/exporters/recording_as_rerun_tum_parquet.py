@@ -11,7 +11,6 @@ from rig.formats import csv_table
 from rig.formats.input_files import read_bytes
 from rig.formats.parquet_table import parquet_bytes
 from rig.model.design import Camera, Target
-from rig.model.mechanism_geometry import Hexapod
 from rig.recording.recording_folder import Recording
 
 MEDIA = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}  # what its viewer decodes
@@ -129,11 +128,9 @@ def _moved(stream: Any, rr: Any, recording: Recording) -> None:
         T = poses.T_base_platform[k]
         _at(stream, int(poses.frame[k]), at[int(poses.frame[k])])
         stream.log("base/platform", _placed(rr, T))
-        if isinstance(m, Hexapod):
-            ends = T.apply(m.platform_joints)
-            stream.log(
-                "base/struts", rr.LineStrips3D([[base, end] for base, end in zip(m.base_joints, ends)], radii=0.004)
-            )
+        if m.plates is not None:
+            low, high = m.plates[0], T.apply(m.plates[1])
+            stream.log("base/struts", rr.LineStrips3D([[base, end] for base, end in zip(low, high)], radii=0.004))
     way = poses.T_base_platform.translation.reshape(-1, 3)[order]
     stream.log("base/way", rr.LineStrips3D([way], radii=0.001), static=True)
 

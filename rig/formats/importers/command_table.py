@@ -14,7 +14,7 @@ from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.importers.units_and_timestamps import ambiguity_error
 from rig.model import mechanisms
 from rig.model.design import Arm, Design
-from rig.model.mechanism_kinds import require_arm, require_struts
+from rig.model.mechanism_kinds import has_links, require_arm, require_struts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +109,7 @@ def _values(
 ) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
     """((n, axes) m or rad, ForeignTable with the unit, sentences)."""
     values = np.array([cells.numbers(k) for k in at]).T
-    if isinstance(design.mechanism, Arm) and design.mechanism.slides.any():
+    if has_links(design.mechanism) and design.mechanism.slides.any():
         return _sliding(
             values, [units_and_timestamps.split_header(cells.header[k])[1] for k in at], table, design.mechanism
         )
@@ -121,7 +121,7 @@ def _values(
             "bring them to one unit, or state it: --set commands.unit=mm"
         )
     unit = stated.pop()
-    kind = units_and_timestamps.ANGLES if design.mechanism.kind == "arm" else units_and_timestamps.LENGTHS
+    kind = units_and_timestamps.ANGLES if design.mechanism.axis_unit == "rad" else units_and_timestamps.LENGTHS
     if unit is not None and unit not in (*kind, "steps"):
         raise RigError(
             f"{table.file}: {unit} is no unit of {'angles' if kind is units_and_timestamps.ANGLES else 'lengths'}; "
@@ -136,8 +136,7 @@ def _values(
             )
         values = values / table.steps_per_mm
     m = require_struts(design.mechanism)
-    home = mechanisms.kinematics_of(m).inverse(m.home, m) if m.kind == "hexapod" else m.strut_range.mean(axis=1)
-    return _lengths(values, unit, table, m.strut_range, home)
+    return _lengths(values, unit, table, m.strut_range, mechanisms.kinematics_of(m).home(m))
 
 
 def _sliding(
@@ -232,8 +231,9 @@ def _lengths(
 
 def _pace(values: np.ndarray, design: Design) -> Callable[[np.ndarray], bool]:
     """Whether the axes can move as times t (n,) s would have it."""
-    top = design.actuator.max_speed if design.mechanism.kind != "arm" else None
-    low, high = (SLOWEST * top, FASTEST * top) if top else USUAL["rad" if design.mechanism.kind == "arm" else "m"]
+    unit = design.mechanism.axis_unit
+    top = design.actuator.max_speed if unit == "m" else None
+    low, high = (SLOWEST * top, FASTEST * top) if top else USUAL[unit]
 
     def plausible(t: np.ndarray) -> bool:
         if len(t) < 2 or (np.diff(t) <= 0).any():

@@ -13,8 +13,9 @@ from rig.formats.importers import column_headers, units_and_timestamps
 from rig.formats.importers.csv_dialect import Cells, read_foreign_table
 from rig.formats.importers.import_recipe import EULER, ForeignTable
 from rig.formats.importers.units_and_timestamps import ambiguity_error
-from rig.model.design import Design, Hexapod
-from rig.model.mechanisms import arm, hexapod
+from rig.model.design import Design
+from rig.model.mechanism_kinds import has_plates
+from rig.model.mechanisms import hexapod
 
 POSITION = {
     "x": ("x", "tx", "px", "posx", "positionx", "xpos"),
@@ -31,6 +32,7 @@ QUATERNION = {"qw": ("qw", "quatw", "w"), "qx": ("qx", "quatx"), "qy": ("qy", "q
 NUMBERED = {"q0": ("q0",), "q1": ("q1",), "q2": ("q2",), "q3": ("q3",), "q4": ("q4",)}
 REACH = (0.02, 10.0)  # of the rig's size, that positions lie from its origin
 UNIT = 1e-2  # that a quaternion's length may differ from one
+UNKNOWN_SIZE = 0.5  # m, of a rig of which nobody knows how large it is
 BETTER = 0.3  # of the next best disagreement with the commands, that the reading meant leaves
 USUAL = ("zyx", "xyz", "ZYX", "XYZ")  # Euler conventions that are asked about; others are stated
 LEAST = 4  # poses with a command, from which commands decide
@@ -135,10 +137,7 @@ def _positions(
 
 
 def _size(design: Design) -> float:
-    m = design.mechanism
-    if m.kind == "arm":
-        return arm.reach(m)
-    return float(m.strut_range.max()) if m.kind in ("hexapod", "planar2") else 0.5
+    return design.mechanism.reach or UNKNOWN_SIZE
 
 
 def _rotations(
@@ -218,7 +217,7 @@ def _by_commands(ways: list[tuple], table: ForeignTable, design: Design, p: np.n
         if not any((way[2] * other[2].inv()).magnitude().max() < 1e-9 for other in distinct):
             distinct.append(way)
     m = design.mechanism
-    if q is not None and isinstance(m, Hexapod) and len(p) >= LEAST:
+    if q is not None and has_plates(m) and len(p) >= LEAST:
 
         def miss(R: Rotation) -> float:
             return float(np.sqrt(((hexapod.inverse(RigidTransform.from_components(p, R), m) - q) ** 2).mean()))

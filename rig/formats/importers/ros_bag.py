@@ -20,6 +20,7 @@ from rig.formats.importers.units_and_timestamps import ambiguity_error
 from rig.formats.input_files import short_repr
 from rig.formats.output_files import write_bytes
 from rig.model.design import Design
+from rig.model.mechanism_kinds import has_links
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 JOINTS = ("sensor_msgs/msg/JointState",)
@@ -252,7 +253,7 @@ def _recipe(recipe: Recipe, bag: Bag, topics: dict[str, Topic], design: Design) 
             )
         unit = (
             "m"
-            if part == "poses" or design.mechanism.kind != "arm"
+            if part == "poses" or not has_links(design.mechanism)
             else None
             if design.mechanism.slides.any()
             else "rad"

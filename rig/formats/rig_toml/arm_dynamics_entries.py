@@ -8,7 +8,8 @@ import numpy as np
 from rig.errors import RigError
 from rig.formats.checked_entries import Entries
 from rig.formats.rig_toml import design_file
-from rig.model.design import Arm, Design
+from rig.model.design import Design
+from rig.model.mechanism_kinds import has_links
 from rig.model.mechanisms.arm_dynamics import Links
 
 HEAVIEST = 1e5  # kg, and kg m^2
@@ -51,7 +52,7 @@ def load_arm_dynamics(path: Path | str) -> tuple[Design, ArmDynamics]:
     """
     root = design_file.load_entries(path)
     design = design_file.design_of_entries(root)
-    if not isinstance(design.mechanism, Arm):
+    if not has_links(design.mechanism):
         raise RigError(f"{path} has a mechanism of kind {design.mechanism.kind!r}; forces at the hand are for arms")
     return design, dynamics_of_table(root.table("dynamics", optional=True), len(design.mechanism.axes))
 

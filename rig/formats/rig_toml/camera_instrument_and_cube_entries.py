@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 
 from rig.formats.checked_entries import REQUIRED, Entries
 from rig.model.cube_remounting import find_cube, parse_cube_turn_permission
-from rig.model.design import DISTORTION_TERMS, PERMITTED, SOURCES, TURN, Camera, Free, Instrument, Permission, Target
+from rig.model.design import DISTORTION_TERMS, PERMITTED, SOURCES, TURN, Camera, Instrument, Permission, Target
 from rig.model.mechanism_kinds import Mechanism
 
 LARGEST_IMAGE = 100_000  # px along a side
@@ -89,7 +89,7 @@ def check_hand_mounted_cameras(
                 "the hand's own way",
                 "shutter",
             )
-        if mine and isinstance(mechanism, Free):
+        if mine and not mechanism.axes:
             table.fail(
                 f'camera {camera.name!r}: a mechanism of kind "free" has no hand; a camera that is moved '
                 'about is "moving"',

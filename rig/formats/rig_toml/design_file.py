@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 
@@ -32,7 +33,8 @@ from rig.model.design import (
     Target,
 )
 from rig.model.hexapod_geometry import singularity_description
-from rig.model.mechanism_kinds import target_bodies
+from rig.model.mechanism_geometry import Stage
+from rig.model.mechanism_kinds import Mechanism, has_struts, target_bodies
 
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
@@ -128,35 +130,40 @@ def design_of_entries(root: Entries) -> Design:
     )
 
 
-def _mechanism(table: Entries) -> Hexapod | Planar2 | Arm | Chain | Free:
-    kind = table.text("kind", ("hexapod", "planar2", "arm", "chain", "free"))
-    if kind == "free":
-        table.refuse_misspelt(("kind",))
-        return Free()
-    if kind == "chain":
-        stages = [_stage(one) for one in table.tables("stage")]
-        if len(stages) < 2:
-            table.fail(
-                f"{table.name('stage')}: a chain has two stages or more, [[mechanism.stage]] each, got {len(stages)}",
-                "kind",
-            )
-        table.refuse_misspelt(("kind", "stage"))
-        return Chain(tuple(stages))
-    return _stage(table)
+def _mechanism(table: Entries) -> Mechanism:
+    return WHOLE[table.text("kind", tuple(WHOLE))](table)
 
 
-def _stage(table: Entries) -> Hexapod | Planar2 | Arm:
-    """A mechanism that stands alone or in a chain."""
-    kind = table.text("kind", ("hexapod", "planar2", "arm"))
-    if kind == "arm":
-        table.refuse_misspelt(("kind", "joints", "limits"))
-        joints, slides = arm_joint_entries.joint_rows_and_kinds(table)
-        return Arm(joints, arm_joint_entries.joint_limits(table, slides), slides=slides)
-    if kind == "planar2":
-        table.refuse_misspelt(("kind", "base_joints", "strut_range"))
-        return Planar2(
-            table.array("base_joints", (2, 2), length_limit=LARGEST_RIG), _ranges(table, "strut_range", 2, LARGEST_RIG)
+def _free(table: Entries) -> Free:
+    table.refuse_misspelt(("kind",))
+    return Free()
+
+
+def _chain(table: Entries) -> Chain:
+    stages = [STAGES[one.text("kind", tuple(STAGES))](one) for one in table.tables("stage")]
+    if len(stages) < 2:
+        table.fail(
+            f"{table.name('stage')}: a chain has two stages or more, [[mechanism.stage]] each, got {len(stages)}",
+            "kind",
         )
+    table.refuse_misspelt(("kind", "stage"))
+    return Chain(tuple(stages))
+
+
+def _arm(table: Entries) -> Arm:
+    table.refuse_misspelt(("kind", "joints", "limits"))
+    joints, slides = arm_joint_entries.joint_rows_and_kinds(table)
+    return Arm(joints, arm_joint_entries.joint_limits(table, slides), slides=slides)
+
+
+def _planar(table: Entries) -> Planar2:
+    table.refuse_misspelt(("kind", "base_joints", "strut_range"))
+    return Planar2(
+        table.array("base_joints", (2, 2), length_limit=LARGEST_RIG), _ranges(table, "strut_range", 2, LARGEST_RIG)
+    )
+
+
+def _hexapod(table: Entries) -> Hexapod:
     table.refuse_misspelt(("kind", "base_joints", "platform_joints", "strut_range", "home"))
     base = table.array("base_joints", (6, 3), length_limit=LARGEST_RIG)
     platform = table.array("platform_joints", (6, 3), length_limit=LARGEST_RIG)
@@ -172,6 +179,10 @@ def _stage(table: Entries) -> Hexapod | Planar2 | Arm:
     if singularity_description(hexapod):
         table.fail(f"{table.name('home')} {singularity_description(hexapod)}", "home")
     return hexapod
+
+
+STAGES: dict[str, Callable[[Entries], Stage]] = {"hexapod": _hexapod, "planar2": _planar, "arm": _arm}
+WHOLE: dict[str, Callable[[Entries], Mechanism]] = {**STAGES, "chain": _chain, "free": _free}
 
 
 def _ranges(table: Entries, key: str, count: int, length_limit: float) -> np.ndarray:
@@ -196,7 +207,7 @@ def _actuator(table: Entries) -> Actuator:
 def _controller(table: Entries, mechanism: Hexapod | Planar2 | Arm | Chain | Free, actuator: Actuator) -> Controller:
     table.refuse_misspelt([field.name for field in fields(Controller)])
     n = len(mechanism.axes)
-    if mechanism.kind not in ("hexapod", "planar2"):
+    if not has_struts(mechanism):
         table.fail(f"[controller] drives struts; a mechanism of kind {mechanism.kind!r} has none")
     axes = table.get("axes", [])
     if (

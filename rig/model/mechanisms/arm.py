@@ -118,11 +118,6 @@ def home(arm: Arm) -> np.ndarray:
     return np.zeros(len(arm.joints))
 
 
-def reach(arm: Arm) -> float:
-    """Greatest reach of the arm, m: of all links and slides."""
-    return float(np.abs(arm.joints[:, 1:3]).sum() + np.abs(arm.limits[arm.slides]).max(axis=1).sum())
-
-
 def loads(T: RigidTransform, q: np.ndarray, arm: Arm, wrench: np.ndarray) -> np.ndarray:
     """Loads (m, n) N m (slides: N) of the joints that hold a wrench (m, 6) on the platform."""
     return -np.einsum("mij,mi->mj", jacobian(q, arm), wrench)
@@ -159,6 +154,21 @@ def growth_deviation_and_sway(
     offset = rows[:, 1] + np.where(arm.slides, q, 0.0)
     moved = np.einsum("mn,mni->mi", share, offset[..., None] * before[..., 2] + rows[:, 2, None] * along)
     return np.zeros(share.shape), np.pad((moved[:, None] @ chain[:, -1, :3, :3])[:, 0], ((0, 0), (0, 3)))
+
+
+def axis_changes(T: RigidTransform, q: np.ndarray, arm: Arm) -> np.ndarray:
+    """(m, n, 6) least change of the joint values (rad or m) with the pose's tangent, at joint values q (m, n)."""
+    return np.asarray(np.linalg.pinv(jacobian(q, arm)))
+
+
+def singularity_rows(T: RigidTransform, q: np.ndarray, arm: Arm) -> np.ndarray:
+    """(m, n, 6) the columns of the Jacobian at joint values q (m, n), which fall together where the arm is singular."""
+    return np.swapaxes(jacobian(q, arm), 1, 2)
+
+
+def link_points(q: np.ndarray, arm: Arm) -> np.ndarray:
+    """(..., n + 2, 3) m of the line along the links at joint values q (..., n), in the frame of poses."""
+    return frames(q, arm)[..., :3, 3]
 
 
 def ends(T: RigidTransform, arm: Arm) -> None:

@@ -170,6 +170,21 @@ def growth_deviation_and_sway(
     return np.concatenate(deviations, axis=1), sway
 
 
+def axis_changes(T: RigidTransform, values: np.ndarray, chain: Chain) -> np.ndarray:
+    """(n, axes of all, 6) least change of the axes with the pose's tangent, at values (n, axes of all)."""
+    return np.asarray(np.linalg.pinv(jacobian(values, chain)))
+
+
+def singularity_rows(T: RigidTransform, values: np.ndarray, chain: Chain) -> np.ndarray:
+    """(n, axes of all, 6) the columns of the Jacobian at values (n, axes of all)."""
+    return np.swapaxes(jacobian(values, chain), 1, 2)
+
+
+def link_points(values: np.ndarray, chain: Chain) -> None:
+    """None for values (n, axes) m or rad: a chain is drawn as no links."""
+    return None
+
+
 def ends(T: RigidTransform, chain: Chain) -> None:
     """Strut ends: None, since a chain is drawn without struts."""
     return None

@@ -118,6 +118,21 @@ def growth_deviation_and_sway(
     return share * lengths, np.zeros((len(share), 6))
 
 
+def axis_changes(T: RigidTransform, lengths: np.ndarray, hexapod: Hexapod) -> np.ndarray:
+    """(n, 6, 6) change of the strut lengths with the pose's tangent, at poses T (n,)."""
+    return jacobian(T, hexapod)
+
+
+def singularity_rows(T: RigidTransform, lengths: np.ndarray, hexapod: Hexapod) -> np.ndarray:
+    """(n, 6, 6) the rows of the Jacobian at poses T (n,), which fall together where the machine is singular."""
+    return jacobian(T, hexapod)
+
+
+def link_points(lengths: np.ndarray, hexapod: Hexapod) -> None:
+    """None for lengths (n, axes) m: struts are no links."""
+    return None
+
+
 def ends(T: RigidTransform, hexapod: Hexapod) -> tuple[np.ndarray, np.ndarray]:
     """Ends of the struts: base joints (6, 3) and platform joints (n, 6, 3) m, base frame, at poses T (n,)."""
     return hexapod.base_joints, transform_points(T, hexapod.platform_joints)

@@ -65,6 +65,22 @@ class Kind(Protocol[M]):
         """
         ...
 
+    def axis_changes(self, T: RigidTransform, values: np.ndarray, mechanism: M, /) -> np.ndarray:
+        """(n, axes, 6) change of the axes (m or rad) with the pose's tangent (m, rad) at poses T (n,), values (n,
+        axes).
+        """
+        ...
+
+    def singularity_rows(self, T: RigidTransform, values: np.ndarray, mechanism: M, /) -> np.ndarray:
+        """(n, axes, 6) a row for each axis, that fall together where the machine is singular, at poses T (n,), values
+        (n, axes).
+        """
+        ...
+
+    def link_points(self, values: np.ndarray, mechanism: M, /) -> np.ndarray | None:
+        """(n, points, 3) m of the line along a machine's links, in the base frame; None for a machine without links."""
+        ...
+
     def ends(self, T: RigidTransform, mechanism: M, /) -> tuple[np.ndarray, np.ndarray] | None:
         """(base joints (axes, 3), platform joints (n, axes, 3)) m in the base frame; None for a machine that has no
         struts.
@@ -73,6 +89,7 @@ class Kind(Protocol[M]):
 
 
 ALL: dict[str, Kind[Any]] = {"hexapod": hexapod, "planar2": two_strut_plane, "arm": arm, "chain": chain}
+AXIS_UNITS = {"strut": "m", "slide": "m", "joint": "rad"}  # by what an axis is called
 
 
 def kinematics_of(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> Kind[Any]:
@@ -84,17 +101,11 @@ def kinematics_of(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> Kind[Any
 
 def axis_places(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> tuple[str, ...]:
     """Places of a mechanism's axes: "strut 1" .., "joint 1" .., "slide 3", a chain's "stage 2 strut 1"."""
-    if not mechanism.axes:
-        return ()
-    if isinstance(mechanism, Chain):
+    if mechanism.bodies:
         return tuple(
             f"stage {k + 1} {place}" for k, stage in enumerate(mechanism.stages) for place in axis_places(stage)
         )
-    return _numbered(
-        tuple("slide" if slide else arm.AXIS for slide in mechanism.slides)
-        if isinstance(mechanism, Arm)
-        else (kinematics_of(mechanism).AXIS,) * len(mechanism.axes)
-    )
+    return _numbered(mechanism.axis_words)
 
 
 @cache
@@ -110,12 +121,4 @@ def travel_unit(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> str:
 
 def axis_units(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> tuple[str, ...]:
     """Unit of each axis of a mechanism, "m" or "rad"; none for a free body."""
-    if not mechanism.axes:
-        return ()
-    if isinstance(mechanism, Chain):
-        return tuple(one for stage in mechanism.stages for one in axis_units(stage))
-    return (
-        tuple("m" if slide else arm.UNIT for slide in mechanism.slides)
-        if isinstance(mechanism, Arm)
-        else (kinematics_of(mechanism).UNIT,) * len(mechanism.axes)
-    )
+    return tuple(AXIS_UNITS[word] for word in mechanism.axis_words)

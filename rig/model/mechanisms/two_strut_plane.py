@@ -89,6 +89,21 @@ def growth_deviation_and_sway(
     return share * lengths, np.zeros((len(share), 6))
 
 
+def axis_changes(T: RigidTransform, lengths: np.ndarray, planar: Planar2) -> np.ndarray:
+    """(n, 2, 6) change of the strut lengths with the pose's tangent, at poses T (n,)."""
+    return jacobian(T, planar)
+
+
+def singularity_rows(T: RigidTransform, lengths: np.ndarray, planar: Planar2) -> np.ndarray:
+    """(n, 2, 6) the rows of the Jacobian at poses T (n,), which fall together where the machine is singular."""
+    return jacobian(T, planar)
+
+
+def link_points(lengths: np.ndarray, planar: Planar2) -> None:
+    """None for lengths (n, axes) m: struts are no links."""
+    return None
+
+
 def ends(T: RigidTransform, planar: Planar2) -> tuple[np.ndarray, np.ndarray]:
     """Ends of the struts: base joints (2, 3) and the hinge (n, 2, 3) m, base frame, at poses T (n,)."""
     return np.pad(planar.base_joints, ((0, 0), (0, 1))), np.repeat(T.translation[:, None], 2, axis=1)

@@ -19,7 +19,7 @@ from calib.diagnose.problems.platform.simultaneous_refinement import refine
 from calib.diagnose.report.platform_report import platform_report
 from rig.cli import command_line
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.framework.diagnosis_interface import Candidate, Linear
+from rig.effects.framework.effect import Candidate, Linear
 from rig.formats.rig_toml import design_file
 from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
 from rig.recording import recording_folder

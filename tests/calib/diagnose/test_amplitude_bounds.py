@@ -7,7 +7,7 @@ from calib.diagnose.problems.platform.effect_candidates import platform_candidat
 from rig.effects.catalogue.cyclic_error import CyclicError
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.catalogue.vibration import Vibration
-from rig.effects.framework.diagnosis_interface import QUADRATURE, Candidate, Linear
+from rig.effects.framework.effect import QUADRATURE, Candidate, Linear
 from rig.effects.framework.effect_validity import check_effect
 
 

@@ -9,6 +9,7 @@ import pytest
 from calib.certify.calibration import Calibration
 from calib.certify.platform_certification import certify_platform, platform_workspace_claim
 from calib.files import calibration_file
+from calib.models import machine_models
 from rig.errors import FileError
 from rig.formats.json_file import Places, first_repeated_key
 from rig.model.mechanisms import hexapod
@@ -137,7 +138,7 @@ def edited(path, **changes):
             "units",
         ),
         (
-            {"frames": calibration_file.FRAMES.replace("on the right", "on the left")},
+            {"frames": machine_models.FRAMES.replace("on the right", "on the left")},
             "frames is .*on the left.*nothing is converted",
             "frames",
         ),

@@ -4,6 +4,7 @@ line.
 
 import hashlib
 import pickle
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,10 +12,12 @@ import pytest
 
 from rig.cli.command_line import main
 from rig.effects.catalogue.effect_list import ALL
+from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_text import effect_from_dict, effect_to_dict, parse_effect
 from rig.effects.texts.user_effect_files import catalogue_with_files, load_effect_file
 from rig.errors import FileError
 from rig.model import motion_simulation
+from tests.conftest import ROOT
 from tests.rig.effects.test_effects_of_all_machines import context_of, setting_of
 
 SOUND = '''"""A coupling."""
@@ -84,6 +87,46 @@ def written(folder, old="", new=""):
     assert old in SOUND
     (folder / "mine.py").write_text(SOUND.replace(old, new, 1) if old else SOUND)
     return folder / "mine.py"
+
+
+@pytest.mark.parametrize("name", ["bend", "times", "late", "at", "axes", "values", "form", "_of_kind"])
+def test_a_parameter_is_not_called_as_a_hook_or_attribute_of_every_effect(tmp_path, name):
+    path = tmp_path / "mine.py"
+    path.write_text(
+        SOUND.replace("    size: float", f"    {name}: float")
+        .replace('("size"', f'("{name}"')
+        .replace("self.size", f"self.{name}")
+    )
+    with pytest.raises(FileError, match=rf"mine.py:16: Mine has a parameter '{name}'"):
+        load_effect_file(path)
+
+
+PAGE = (ROOT / "docs" / "own-effects.md").read_text(encoding="utf-8")
+
+
+def test_the_effects_of_the_page_are_effects(tmp_path, design):
+    texts = re.findall(r"^```python\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+    found = []
+    for text in texts:
+        (tmp_path / "mine.py").write_text(text)
+        found += load_effect_file(tmp_path / "mine.py").kinds
+    mine, bearing = found
+    assert mine.parameters_at("joint 2") == mine.parameters_at("strut 2")  # no figures of its own at a joint
+    strut, joint, slide = (bearing.parameters_at(place)[0] for place in ("strut 2", "joint 2", "slide 2"))
+    assert (strut.unit, strut.usual) == ("m", (2e-6, 5e-5)) and slide == strut
+    assert (joint.unit, joint.bounds, joint.usual) == ("rad", (-1e-2, 1e-2), (2e-5, 1e-3))
+    assert bearing.action_at("joint 2") == "Exchange the bearing of the joint."
+    setting = setting_of(design, "hexapod")
+    still, moved = (
+        motion_simulation.run_machine(*setting[:3], [bearing("strut 3", height=height)], setting[3])
+        for height in (0.0, 1e-4)
+    )
+    difference = moved.deviation - still.deviation
+    assert difference[:, 2].any() and not np.delete(difference, 2, axis=1).any()
+
+
+def test_no_effect_of_the_catalogue_calls_a_parameter_so():
+    assert [(kind.name, p.name) for kind in ALL for p in kind.parameters if hasattr(Effect, p.name)] == []
 
 
 def test_a_sound_file_is_an_effect_like_any_other(tmp_path, design):

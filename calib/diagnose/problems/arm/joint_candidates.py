@@ -11,7 +11,7 @@ from calib.diagnose.engine.selection_inputs import Candidate, Node, NotAsked
 from calib.diagnose.problems.arm.linearised_poses import Arms
 from calib.diagnose.problems.requested_effects import RequestedEffects
 from rig.effects.framework.diagnosis_interface import COUNT, QUADRATURE
-from rig.effects.framework.diagnosis_interface import Candidate as EffectCandidate
+from rig.effects.framework.effect import Candidate as EffectCandidate
 from rig.effects.framework.effect import Effect
 from rig.errors import FileError, RigError
 

@@ -10,7 +10,7 @@ from calib.diagnose.engine.selection_inputs import Candidate, Node, NotAsked, Ro
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.requested_effects import RequestedEffects
 from rig.effects.framework.diagnosis_interface import QUADRATURE
-from rig.effects.framework.diagnosis_interface import Candidate as EffectCandidate
+from rig.effects.framework.effect import Candidate as EffectCandidate
 from rig.effects.framework.effect import Context, Effect
 from rig.errors import FileError, RigError
 

@@ -21,8 +21,8 @@ from calib.diagnose.problems.platform.platform_problem import PlatformProblem, P
 from calib.diagnose.problems.platform.smooth_functions import SLOW
 from calib.diagnose.problems.remainder_covariates import time_cosines
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.framework.diagnosis_interface import Candidate as EffectCandidate
 from rig.effects.framework.effect import AXES, REFERENCE_TEMPERATURE, Effect
+from rig.effects.framework.effect import Candidate as EffectCandidate
 from rig.recording.recording_folder import Sensors
 
 WARM = tuple(

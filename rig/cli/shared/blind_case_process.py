@@ -1,0 +1,99 @@
+"""A case of a blind campaign in a process of its own: drawn, or handed to a command that cannot read its truth.
+
+Run as `python -m`: PARENT draw OUT INDEX SETTINGS, or PARENT command TRUTH and the command's own words. It does not
+outlive the process PARENT.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.compute.worker_processes import end_when_parent_ends
+
+if TYPE_CHECKING:
+    import numpy as np
+
+
+def hash_file(out: Path, index: int) -> Path:
+    """Where the hash of a case's truth stands in a campaign's folder."""
+    return out / "hashes" / f"{index:04d}.sha256"
+
+
+def draw_blind_case(out: Path, index: int, settings: dict) -> None:
+    """Draw a case and write its recording, its truth, and last the truth's hash: from then on the case is blinded."""
+    from rig.formats.output_files import Outputs, write_text
+
+    out = Path(out)
+    folder, truth = out / "recordings" / f"{index:04d}", out / "truth" / f"{index:04d}.json"
+    drawn = _drawn_arm_case if settings.get("mechanism") == "arm" else _drawn_case
+    with Outputs("blind", force=True) as outputs:
+        write_truth, strengths = drawn(index, settings, outputs.folder(folder))
+    write_truth(truth, index=index, settings=settings, strengths=strengths.tolist())
+    write_text(hash_file(out, index), f"{sha256(truth.read_bytes()).hexdigest()}  ../truth/{truth.name}\n")
+
+
+def _drawn_case(index: int, settings: dict, folder: Path) -> tuple[Callable[..., None], np.ndarray]:
+    """(what writes the truth of a hexapod's case, its effects' strengths), its recording written."""
+    from calib.diagnose.problems.platform.effect_strength import platform_effect_strengths
+    from rig.recording import recording_folder
+    from synthetic import blind_cases as blind
+
+    case = blind.draw_case(
+        settings["seed"],
+        index,
+        settings["frames"],
+        settings["withhold"],
+        settings["hide"],
+        settings["effects"],
+        settings.get("images", False),
+    )
+    blind.write_recording(case, folder)
+    world, written = case.simulation.world, recording_folder.load_recording(folder)
+    written = written if case.image_settings is None else replace(written, corners=blind.simulated_corners(case))
+    values = platform_effect_strengths(written, world.true, case.noise, world.effects, case.simulation.sensors)[
+        : len(case.hidden)
+    ]
+    return partial(blind.write_truth, case), values
+
+
+def _drawn_arm_case(index: int, settings: dict, folder: Path) -> tuple[Callable[..., None], np.ndarray]:
+    """The same of an arm's case."""
+    from calib.diagnose.problems.arm.effect_strength import arm_effect_strengths
+    from synthetic import blind_arm_cases as blind_arm
+
+    case = blind_arm.draw_arm_case(settings["seed"], index, settings["frames"], settings["hide"], settings["effects"])
+    blind_arm.write_recording(case, folder)
+    done = case.simulation
+    seen = case.sigma[: 1 if "positions" in case.hard else 2]
+    return partial(blind_arm.write_truth, case), arm_effect_strengths(
+        done.world.true, done.plan.commands, done.plan.t, seen, done.world.effects, done.sensors
+    )
+
+
+def run_command_without(folder: str, words: Sequence[str]) -> int:
+    """Exit status of a command of `rig` to which a folder is closed."""
+    from rig.cli.command_line import main
+    from rig.cli.shared.child_processes import forbid_folder
+
+    forbid_folder(folder)
+    return main(list(words))
+
+
+def main(words: Sequence[str]) -> int:
+    """Exit status of what the words ask for: see the module."""
+    end_when_parent_ends(int(words[0]))
+    if words[1] == "command":
+        return run_command_without(words[2], words[3:])
+    draw_blind_case(Path(words[2]), int(words[3]), json.loads(words[4]))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
