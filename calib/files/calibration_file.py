@@ -18,12 +18,12 @@ from calib.certify.held_out_errors import Figures, HeldOut
 from calib.certify.workspace_claim import Claim
 from calib.correct.interpolation.gaussian_process import Radial
 from calib.correct.interpolation.interpolation_methods import field_from_entries, field_to_dict
+from calib.correct.pose_space_map_json import pose_map_dict
 from calib.files.calibration_file_entries import (
     mechanism_dict,
     mechanism_from_entries,
     physics_dict,
     physics_from_entries,
-    pose_map_dict,
     require_same_ranges,
     require_schema_contents,
     require_text,

@@ -6,10 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.correct.interpolation import interpolation_methods
 from calib.correct.physics_compensation import Physics, Unknown
-from calib.correct.pose_space_map import NAMES, PoseMap
-from calib.correct.summand_extension import pose_coordinate_indices
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text import Kinds, effect_from_dict, effect_to_dict, require_existing_place
@@ -59,7 +56,7 @@ def _require_plausible(table: Entries, mechanism: Struts | Arm, stated: bool) ->
     owner's, whose home is in reach
     """
     if has_links(mechanism):
-        _arm(table, mechanism)
+        _require_plausible_arm(table, mechanism)
         return
     for i, (low, high) in enumerate(mechanism.strut_range):
         if not 0 < low < high:
@@ -111,7 +108,7 @@ def require_same_ranges(tree: Entries, nominal: Struts | Arm | Chain, fitted: St
             )
 
 
-def _arm(table: Entries, arm: Arm) -> None:
+def _require_plausible_arm(table: Entries, arm: Arm) -> None:
     for i, (low, high) in enumerate(arm.limits):
         if not low < high:
             table.fail(
@@ -296,24 +293,3 @@ def physics_from_entries(
 def _seen(entry: Entries) -> bool:
     """Whether an effect sits at what only cameras know of: a calibration holds no cameras to look it up in."""
     return str(entry.get("place", "")).partition(" ")[0] in ("camera", "cameras", "marker", "markers", "target")
-
-
-def pose_map_dict(pose_map: PoseMap) -> dict[str, Any]:
-    """dict of a PoseMap, as JSON holds it."""
-    return {
-        "home": pose_to_entry(pose_map.home),
-        "coordinates": [NAMES[i] for i in pose_map.coordinates],
-        "field": interpolation_methods.field_to_dict(pose_map.field),
-    }
-
-
-def pose_map_from_entries(table: Entries, nominal: Struts) -> PoseMap:
-    """PoseMap of what `pose_map_dict` gave, as Entries, of a mechanism. Raises FileError for anything else."""
-    some = pose_coordinate_indices(nominal)
-    if table.texts("coordinates") != tuple(NAMES[i] for i in some):
-        table.fail(
-            f"{table.name('coordinates')} must be {', '.join(NAMES[i] for i in some)} for a mechanism of "
-            f"kind {nominal.kind!r}",
-            "coordinates",
-        )
-    return PoseMap(table.pose("home"), some, interpolation_methods.field_from_entries(table.table("field"), len(some)))

@@ -13,7 +13,7 @@ from calib.certify.workspace_claim import Claim
 from calib.correct.correction import Correction
 from calib.correct.interpolation.field import Field
 from calib.correct.interpolation.interpolation_methods import gaussian_process_from_entries
-from calib.files.calibration_file_entries import pose_map_from_entries
+from calib.correct.pose_space_map_json import pose_map_from_entries
 from calib.models.arm import certification as arm_certification
 from calib.models.arm import error_model as arm_errors
 from calib.models.arm.correction import ArmCorrection
