@@ -11,10 +11,9 @@ from calib.certificate.certificate_contents import Asked
 from calib.certify.calibration import Calibration
 from calib.certify.platform_certification import Progress
 from calib.diagnose.calibration_left_out_physics import search_left_out_physics
-from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm as diagnose_arm
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform as diagnose_platform
-from calib.diagnose.report import arm_report, platform_report
+from calib.diagnose.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.diagnose.report.diagnosis_report import Report
+from calib.diagnose.report.report_entries import diagnosis_report
 from calib.files import calibration_file
 from calib.files.calibration_from_recording import SEED, calibration_with_provenance
 from calib.models.machine_models import model_of
@@ -54,11 +53,8 @@ def diagnosed(
     only, without : names of effects (or "EFFECT PLACE") that alone are asked for, or left out
     Raises RigError for a name that there is not, NotEnoughData where the recording tells nothing
     """
-    asked = None if only is None else list(only)
-    mechanism = recording.design.mechanism
-    if mechanism.axes and mechanism.strut_joints is None:
-        return arm_report.arm_report(diagnose_arm(recording, asked, tuple(without), progress))
-    return platform_report.platform_report(diagnose_platform(recording, asked, tuple(without), progress))
+    options = DiagnosisOptions(None if only is None else tuple(only), tuple(without))
+    return diagnosis_report(diagnose(recording, options, progress))
 
 
 def certified(

@@ -7,8 +7,7 @@ from threadpoolctl import threadpool_limits
 
 from calib.certify.platform_certification import Progress, silent_progress
 from calib.correct.physics_compensation import Physics
-from calib.diagnose.platform_findings_refit import Findings, sensor_medians_and_deviations, unexplained_findings
-from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis
+from calib.diagnose.platform_findings_refit import Findings, sensor_medians_and_deviations
 from calib.diagnose.problems.temperature_smoothing import smooth_temperatures
 from calib.models.arm.certification import UNPLACED, Certified, start_arm
 from calib.models.arm.error_model import parameter_names
@@ -40,11 +39,6 @@ class ArmRefit:
             replace(u, corrected=u.place in kept or (u.place == "rig" and bool(kept))) for u in self.physics.unknown
         )
         return replace(self.physics, cross=cross, unknown=unknown), done.found.covariance + cross @ response.T
-
-
-def findings_of_arm_diagnosis(diagnosis: ArmDiagnosis) -> Findings:
-    """Findings of an arm's diagnosis, of the recording that is calibrated."""
-    return Findings(diagnosis.effects, None, unexplained_findings(diagnosis.left))
 
 
 @threadpool_limits.wrap(limits=1)

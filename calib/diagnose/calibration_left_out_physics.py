@@ -21,12 +21,12 @@ from calib.certify.calibration_evidence import OfCalibrations, calibration_evide
 from calib.certify.held_out_errors import pose_errors
 from calib.certify.workspace_claim import Claim
 from calib.diagnose.engine.problem_interface import Progress
-from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm as diagnose_arm
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform as diagnose_platform
-from calib.diagnose.report import arm_report, platform_report, report_sentences
+from calib.diagnose.recording_diagnosis import DiagnosisOptions, diagnose
+from calib.diagnose.report import report_sentences
 from calib.diagnose.report.diagnosis_json import UNKNOWN
 from calib.diagnose.report.diagnosis_report import Report
 from calib.diagnose.report.diagnosis_verdict import doubts, unexplained_sentences
+from calib.diagnose.report.report_entries import diagnosis_report
 from calib.files import calibration_file
 from calib.files.calibration_from_recording import SEED
 from calib.samples.pose_samples import Samples
@@ -63,10 +63,7 @@ def search_left_out_physics(
     if calibration.claim is None or calibration.claim.after is None:
         return calibration
     try:
-        if recording.design.mechanism.kind in ("arm", "chain"):
-            report = arm_report.arm_report(diagnose_arm(recording, progress=progress, sampled=sampled))
-        else:
-            report = platform_report.platform_report(diagnose_platform(recording, progress=progress, sampled=sampled))
+        report = diagnosis_report(diagnose(recording, DiagnosisOptions(sampled=sampled), progress))
     except NotEnoughData as error:
         return _with(calibration, (f"what it leaves out could not be looked for: {error}",))
     return _add_left_out_physics(calibration, report, sampled.samples)

@@ -14,8 +14,8 @@ from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.exchanged_markers import correct_marker_swaps
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording, without_distant_corners
-from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosis
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined, refine
+from calib.diagnose.recording_diagnosis import Diagnosis
 from calib.diagnose.report.diagnosis_json import SCHEMA, UNKNOWN
 from calib.models.platform.identification import Loops, geometric_parameters
 from calib.samples.pose_samples import Samples
@@ -24,6 +24,7 @@ from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.catalogue.marker_swap import MarkerSwap
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of_effects
+from rig.effects.framework.place import Place
 from rig.effects.texts.effect_text import Kinds
 from rig.errors import FileError
 from rig.formats import json_file, machine_json
@@ -102,9 +103,9 @@ class PlatformRefit:
         return np.stack(out, axis=2) if out else np.zeros((*self.samples.commanded.shape, 0))
 
 
-def findings_of_platform_diagnosis(diagnosis: PlatformDiagnosis) -> Findings:
+def findings_of_platform_diagnosis(diagnosis: Diagnosis) -> Findings:
     """Findings of a platform's diagnosis, of the recording that is calibrated."""
-    return Findings((*diagnosis.swapped, *diagnosis.effects), None, unexplained_findings(diagnosis.left))
+    return Findings(diagnosis.machine_effects, None, unexplained_findings(diagnosis.left))
 
 
 def unexplained_findings(left: Iterable[LackOfFit]) -> tuple[Unknown, ...]:
@@ -233,5 +234,5 @@ def sensor_medians_and_deviations(recording: Recording, t: np.ndarray) -> dict[s
 
 def _corrected(place: str, done: Certified) -> bool:
     """Whether a place's strut, or any for the whole rig, is corrected over the configuration space."""
-    kept = [f"strut {i + 1}" for i, part in enumerate(done.correction.remainder) if part is not None]
+    kept = [str(Place.axis("strut", i)) for i, part in enumerate(done.correction.remainder) if part is not None]
     return place in kept or (place == "rig" and bool(kept))

@@ -7,8 +7,8 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from calib.diagnose.engine.candidate_score import Alternative
+from calib.diagnose.engine.finding_confirmation import Finding
 from calib.diagnose.engine.selection_inputs import PLATFORM
-from calib.diagnose.engine.term_selection import Finding
 from calib.diagnose.report.diagnosis_json import UNKNOWN
 from rig.planning.plan import Plan
 

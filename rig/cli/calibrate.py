@@ -160,12 +160,11 @@ def _taken(
 ) -> PlatformRefit:
     """PlatformRefit of findings; of what a diagnosis of the recording itself finds where these are None."""
     from calib.diagnose.platform_findings_refit import findings_of_platform_diagnosis, refit_platform_with_findings
-    from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform as diagnose
+    from calib.diagnose.recording_diagnosis import DiagnosisOptions, diagnose
 
     if findings is None:
-        findings = findings_of_platform_diagnosis(
-            diagnose(recording, progress=progress, sampled=sampled, kinds=tuple(own.values()))
-        )
+        options = DiagnosisOptions(sampled=sampled, kinds=tuple(own.values()))
+        findings = findings_of_platform_diagnosis(diagnose(recording, options, progress))
     return refit_platform_with_findings(recording, sampled, findings, progress)
 
 
@@ -173,11 +172,13 @@ def _taken_arm(
     recording: Recording, sampled: Sampled, findings: Findings | None, own: Kinds, progress: Progress
 ) -> ArmRefit:
     """ArmRefit of findings; of what a diagnosis of the recording itself finds where these are None."""
-    from calib.diagnose.arm_findings_refit import findings_of_arm_diagnosis, refit_arm_with_findings
-    from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm as diagnose
+    from calib.diagnose.arm_findings_refit import refit_arm_with_findings
+    from calib.diagnose.platform_findings_refit import findings_of_platform_diagnosis
+    from calib.diagnose.recording_diagnosis import DiagnosisOptions, diagnose
 
     if findings is None:
-        findings = findings_of_arm_diagnosis(diagnose(recording, progress=progress, kinds=tuple(own.values())))
+        options = DiagnosisOptions(sampled=sampled, kinds=tuple(own.values()))
+        findings = findings_of_platform_diagnosis(diagnose(recording, options, progress))
     return refit_arm_with_findings(recording, sampled, findings, progress)
 
 

@@ -112,10 +112,8 @@ def run(arguments: Namespace) -> None:
     out = arguments.outputs.folder(arguments.out)
 
     calibration = None if arguments.calibration is None else _known(arguments.calibration, recording, own)
-    mechanism = recording.design.mechanism
-    diagnosed = _arm if mechanism.axes and mechanism.strut_joints is None else _platform
     _print(
-        diagnosed(
+        _diagnose(
             recording,
             arguments,
             Beforehand(calibration, _given(arguments, recording, kinds), own, tuple(kinds.values())),
@@ -170,81 +168,40 @@ def _said(arguments: Namespace) -> tuple[str, ...]:
     return tuple(f"{option} {text}" for option, texts in words for text in texts if text is not None)
 
 
-def _arm(recording: Recording, arguments: Namespace, known: Beforehand, out: Path, progress: Progress) -> Report:
-    """Report of an arm's or a chain's recording, written to a folder with its page."""
-    from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm as diagnose
-    from calib.diagnose.report import arm_report
-    from calib.diagnose.report.arm_page_figures import ArmView
-    from calib.diagnose.report.diagnosis_page import diagnosis_page
+def _diagnose(recording: Recording, arguments: Namespace, known: Beforehand, out: Path, progress: Progress) -> Report:
+    """Report of a recording, written to a folder with its page."""
+    from calib.diagnose.recording_diagnosis import DiagnosisOptions, diagnose
+    from calib.diagnose.report.diagnosis_page import diagnosis_page, machine_view
+    from calib.diagnose.report.report_entries import diagnosis_report, write_diagnosis
     from calib.samples.recording_samples import sample_recording
 
-    if known.calibration is not None:
-        raise RigError(
-            "--calibration is for hexapods; the geometry of an arm or a chain is always fitted to the recording"
-        )
-    sampled = sample_recording(recording, progress=progress)
-    found = replace(
-        diagnose(recording, arguments.only, tuple(arguments.without), progress, known.given, known.kinds, sampled),
-        said=_said(arguments),
+    commanded = recording.commands is not None and recording.design.mechanism.kind != "free"
+    sampled = sample_recording(recording, progress=progress) if commanded else None
+    options = DiagnosisOptions(
+        only=None if arguments.only is None else tuple(arguments.only),
+        without=tuple(arguments.without),
+        given=known.given,
+        calibration=known.calibration,
+        sampled=sampled,
+        kinds=known.kinds,
         own=known.own,
+        said=_said(arguments),
     )
-    report = arm_report.arm_report(found)
+    found = diagnose(recording, options, progress)
+    report = diagnosis_report(found)
     report = replace(report, calibrations=_of_calibrations(report, recording, sampled, arguments))
-    arm_report.write_arm_diagnosis(out, found, recording, report)
+    write_diagnosis(out, found, recording, report)
     diagnosis_page(
         out / "diagnosis.html",
         report,
-        ArmView(found, report.named),
+        machine_view(found, recording, report),
         page_links(arguments, arguments.out / "diagnosis.html"),
     )
     if arguments.next is not None:
-        from calib.experiment.diagnosis_questions import arm_questions
-
-        experiment_planning.write_next_experiment_plan(arguments, arm_questions(found), recording.design, out, progress)
-    return report
-
-
-def _platform(recording: Recording, arguments: Namespace, known: Beforehand, out: Path, progress: Progress) -> Report:
-    """Report of a platform's or a hand-moved body's recording, written to a folder with its page."""
-    from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform as diagnose
-    from calib.diagnose.report import platform_report
-    from calib.diagnose.report.diagnosis_page import diagnosis_page
-    from calib.diagnose.report.platform_page_figures import PlatformView
-    from calib.samples.recording_samples import sample_recording
-
-    sampled = (
-        None
-        if recording.commands is None or not recording.design.mechanism.axes
-        else sample_recording(recording, progress=progress)
-    )
-    found = replace(
-        diagnose(
-            recording,
-            arguments.only,
-            tuple(arguments.without),
-            progress,
-            known.calibration,
-            known.given,
-            sampled,
-            known.kinds,
-        ),
-        said=_said(arguments),
-        own=known.own,
-    )
-    report = platform_report.platform_report(found)
-    report = replace(report, calibrations=_of_calibrations(report, recording, sampled, arguments))
-    platform_report.write_platform_diagnosis(out, found, recording, report)
-    diagnosis_page(
-        out / "diagnosis.html",
-        report,
-        PlatformView(recording, found),
-        page_links(arguments, arguments.out / "diagnosis.html"),
-    )
-    if arguments.next is not None:
-        from calib.experiment.diagnosis_questions import platform_questions
+        from calib.experiment.diagnosis_questions import diagnosis_questions
 
         experiment_planning.write_next_experiment_plan(
-            arguments, platform_questions(found), recording.design, out, progress
+            arguments, diagnosis_questions(found), recording.design, out, progress
         )
     return report
 

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.diagnose.arm_findings_refit import findings_of_arm_diagnosis, refit_arm_with_findings
-from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm
+from calib.diagnose.arm_findings_refit import refit_arm_with_findings
+from calib.diagnose.platform_findings_refit import findings_of_platform_diagnosis
 from calib.files.calibration_from_recording import calibration_with_provenance
 from calib.models.arm import error_model
 from calib.models.arm.certification import arm_workspace_claim, certify_arm
@@ -33,6 +33,7 @@ from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
 from synthetic import recording_simulation, secret_machine
 from synthetic.secret_machine import World
+from tests.calib.diagnosing import diagnosis_of
 
 ARMS, ROUTE, POSES, REACH = 3, "sobol:150", 60, 0.7
 NEAR_SINGULAR = 0.02  # least over greatest singular value; where a wrist is near it, a micrometre may be out of reach
@@ -111,7 +112,9 @@ def _recorded(folder: Path, text: str, seed: int, effects: tuple[Effect, ...]) -
 def _driven(rec: Recording, secret: World, physics: bool) -> tuple[np.ndarray, np.ndarray]:
     """((2,) RMS error of driven poses, (2,) its stated standard uncertainty, NaN without physics), m and rad."""
     sampled, rng = sample_recording(rec), np.random.default_rng(0)
-    taken = refit_arm_with_findings(rec, sampled, findings_of_arm_diagnosis(diagnose_arm(rec))) if physics else None
+    taken = (
+        refit_arm_with_findings(rec, sampled, findings_of_platform_diagnosis(diagnosis_of(rec))) if physics else None
+    )
     done = certify_arm(
         sampled.samples,
         rec.design.mechanism,

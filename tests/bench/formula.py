@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from rig.formats.rig_toml import design_file
 from rig.planning.layout import hexapod_and_two_strut_layout
 from tests.calib import laws
+from tests.calib.diagnosing import diagnosis_of
 from tests.calib.recorded import recorded
 
 RIGS, RIGHT, HELD_OUT = 3, 5, 1.2
@@ -47,7 +47,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
                 rec, effect, wanted = laws.recorded(
                     Path(folder) / f"law{number}{k}", design, text, number, 10 * number + k, seen
                 )
-                found = diagnose_platform(rec)
+                found = diagnosis_of(rec)
                 names, ratio = suggested(found)
                 hits.append(names == wanted)
                 ratios.append(ratio)
@@ -67,12 +67,12 @@ def rows() -> Iterator[tuple[str, str, str]]:
             )
         yield "laws of six with the right covariates in most rigs", str(right), f">= {RIGHT}"
         quiet = [
-            len(diagnose_platform(recorded(Path(folder) / f"quiet{k}", design, (), 60 + k, laws.PLAN)).suggestions)
+            len(diagnosis_of(recorded(Path(folder) / f"quiet{k}", design, (), 60 + k, laws.PLAN)).suggestions)
             for k in range(RIGS)
         ]
         yield f"nothing hidden: formulas suggested over {RIGS} rigs", str(sum(quiet)), "0"
         named = [
-            diagnose_platform(recorded(Path(folder) / f"named{k}", design, (text,), 70 + k, laws.PLAN))
+            diagnosis_of(recorded(Path(folder) / f"named{k}", design, (text,), 70 + k, laws.PLAN))
             for k, text in enumerate(NAMED)
         ]
         yield (

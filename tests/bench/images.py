@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from calib.diagnose.problems.platform.effect_strength import platform_effect_strengths
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
-from calib.diagnose.report import platform_report
+from calib.diagnose.report.report_entries import diagnosis_report, write_diagnosis
 from calib.samples.recording_samples import Sampled, sample_recording
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
 from synthetic import blind_cases, diagnosis_score
+from tests.calib.diagnosing import diagnosis_of
 from tests.vision.scenes import nees
 from tests.vision.test_recording_adjustment import joint_chi2
 from vision.corner_observations import Observations
@@ -65,7 +65,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
                     told.append(true(case, sampled))
                 found.append(
                     diagnosis_score.score_case(
-                        index, truth, diagnosed(recorded, sampled, Path(folder) / f"{kind}{index}")
+                        index, truth, diagnosis_of(recorded, sampled, Path(folder) / f"{kind}{index}")
                     )
                 )
                 print(line(kind, found[-1]), file=sys.stderr, flush=True)
@@ -172,8 +172,8 @@ def drawn(keep: Path, kind: str, index: int) -> tuple[blind_cases.DrawnCase, Rec
 def diagnosed(recorded: Recording, sampled: Sampled, out: Path) -> Path:
     """The diagnosis.json of a recording that was measured before."""
     out.mkdir(parents=True, exist_ok=True)
-    found = diagnose_platform(recorded, sampled=sampled)
-    platform_report.write_platform_diagnosis(out, found, recorded, platform_report.platform_report(found))
+    found = diagnosis_of(recorded, sampled=sampled)
+    write_diagnosis(out, found, recorded, diagnosis_report(found))
     return out / "diagnosis.json"
 
 

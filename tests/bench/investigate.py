@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosis, diagnose_platform
-from calib.experiment.diagnosis_questions import platform_questions
+from calib.diagnose.recording_diagnosis import Diagnosis
+from calib.experiment.platform_questions import platform_questions as questions
 from calib.experiment.experiment_choice import Experiment, available_plans, choose_experiment, evaluate_experiment
 from calib.experiment.experiment_information import NAME
 from rig.effects.texts.effect_text import parse_effect, require_existing_place
@@ -29,6 +29,7 @@ from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
 from synthetic import recording_simulation, secret_machine
+from tests.calib.diagnosing import diagnosis_of
 from vision.combined_recordings import combine_recordings
 
 NOISE, LOOKS, BUDGET = 0.04, 8, 120.0  # px; recordings at the most; min
@@ -104,26 +105,26 @@ class Case:
         )
         return recording_folder.load_recording(self.folder / name)
 
-    def first(self, text) -> tuple[Recording, PlatformDiagnosis]:
+    def first(self, text) -> tuple[Recording, Diagnosis]:
         """(Recording, its diagnosis) of a first plan."""
         found = self.recorded("first", plan.build_plan(self.design, text, self.seed))
-        return found, diagnose_platform(found)
+        return found, diagnosis_of(found)
 
 
-def settle(case, first, found, pick, looks=LOOKS) -> tuple[PlatformDiagnosis, int, float, list[tuple[float, bool]]]:
+def settle(case, first, found, pick, looks=LOOKS) -> tuple[Diagnosis, int, float, list[tuple[float, bool]]]:
     """(diagnosis, extra poses, min, [(stated, settled)]) of experiments that pick(questions, number, min left)
     chooses.
     """
     parts, poses, minutes, stated = [first], 0, 0.0, []
     for number in range(1, looks):
-        asked = platform_questions(found)
+        asked = questions(found)
         chosen = pick(asked, number, BUDGET - minutes) if asked else None
         if chosen is None:
             break
         parts.append(case.recorded(f"{pick.__name__}{number}", chosen.plan))
-        found = diagnose_platform(combine_recordings(parts).recording)
+        found = diagnosis_of(combine_recordings(parts).recording)
         poses, minutes = poses + len(chosen.plan.t), minutes + chosen.minutes
-        stated.append((chosen.settles, not platform_questions(found)))
+        stated.append((chosen.settles, not questions(found)))
     return found, poses, minutes, stated
 
 
@@ -218,14 +219,14 @@ def tried(base, rooms, number, draws) -> Tried:
         rng = np.random.default_rng(seed)
         case = Case(base / str(seed), design, text, drawn(both[number // len(PAIRS) % 2], rng), seed)
         first, found = case.first(route)
-        if platform_questions(found):
+        if questions(found):
             break
     else:
         right = names(found) == [case.title]
         return Tried(f"{case.truth}: {names(found)} {'alone' if right else 'NOT right'} at once", False, right, draw)
     done, poses, minutes, told = settle(case, first, found, best(design))
     _, others, _, random = settle(case, first, found, at_random(design, rng), AT_RANDOM)
-    alone = names(done) == [case.title] and not platform_questions(done)
+    alone = names(done) == [case.title] and not questions(done)
     said = f"{[(round(s, 2), h) for s, h in told]} random {[(round(s, 2), h) for s, h in random]}"
     return Tried(
         f"{case.truth}: {names(done)} {'alone' if alone else 'NOT alone'}, {poses} poses in {minutes:.1f} "

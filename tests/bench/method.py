@@ -14,11 +14,11 @@ import numpy as np
 from calib.certify.calibration import Calibration
 from calib.correct.summand_extension import base_geometry, correction_with_field, fit_summand_field, measured_summands
 from calib.diagnose.platform_findings_refit import findings_of_platform_diagnosis
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.samples.recording_samples import sample_recording
 from rig.effects.texts.effect_text import parse_effect
 from rig.formats.rig_toml import design_file
 from rig.planning.layout import hexapod_and_two_strut_layout
+from tests.calib.diagnosing import diagnosis_of
 from tests.calib.physical import ASKED, driven, learnt, write
 
 EFFECTS = ("transmission_error:strut2:profile=0/2e-5/-2e-5/3e-5/0/2e-5/-3e-5/1e-5", "compliance:rig:stiffness=3e6")
@@ -52,9 +52,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
         floor = float(np.sqrt(np.trace(own[:, :3, :3], axis1=1, axis2=2).mean()))
         ways = {
             "physics": learnt(
-                recording,
-                sampled,
-                findings_of_platform_diagnosis(diagnose_platform(recording, only=ASKED, sampled=sampled)),
+                recording, sampled, findings_of_platform_diagnosis(diagnosis_of(recording, only=ASKED, sampled=sampled))
             ),
             "parameters alone": learnt(recording, sampled, None, "none"),
             "grid alone, 729 poses, n-linear": by_field(on_grid, design, "linear"),

@@ -10,7 +10,6 @@ from calib.certify.calibration import Calibration
 from calib.certify.platform_certification import Certified
 from calib.correct.correction import calibrate_correction
 from calib.diagnose.platform_findings_refit import findings_of_platform_diagnosis, refit_platform_with_findings
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.models.wanted_pose_commands import commands_along_route, route_pace
 from calib.samples.recording_samples import sample_recording
 from rig.effects.catalogue.effect_list import ALL
@@ -21,6 +20,7 @@ from rig.planning import configuration_sets, plan
 from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
+from tests.calib.diagnosing import diagnosis_of
 from tests.calib.worlds import rms
 
 ASKED = [
@@ -100,7 +100,7 @@ def three_ways(folder, design, text, seed, effect, route):
     """(Driven with physics, Driven plain, Driven of the same rig without the effect, calibrated plainly)."""
     rec, secret = write(folder / "with", design, text, seed, (effect,), route)
     sampled = sample_recording(rec)
-    known = learnt(rec, sampled, findings_of_platform_diagnosis(diagnose_platform(rec, only=ASKED, sampled=sampled)))
+    known = learnt(rec, sampled, findings_of_platform_diagnosis(diagnosis_of(rec, only=ASKED, sampled=sampled)))
     plain = learnt(rec, sampled, None)
     bare, innocent = write(folder / "without", design, text, seed, (), route)
     without = learnt(bare, sample_recording(bare), None)

@@ -14,10 +14,10 @@ from calib.diagnose.engine.linear_model import Block, Column, LinearModel
 from calib.diagnose.engine.selection_inputs import PLATFORM, Candidate
 from calib.diagnose.engine.term_selection import _hidden
 from calib.diagnose.problems.platform.held_out_validation import sides_of_sudden_changes
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
-from calib.diagnose.report.platform_report import platform_report
+from calib.diagnose.report.report_entries import diagnosis_report
 from rig.effects.catalogue.camera_bump import CameraBump
 from rig.effects.catalogue.missed_steps import MissedSteps
+from tests.calib.diagnosing import diagnosis_of
 from tests.calib.recorded import recorded
 
 FRAMES, ROWS, DRAWS = 30, 14, 500  # of a camera, numbers that each shows, worlds with nothing in them
@@ -113,7 +113,7 @@ def test_sides_are_held_out_of_what_is_seen_and_not_of_what_axes_do():
     "time", [24, pytest.param(130, marks=pytest.mark.slow)], ids=["after few frames", "before few frames"]
 )
 def test_a_knock_that_few_frames_see_is_named(tmp_path, design, time):
-    found = diagnose_platform(
+    found = diagnosis_of(
         recorded(tmp_path, design, [f"camera_bump:cam1:{KNOCK},time={time}"], route="sobol:30", noise=0.01),
         only=["camera_bump", "camera_drift", "focal_drift"],
     )
@@ -122,7 +122,7 @@ def test_a_knock_that_few_frames_see_is_named(tmp_path, design, time):
 
 @pytest.mark.slow
 def test_a_curve_of_many_numbers_is_named_in_few_frames(tmp_path, design):
-    found = diagnose_platform(
+    found = diagnosis_of(
         recorded(
             tmp_path,
             design,
@@ -182,8 +182,8 @@ def test_a_strong_effect_in_few_frames_is_not_hidden_by_its_own_scatter(tmp_path
     unknown.
     """
     rec = recorded(tmp_path, design, ["backlash:strut2:gap=100e-6"], route="sobol:16,ladder:1", seed=22)
-    (finding,) = platform_report(
-        diagnose_platform(rec, only=["backlash", "hysteresis", "joint_clearance", "transmission_error", "cyclic_error"])
+    (finding,) = diagnosis_report(
+        diagnosis_of(rec, only=["backlash", "hysteresis", "joint_clearance", "transmission_error", "cyclic_error"])
     ).findings
     assert (finding.effect, finding.place) == ("backlash", "strut 2")
     assert finding.parameters["gap"].value == pytest.approx(1e-4, abs=1e-5)

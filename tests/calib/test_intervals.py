@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from calib.diagnose.engine.chance_probability import Z95
+from calib.diagnose.engine.parameter_values import Value, bounded_value
 from calib.diagnose.problems.platform import tolerance_columns
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.interval_widening import (
@@ -18,7 +19,7 @@ from calib.diagnose.problems.platform.interval_widening import (
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined, refine, refine_at_fixed_repeated_error
 from calib.diagnose.report import report_sentences
-from calib.diagnose.report.diagnosis_json import FindingEntry, Value, bounded_value
+from calib.diagnose.report.diagnosis_json import FindingEntry
 from rig.effects.framework.fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text import parse_effect
 from rig.model.manufacturing_tolerances import SIDES

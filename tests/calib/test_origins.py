@@ -6,13 +6,11 @@ import re
 import numpy as np
 import pytest
 
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
-from calib.diagnose.report.diagnosis_page import diagnosis_page
-from calib.diagnose.report.platform_page_figures import PlatformView
-from calib.diagnose.report.platform_report import platform_report
+from calib.diagnose.report.report_entries import diagnosis_report
 from rig.effects.catalogue.effect_list import ALL
 from rig.recording import recording_folder
 from synthetic import blind_cases
+from tests.calib.diagnosing import diagnosis_of, page_text
 from tests.calib.recorded import recorded
 from tests.origins import ORIGINS, counted_from
 
@@ -22,8 +20,8 @@ CLOCKED = ["clock_drift", "time_offset", "vibration", "missed_steps"]  # what a 
 def verdicts(folder, tmp_path, only, origins=ORIGINS):
     """{origin: tree of diagnosis.json}."""
     return {
-        origin: platform_report(
-            diagnose_platform(recording_folder.load_recording(counted_from(folder, tmp_path / origin, origin)), only)
+        origin: diagnosis_report(
+            diagnosis_of(recording_folder.load_recording(counted_from(folder, tmp_path / origin, origin)), only)
         ).tree()
         for origin in origins
     }
@@ -75,8 +73,8 @@ def test_no_page_depends_on_the_origin(tmp_path, design):
     pages = []
     for origin in (ORIGINS[0], ORIGINS[-1]):
         found = recording_folder.load_recording(counted_from(tmp_path / "rec", tmp_path / origin, origin))
-        diagnosed = diagnose_platform(found, ["missed_steps strut 2", "camera_bump camera cam1"])
-        diagnosis_page(tmp_path / "page.html", platform_report(diagnosed), PlatformView(found, diagnosed))
+        diagnosed = diagnosis_of(found, ["missed_steps strut 2", "camera_bump camera cam1"])
+        page_text(tmp_path / "page.html", found, diagnosed)
         pages.append(cells((tmp_path / "page.html").read_text(encoding="utf-8")))
     here, later = pages
     moments = [i for i, (a, b) in enumerate(zip(here, later)) if a != b]

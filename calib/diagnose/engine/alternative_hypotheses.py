@@ -5,7 +5,7 @@ from typing import Any, Generic
 
 from calib.diagnose.engine.candidate_score import Alternative, Score, score_with_likelihood_ratio
 from calib.diagnose.engine.linear_model import column_cosine
-from calib.diagnose.engine.problem_interface import Fit, Model, Problem
+from calib.diagnose.engine.problem_interface import AliasedNodes, Fit, Model, Problem
 from calib.diagnose.engine.selection_inputs import C, SelectionPolicy
 
 
@@ -47,7 +47,8 @@ def find_alternatives(
     for s in scores:
         place = s.candidate.name, s.candidate.place
         if place == here:
-            found = [alternative(a) for a in problem.aliases(model, own, s)]
+            others = problem.aliases(model, own, s) if isinstance(problem, AliasedNodes) else []
+            found = [alternative(a) for a in others]
             out += [a for a in found if a.behind < 2 * policy.alike and abs(a.cosine) >= policy.akin]
             continue
         if place in listed or own.evidence(size) - s.evidence(size) > reach or s.p_value > policy.alternative_alpha:

@@ -1,11 +1,12 @@
 """The interface (protocol) of a problem that the engine searches: platforms, bodies and arms.
+have, each a protocol of its own. No member that asks changes anything.
 
 A Fit is all that is admitted at its best; a Model is what it leaves, linear, with nuisances and the admitted terms'
 parameters taken out.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, Protocol, Self, TypeVar, runtime_checkable
 
 from calib.diagnose.engine.candidate_score import Score
 from calib.diagnose.engine.cross_validation import CrossValidation
@@ -14,7 +15,10 @@ from calib.diagnose.engine.linear_model import Column, LinearModel
 from calib.diagnose.engine.selection_inputs import C, SelectionPolicy, StatedTerms
 
 Fit = TypeVar("Fit")
+Fit_contra = TypeVar("Fit_contra", contravariant=True)
 Model = TypeVar("Model")
+Model_co = TypeVar("Model_co", covariant=True)
+Model_contra = TypeVar("Model_contra", contravariant=True)
 Progress = Callable[[str, int, int], None]  # called with (label, done, of)
 
 
@@ -28,7 +32,7 @@ class Wald(NamedTuple):
 
 
 class Problem(Protocol[Fit, Model, C]):
-    """A recording to be explained."""
+    """A recording to be explained: what every problem answers."""
 
     @property
     def policy(self) -> SelectionPolicy:
@@ -54,23 +58,11 @@ class Problem(Protocol[Fit, Model, C]):
     def residual(self, fit: Fit) -> Model:
         """What it leaves."""
 
-    def is_explained_by_tolerances(self, fit: Fit, best: Score[C] | None) -> bool:
-        """Whether from here on something that is nobody's fault stands among the nuisances, since it explains more than
-        the best there is: a change for all Fits, made once."""
-
     def without_term(self, fit: Fit, number: int) -> Model:
         """What it leaves with one term taken away, the others' parameters among the nuisances."""
 
-    def covered(self, fit: Fit, number: int, left: list[LackOfFit]) -> Model | None:
-        """The same with the smooth functions of what is left among the nuisances; None where there are none for such a
-        problem.
-        """
-
     def linear(self, model: Model) -> LinearModel:
         """The LinearModel that a Model stands for."""
-
-    def open(self, fit: Fit) -> list[C]:
-        """The candidates that may still be admitted."""
 
     def search(
         self, model: Model, candidates: list[C], least: float, progress: Callable[[int, int], None] | None
@@ -80,17 +72,11 @@ class Problem(Protocol[Fit, Model, C]):
     def rescored(self, model: Model, fit: Fit, number: int) -> Score[C]:
         """The Score of an admitted term on a model without it."""
 
-    def aliases(self, model: Model, own: Score[C], score: Score[C]) -> list[Score[C]]:
-        """Other nodes of the candidate of `own` (scored as `score`) that are another hypothesis than its best one."""
-
     def column(self, model: Model, score: Score[C]) -> Column:
         """Column (1) of what a Score's candidate does as scanned."""
 
     def add_term(self, fit: Fit, score: Score[C]) -> Fit:
         """The Fit with one term more, the last."""
-
-    def companion(self, fit: Fit, score: Score[C]) -> Score[C] | None:
-        """A Score of another place anew, now that others are admitted; None where it has gone."""
 
     def remove_term(self, fit: Fit, number: int) -> Fit:
         """The Fit with one term less."""
@@ -98,25 +84,14 @@ class Problem(Protocol[Fit, Model, C]):
     def in_place(self, fit: Fit, number: int) -> Fit:
         """The Fit with its last term moved to a number."""
 
-    def refined(self, fit: Fit) -> Fit:
-        """The Fit with terms' nonlinear parameters at their best now that others are admitted."""
-
-    def simplified(self, fit: Fit, /) -> Fit:
-        """The Fit with special cases in place of general ones that do no better, and one general one in place of many
-        special.
-        """
-
     def wald(self, fit: Fit, number: int) -> Wald:
         """Of one term."""
 
     def likelihood_ratio(self, fit: Fit, other: Fit) -> float:
         """By how much minus twice the log likelihood of `fit` is above that of `other`."""
 
-    def heldout_gains(self, fit: Fit, numbers: list[int]) -> list[float]:
-        """Standard errors by which stretches held out gain by each of some terms."""
-
-    def cross_validation(self, fit: Fit, number: int) -> CrossValidation:
-        """Of one term."""
+    def cross_validations(self, fit: Fit, numbers: list[int]) -> list[CrossValidation]:
+        """Of each of some terms alone."""
 
     def lack_of_fit(self, model: Model, place: str | None = None) -> list[LackOfFit]:
         """What nobody named, the most convincing first; at a place of a name alone, by the chance that names are found
@@ -125,3 +100,64 @@ class Problem(Protocol[Fit, Model, C]):
 
     def within(self, left: LackOfFit, place: str) -> bool:
         """Whether what is left sits where something at a place does, or at a part of it."""
+
+
+@runtime_checkable
+class AdmissionRules(Protocol[Fit_contra, C]):
+    """Capability: some candidates exclude others."""
+
+    def admissible(self, fit: Fit_contra) -> list[C]:
+        """The candidates that may still be admitted."""
+
+
+@runtime_checkable
+class Tolerances(Protocol[Fit_contra, C]):
+    """Capability: something that is nobody's fault may explain what is measured."""
+
+    def tolerances_explain(self, fit: Fit_contra, best: Score[C] | None) -> bool:
+        """Whether tolerances explain more than the best candidate, and are not among the nuisances yet."""
+
+    def with_tolerances(self) -> Self:
+        """The problem with tolerances among its nuisances, for all Fits."""
+
+
+@runtime_checkable
+class SmoothCover(Protocol[Fit_contra, Model_co]):
+    """Capability: a name has to stand beside smooth functions of what is left."""
+
+    def covered(self, fit: Fit_contra, number: int, left: list[LackOfFit]) -> Model_co:
+        """What a Fit leaves with one term taken away, the smooth functions of what is left among the nuisances."""
+
+
+@runtime_checkable
+class AliasedNodes(Protocol[Model_contra, C]):
+    """Capability: nodes of one candidate may be hypotheses of their own."""
+
+    def aliases(self, model: Model_contra, own: Score[C], score: Score[C]) -> list[Score[C]]:
+        """Other nodes of the candidate of `own` (scored as `score`) that are another hypothesis than its best one."""
+
+
+@runtime_checkable
+class Companions(Protocol[Fit_contra, C]):
+    """Capability: other places may show a term of the same step."""
+
+    def companion(self, fit: Fit_contra, score: Score[C]) -> Score[C] | None:
+        """A Score of another place anew, now that others are admitted; None where it has gone."""
+
+
+@runtime_checkable
+class TermRefinement(Protocol[Fit]):
+    """Capability: nonlinear parameters of admitted terms are fitted apart from their admission."""
+
+    def refine_terms(self, fit: Fit) -> Fit:
+        """The Fit with terms' nonlinear parameters at their best now that others are admitted."""
+
+
+@runtime_checkable
+class TermSimplification(Protocol[Fit]):
+    """Capability: one term may be a special case of another."""
+
+    def simplify_terms(self, fit: Fit, /) -> Fit:
+        """The Fit with special cases in place of general ones that do no better, and one general one in place of many
+        special.
+        """

@@ -5,102 +5,129 @@ from typing import Any, Generic
 
 import numpy as np
 
-from calib.diagnose.engine.alternative_hypotheses import find_alternatives, is_indistinguishable, refit_alternatives
-from calib.diagnose.engine.candidate_score import Alternative, Score, score_with_likelihood_ratio
+from calib.diagnose.engine.candidate_score import Score, score_with_likelihood_ratio
+from calib.diagnose.engine.finding_confirmation import (
+    Finding,
+    confirm_terms,
+    is_finding_significant,
+    is_significant,
+    labelled_progress,
+    may_become_significant,
+)
 from calib.diagnose.engine.lack_of_fit import LackOfFit
-from calib.diagnose.engine.problem_interface import Fit, Model, Problem, Progress
-from calib.diagnose.engine.selection_inputs import C, SelectionPolicy
+from calib.diagnose.engine.problem_interface import (
+    AdmissionRules,
+    Companions,
+    Fit,
+    Model,
+    Problem,
+    Progress,
+    SmoothCover,
+    TermRefinement,
+    TermSimplification,
+    Tolerances,
+)
+from calib.diagnose.engine.selection_inputs import C
 
 DIGITS = 3  # of a node's values, by which hypotheses are told apart
-RESTARTS = 2  # times the most terms that there may be, after which terms are confirmed as they stand
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Finding(Generic[C]):
-    """number : of the term among the admitted; score : with all others admitted; alternatives : that the recording
-    cannot tell from it
-    """
-
-    number: int
-    score: Score[C]
-    alternatives: list[Alternative[C]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Selection(Generic[Fit, C]):
-    """before : Fit with nothing admitted; fit : with all; findings : in the order of their weight; asked : how many
+    """problem : Problem that all was judged by, with tolerances among its nuisances where they are seen to be at work
+    before : Fit with nothing admitted; fit : with all; findings : in the order of their weight; asked : how many
     candidates were
     """
 
+    problem: Problem[Fit, Any, C]
     before: Fit
     fit: Fit
     findings: list[Finding[C]]
     asked: int
 
 
-def is_significant(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
-    """Whether a Score is significant: beyond chance over all candidates, and worth its parameters."""
-    return score.p_value * count <= policy.alpha and score.delta_bic(size) >= policy.delta_bic
-
-
-def labelled_progress(progress: Progress | None, label: str) -> Any:
-    """A progress (done, of) under a label, or None."""
-    return None if progress is None else lambda done, of: progress(label, done, of)
-
-
 def select_terms(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Selection[Fit, C]:
     """Selection of the terms that a problem needs. progress : called with (label, done, of), or None"""
     before = problem.start()
-    fit = _remove_terms_without_held_out_gain(
-        problem, problem.simplified(_forward(problem, _fit_with_stated_terms(problem, before), progress))
-    )
-    fit, findings = _confirm(problem, fit, progress)
-    return Selection(before, fit, findings, len(problem.candidates))
+    problem, fit = _chosen(problem, before, progress)
+    fit, findings = confirm_terms(problem, fit, progress)
+    return Selection(problem, before, fit, findings, len(problem.candidates))
 
 
 def fit_selected_terms(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Fit:
     """The Fit of the selected terms, as `select_terms` has it before alternatives are tried."""
-    return _remove_terms_without_held_out_gain(
-        problem, problem.simplified(_forward(problem, _fit_with_stated_terms(problem, problem.start()), progress))
-    )
+    return _chosen(problem, problem.start(), progress)[1]
+
+
+def _chosen(
+    problem: Problem[Fit, Model, C], before: Fit, progress: Progress | None
+) -> tuple[Problem[Fit, Model, C], Fit]:
+    """(Problem, Fit) with terms admitted, and those that pay on stretches held out retained. Raises ValueError for a
+    policy that admits companions of a problem that has none.
+    """
+    if np.isfinite(problem.policy.companions) and not isinstance(problem, Companions):
+        raise ValueError("the policy admits companions, and the problem does not search for any")
+    problem, fit = _forward(problem, _fit_with_stated_terms(problem, before), progress)
+    if isinstance(problem, TermSimplification):
+        fit = problem.simplify_terms(fit)
+    return problem, _remove_terms_without_held_out_gain(problem, fit)
 
 
 def _fit_with_stated_terms(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
     """The Fit with what is said beforehand admitted, each at its best beside those before it."""
     for site in problem.given.first:
-        own = [c for c in problem.open(fit) if (c.name, c.place) == site]
+        own = [c for c in _admissible(problem, fit) if (c.name, c.place) == site]
         model = problem.residual(fit)
         size = problem.linear(model).size
         scores = problem.search(model, own, -np.inf, None)
         if scores:
             fit = problem.add_term(fit, max(scores, key=lambda s: s.evidence(size)))
-    return problem.refined(fit) if problem.given.first else fit
+    return _refined(problem, fit) if problem.given.first else fit
 
 
-def _forward(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None) -> Fit:
-    """The Fit with terms admitted step by step; from the beginning again where it turns out that more stands among the
-    nuisances.
+def _admissible(problem: Problem[Fit, Model, C], fit: Fit) -> list[C]:
+    """The candidates that may still be admitted."""
+    return problem.admissible(fit) if isinstance(problem, AdmissionRules) else problem.candidates
+
+
+def _refined(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
+    """The Fit, refined where a problem refines its terms apart."""
+    return problem.refine_terms(fit) if isinstance(problem, TermRefinement) else fit
+
+
+def _tolerances_explain(problem: Problem[Fit, Model, C], fit: Fit, best: Score[C] | None) -> bool:
+    """Whether something that is nobody's fault explains more than the best there is."""
+    return isinstance(problem, Tolerances) and problem.tolerances_explain(fit, best)
+
+
+def _forward(
+    problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None
+) -> tuple[Problem[Fit, Model, C], Fit]:
+    """(Problem, Fit) with terms admitted step by step; from the beginning again, tolerances among the nuisances, where
+    these turn out to explain more.
     """
-    while (found := _steps(problem, fit, progress)) is None:
-        continue
-    return found
+    found = _steps(problem, fit, progress)
+    while found is None and isinstance(problem, Tolerances):
+        problem = problem.with_tolerances()
+        found = _steps(problem, fit, progress)
+    return problem, fit if found is None else found
 
 
 def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None) -> Fit | None:
     """The Fit with terms admitted step by step; after each step, those that others have made needless go again. None
-    where the nuisances have become more, see `Problem.tolerates`."""
+    where tolerances explain more than any name."""
     policy, count = problem.policy, len(problem.candidates)
     taken: set[tuple] = set()
     refused: list[C] = []
     while len(problem.terms(fit)) < policy.most:
         model, size, admitted = problem.residual(fit), problem.size(fit), len(problem.terms(fit))
         label = f"searching beside {admitted} effects" if admitted else "searching"
-        scores = problem.search(model, problem.open(fit), policy.delta_bic, labelled_progress(progress, label))
+        scores = problem.search(model, _admissible(problem, fit), policy.delta_bic, labelled_progress(progress, label))
         fresh = [s for s in scores if _hypothesis_key(s) not in taken and not any(s.candidate is c for c in refused)]
         promising = [s for s in fresh if is_significant(s, count, problem.linear(model).size, policy)] or _hidden(
             problem, fit, model, fresh
         )
-        if problem.is_explained_by_tolerances(fit, promising[0] if promising else None):
+        if _tolerances_explain(problem, fit, promising[0] if promising else None):
             return None
         if not promising:
             return fit
@@ -112,8 +139,8 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None)
         fit, score = step
         taken.add(_hypothesis_key(score))
         fit = _companions(problem, fit, score, promising, taken, size)
-        fit = remove_redundant_terms(problem, problem.refined(fit))
-    return None if problem.is_explained_by_tolerances(fit, None) else fit
+        fit = remove_redundant_terms(problem, _refined(problem, fit))
+    return None if _tolerances_explain(problem, fit, None) else fit
 
 
 def _hidden(problem: Problem[Fit, Model, C], fit: Fit, model: Model, scores: list[Score[C]]) -> list[Score[C]]:
@@ -122,7 +149,7 @@ def _hidden(problem: Problem[Fit, Model, C], fit: Fit, model: Model, scores: lis
     strongest hides itself most, and what a scan sees of it is worth no more than its frames, however many numbers that
     has to pay for."""
     policy, linear = problem.policy, problem.linear(model)
-    scanned = [s for s in scores if _may_become_significant(s, len(problem.candidates), linear.size, policy)]
+    scanned = [s for s in scores if may_become_significant(s, len(problem.candidates), linear.size, policy)]
     surest = sorted(scanned, key=lambda s: s.p_value)[: policy.tried]
     strongest = [
         s
@@ -135,15 +162,6 @@ def _hidden(problem: Problem[Fit, Model, C], fit: Fit, model: Model, scores: lis
     ]
     found = [s for s in fitted if is_significant(s, len(problem.candidates), linear.size, policy)]
     return sorted(found, key=lambda s: -s.delta_bic(linear.size))
-
-
-def _may_become_significant(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
-    """Whether a Score that does not convince may once it is fitted: it is not likely by chance, or explains much by
-    whichever frames.
-    """
-    return policy.hidden > 0 and (
-        score.p_value * count <= policy.hidden or score.raw_delta_bic(size) >= policy.delta_bic
-    )
 
 
 def _hypothesis_key(score: Score[C]) -> tuple:
@@ -165,7 +183,7 @@ def _step(
     least = problem.policy.forward_gain
     for best in promising[: problem.policy.tried]:
         trial = problem.add_term(fit, best)
-        if least is None or problem.heldout_gains(trial, [len(problem.terms(fit))])[0] > least:
+        if least is None or problem.cross_validations(trial, [len(problem.terms(fit))])[0].gain > least:
             return _exchanged(problem, fit, trial, best, scores)
         refused.append(best.candidate)
     return None
@@ -201,6 +219,8 @@ def _companions(
 ) -> Fit:
     """The Fit with what other places show nearly as strongly, each asked again with the ones before it admitted."""
     policy, places = problem.policy, {best.candidate.place}
+    if not isinstance(problem, Companions):
+        return fit
     for score in promising:
         close = score.raw_delta_bic(size) >= policy.companions * best.raw_delta_bic(size)
         if score.candidate.place in places or not close or len(problem.terms(fit)) >= policy.most:
@@ -245,74 +265,12 @@ def _remove_terms_without_held_out_gain(problem: Problem[Fit, Model, C], fit: Fi
     least = problem.policy.final_gain
     while least is not None and not all(map(problem.given.holds, problem.terms(fit))):
         loose = [number for number, candidate in enumerate(problem.terms(fit)) if not problem.given.holds(candidate)]
-        gains = problem.heldout_gains(fit, loose)
+        gains = [validation.gain for validation in problem.cross_validations(fit, loose)]
         worst = int(np.argmin(gains))
         if gains[worst] >= least:
             break
         fit = problem.remove_term(fit, loose[worst])
     return fit
-
-
-def _confirm(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None) -> tuple[Fit, list[Finding[C]]]:
-    """Each term against all candidates with the others admitted: gone where it does not stand, replaced where another
-    does better, its alternatives listed."""
-    policy, count = problem.policy, len(problem.candidates)
-    findings: list[Finding[C]] = []
-    for _ in range(RESTARTS * policy.most):
-        number = len(findings)
-        if number == len(problem.terms(fit)):
-            break
-        model, size = problem.without_term(fit, number), problem.size(fit)
-        scanned, held = problem.rescored(model, fit, number), problem.given.holds(problem.terms(fit)[number])
-        own = scanned
-        if not is_significant(own, count, size, policy) and _may_become_significant(own, count, size, policy):
-            own = score_with_likelihood_ratio(
-                own, problem.likelihood_ratio(problem.remove_term(fit, number), fit), problem.linear(model).frames
-            )
-        if not held and not is_significant(own, count, size, policy):  # beside all others it is none
-            fit, findings = problem.remove_term(fit, number), []
-            continue
-        found = find_alternatives(
-            problem, model, scanned, labelled_progress(progress, f"alternatives of {own.candidate.name}")
-        )  # like against like
-        tries = refit_alternatives(problem, fit, number, scanned, found, own is not scanned)
-        rest = [a for a in found if not any(a is t.scanned for t in tries)]
-        ranked = sorted([*(t.alternative for t in tries), *rest], key=lambda a: a.behind)
-        better = next(
-            (t for t in tries if t.alternative is ranked[0] and t.alternative.behind < -policy.takes_over), None
-        )
-        if better is not None and not held and is_significant(better.alternative.score, count, size, policy):
-            fit, findings = problem.in_place(better.fit, number), []
-            continue
-        if not held and _outdone(
-            problem, model, fit, own
-        ):  # only now: what has no name may be likelier than one name, and not than the next
-            fit, findings = problem.remove_term(fit, number), []
-            continue
-        findings.append(Finding(number, own, [a for a in ranked if is_indistinguishable(a, policy)]))
-    return fit, sorted(findings, key=lambda f: -f.score.delta_chi2)
-
-
-def _outdone(problem: Problem[Fit, Model, C], model: Model, fit: Fit, score: Score[C]) -> bool:
-    """Whether a smooth function without a name is likelier than a hypothesis that consists of a few numbers: these lie
-    far from what rigs show,
-    or the place is another. model : without it; fit : with it; a name that leaves nothing there explains, once fitted,
-        as much as the function."""
-    if score.candidate.vector:
-        return False
-    size, place, alike = problem.linear(model).size, score.candidate.place, problem.policy.alike
-
-    def there(at: Model) -> list[LackOfFit]:
-        return [
-            u
-            for u in problem.lack_of_fit(at)
-            if u.dispersion and (problem.policy.smooth_anywhere or problem.within(u, place))
-        ]
-
-    likelier = [u.shortest(size) for u in there(model) if u.evidence(size) > score.evidence(size) + alike]
-    if not likelier:
-        return False
-    return any(score.complexity(size) > cost + alike for _, cost in likelier) or bool(there(problem.residual(fit)))
 
 
 def remove_unsupported_findings(
@@ -321,8 +279,10 @@ def remove_unsupported_findings(
     """Selection without findings that the data do not support once smooth functions of the rest are allowed.
     Where what is left at a
     name's own place would make no finding, and is as unlikely by chance as what is named, the same is asked; then the
-    name goes only for what is told in its stead.
+    name goes only for what is told in its stead. Nothing goes where smooth functions are no freedom of the problem.
     """
+    if not isinstance(problem, SmoothCover):
+        return selection
     fit, gone, after = selection.fit, [], problem.residual(selection.fit)
     for f in selection.findings:
         if problem.given.holds(f.score.candidate):
@@ -349,22 +309,12 @@ def remove_unsupported_findings(
 
 def _stays(problem: Problem[Fit, Model, C], finding: Finding[C], fit: Fit, left: list[LackOfFit], count: int) -> bool:
     """Whether a Finding of a Fit explains more than what is left at its place, and stands beside smooth functions of
-    what all that is left depends on, of so many candidates asked; where there are none for such a problem it does."""
+    what all that is left depends on, of so many candidates asked."""
+    assert isinstance(problem, SmoothCover)
     model = problem.covered(fit, finding.number, left)
-    if model is None:
-        return True
     larger = any(
         u.delta_chi2 > finding.score.delta_chi2
         for u in left
         if u.depends_on and problem.within(u, finding.score.candidate.place)
     )
     return not larger and is_finding_significant(problem, finding, model, fit, count)
-
-
-def is_finding_significant(
-    problem: Problem[Fit, Model, C], finding: Finding[C], model: Model, fit: Fit, count: int
-) -> bool:
-    """Whether a Finding is significant on a model without it, among so many candidates."""
-    return is_significant(
-        problem.rescored(model, fit, finding.number), count, problem.linear(model).size, problem.policy
-    )

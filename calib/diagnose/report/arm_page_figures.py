@@ -5,16 +5,19 @@ from typing import Any
 
 import numpy as np
 
-from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis
+from calib.diagnose.problems.arm.arm_evidence import ArmEvidence
+from calib.diagnose.problems.arm.pose_fit import Fit
+from calib.diagnose.recording_diagnosis import Diagnosis
 from calib.diagnose.report import finding_contributions
 from calib.diagnose.report.arm_outline import arm_outline_figures
-from calib.diagnose.report.arm_report import SAME_ANGLE, residual_statistics
 from calib.diagnose.report.diagnosis_json import FindingEntry
+from calib.diagnose.report.held_out_figures import SAME_ANGLE, held_out_gain_table, repeat_rows, residual_statistics
 from calib.diagnose.report.residual_figures import residual_scatter_figure
 from calib.report.pose_figures import mechanism_scene
 from calib.samples.effect_playback import FACTORS
 from rig.model import mechanisms
-from rig.report.pages.html_elements import heading, note, paragraph, table
+from rig.model.design import Arm, Chain
+from rig.report.pages.html_elements import heading, paragraph, table
 from rig.report.pages.plots import Series, plot_panel
 from rig.report.pages.view_3d import Effect, view_3d_html
 
@@ -29,27 +32,39 @@ ROWS = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmView:
-    """diagnosis : ArmDiagnosis; entries : its findings as reported, in the diagnosis' order"""
+    """diagnosis : Diagnosis of ArmEvidence; entries : its findings as reported, in the diagnosis' order"""
 
-    diagnosis: ArmDiagnosis
-    entries: list[FindingEntry]
+    diagnosis: Diagnosis
+    entries: tuple[FindingEntry, ...]
 
     @property
-    def asked(self) -> int:
-        """How many hypotheses were held against the recording."""
-        return self.diagnosis.asked
+    def fit(self) -> Fit:
+        """The Fit with all findings."""
+        fit: Fit = self.diagnosis.selection.fit
+        return fit
+
+    @property
+    def evidence(self) -> ArmEvidence:
+        """What was measured."""
+        assert isinstance(self.diagnosis.evidence, ArmEvidence)
+        return self.diagnosis.evidence
+
+    @property
+    def mechanism(self) -> Arm | Chain:
+        """The Arm or Chain as fitted."""
+        design = self.diagnosis.design
+        assert design is not None and isinstance(design.mechanism, (Arm, Chain))
+        return design.mechanism
 
     def where(self, places: list[str]) -> str:
         """The arm in outline, joints marked."""
-        d = self.diagnosis
+        fit = self.fit
         moved: dict[int, dict[str, float]] = {}
-        for number, term in enumerate(d.fit.terms):
+        for number, term in enumerate(fit.terms):
             if term.candidate.joint is not None:
                 here = moved.setdefault(term.candidate.joint, {})
-                here[term.candidate.name] = float(
-                    np.hypot(here.get(term.candidate.name, 0.0), d.fit.part(number).std())
-                )
-        return arm_outline_figures(d.arm, d.arms.q, moved)
+                here[term.candidate.name] = float(np.hypot(here.get(term.candidate.name, 0.0), fit.part(number).std()))
+        return arm_outline_figures(self.mechanism, fit.arms.q, moved)
 
     def plot(self, finding: FindingEntry) -> str | None:
         """Residuals of all poses turned back into the joint against what gives the finding away; None where it acts on
@@ -57,29 +72,33 @@ class ArmView:
         """
         d = self.diagnosis
         number = d.findings[next(i for i, entry in enumerate(self.entries) if entry is finding)].number
-        term, fit = d.fit.terms[number], d.fit
+        fit = self.fit
+        term = fit.terms[number]
         joint = term.candidate.joint
         if joint is None:
             return None
-        a = (fit.W @ d.arms.directions(joint))[..., 0]
+        a = (fit.W @ fit.arms.directions(joint))[..., 0]
         rest = (a * fit.y).sum(axis=1) / np.maximum((a * a).sum(axis=1), 1e-300)
         moved = fit.part(number) - fit.part(number)[fit.used].mean()
-        covariate = term.candidate.effect(term.node, fit.theta[fit.slices[number]]).covariate(d.arms.context.moved())
+        covariate = term.candidate.effect(term.node, fit.theta[fit.slices[number]]).covariate(fit.arms.context.moved())
         x = covariate.values if covariate.values.ndim == 1 else covariate.values[:, joint]
         both = [v[fit.used] * 1e6 for v in (rest + moved, rest)]
         return residual_scatter_figure(
-            x[fit.used], covariate.label, both, f"{term.candidate.place}, µ{mechanisms.axis_units(d.arm)[joint]}"
+            x[fit.used],
+            covariate.label,
+            both,
+            f"{term.candidate.place}, µ{mechanisms.axis_units(self.mechanism)[joint]}",
         )
 
     def in_space(self) -> list[str]:
         """The arm's poses, with what each finding at a joint does, linear in its size."""
-        d, effects = self.diagnosis, list[Effect]()
-        J = np.zeros((len(d.arms), 6, d.arms.q.shape[1]))
-        J[:, : d.arms.joints.shape[1]] = d.arms.joints  # of positions alone, no rotation is known
+        d, fit, effects = self.diagnosis, self.fit, list[Effect]()
+        J = np.zeros((len(fit.arms), 6, fit.arms.q.shape[1]))
+        J[:, : fit.arms.joints.shape[1]] = fit.arms.joints  # of positions alone, no rotation is known
         for finding in d.findings[:PLAYED]:
-            candidate = d.fit.terms[finding.number].candidate
+            candidate = self.fit.terms[finding.number].candidate
             if candidate.joint is not None:
-                once = J[:, :, candidate.joint] * d.fit.part(finding.number)[:, None]
+                once = J[:, :, candidate.joint] * fit.part(finding.number)[:, None]
                 sizes = tuple(f"{factor:g} times as found" for factor in FACTORS)
                 effects.append(
                     Effect(
@@ -88,7 +107,7 @@ class ArmView:
                         np.multiply.outer(FACTORS, once),
                     )
                 )
-        return view_3d_html(mechanism_scene(d.arm, d.arms.frame, d.arms.q, tuple(effects)))
+        return view_3d_html(mechanism_scene(self.mechanism, fit.arms.frame, fit.arms.q, tuple(effects)))
 
     def remaining(self, unknown: list[FindingEntry]) -> list[str]:
         """Held-out errors, before and after, pose by pose and in a table."""
@@ -113,15 +132,15 @@ class ArmView:
         if d.findings:
             parts += [
                 heading("What each finding brings on poses held out", 3),
-                self._proofs(),
+                held_out_gain_table(d),
                 heading("What single poses suffer from", 3),
                 paragraph(
                     "The poses that all findings together displace most, for each finding a bar, the biggest first. "
                     "contributions.csv has them for every pose."
                 ),
-                finding_contributions.contribution_figure(d),
+                finding_contributions.contribution_figure(self.evidence, d.selection),
             ]
-        aside = d.arms.frame[d.fit.aside]
+        aside = self.evidence.frames_set_aside(d.selection)
         if len(aside):
             parts.append(
                 paragraph(
@@ -141,49 +160,18 @@ class ArmView:
     def measurement(self) -> list[tuple[str, Any]]:
         """Where poses came from, and how well they repeat."""
         d = self.diagnosis
-        again: list[tuple[str, Any]] = (
-            []
-            if d.repeats is None
-            else [
-                (
-                    "the same command given again comes back within",
-                    f"{d.repeats.mean * 1e6:.1f} µm ({d.repeats.pairs} pairs)",
-                )
-            ]
-        )
-        if d.fit.scatter[0] > 0:
-            again.append(
-                ("beyond what the instrument states, poses scatter by", f"{np.sqrt(3) * d.fit.scatter[0] * 1e6:.1f} µm")
-            )
+        again = repeat_rows(d)
+        if self.fit.scatter[0] > 0:
+            beyond, _ = self.evidence.scatter_beyond_stated(d.selection)
+            again.append(("beyond what the instrument states, poses scatter by", f"{beyond * 1e6:.1f} µm"))
+        arms = self.fit.arms
         return [
-            ("poses from", d.source),
-            ("poses", len(d.arms)),
-            ("time", f"{np.ptp(d.arms.t) / 60:.1f} min"),
-            ("sensors", ", ".join(d.arms.channels) or "none"),
+            ("poses from", self.evidence.source),
+            ("poses", len(arms)),
+            ("time", f"{np.ptp(arms.t) / 60:.1f} min"),
+            ("sensors", ", ".join(arms.channels) or "none"),
             *again,
         ]
-
-    def _proofs(self) -> str:
-        """Table of the fall of the held-out misfit by each finding, with stretches of time and regions of each joint's
-        travel held out.
-        """
-        d, rows = self.diagnosis, []
-        for i, finding in enumerate(d.findings):
-            candidate = d.fit.terms[finding.number].candidate
-            found = [d.cross_validations[i], *(row[i] for row in d.regions)]
-            rows.append(
-                [
-                    f"{candidate.name.replace('_', ' ')} at {candidate.place}",
-                    *(f"{(v.before - v.after) * 1e6:+.1f}" for v in found),
-                ]
-            )
-        joints = mechanisms.axis_places(d.arm)[: len(d.regions)]
-        said = note(
-            "µm, RMS of a position per axis, by which poses are predicted better with it than without. A "
-            "curve of a joint's own angle is "
-            "not told where that joint never stood: there, what it brings by that joint's own regions may be a loss."
-        )
-        return table(("finding", "held out: time", *joints), rows) + said
 
     def _errors(self) -> str:
         d = self.diagnosis

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
 from calib.diagnose.engine.lack_of_fit import Covariate
+from calib.diagnose.engine.parameter_values import Value
 from calib.diagnose.engine.selection_inputs import StatedTerms
 from calib.diagnose.problems.formula_suggestion import Suggestion
 from rig.effects.texts.formula_effect_file import Written
@@ -14,41 +15,7 @@ from rig.recording.recording_folder import Part
 SCHEMA = "diagnosis/1"
 NOTHING = 0.2  # of the misfit held out, added in squares, that a finding must take away to be more than significant
 ASSUMED, SEEN_BEFORE = "assumed", "seen before"
-STATED, RESIDUALS, ASSUMED_NOISE = (
-    "stated",
-    "residuals",
-    "assumed",
-)  # whence the noise comes: a statement, the residuals themselves, a usual figure
 UNKNOWN = "unknown"  # name of a finding that nothing in the catalogue explains
-
-
-@dataclass(frozen=True, slots=True)
-class Value:
-    """value : number, list of numbers or names; unit; ci95 : (low, high) of a number, (lows, highs) of a list;
-    at_bound : the bound of what makes sense that the value stands at, the data asking for more; open : "below", "above"
-        or
-    "both" where the data leave it open up to a bound of what makes sense, at which ci95 ends"""
-
-    value: Any
-    unit: str
-    ci95: list | None = None
-    at_bound: float | None = None
-    open: str | None = None
-
-
-def bounded_value(
-    value: float, unit: str, ends: tuple[float, float], bounds: tuple[float, float], at_bound: float | None = None
-) -> Value:
-    """Value of a number whose 95 % interval ends where what makes sense does."""
-    low, high = max(ends[0], bounds[0]), min(ends[1], bounds[1])
-    below, above = low == bounds[0], high == bounds[1]
-    return Value(
-        value,
-        unit,
-        [low, high],
-        at_bound,
-        "both" if below and above else "below" if below else "above" if above else None,
-    )
 
 
 @dataclass(frozen=True, slots=True)

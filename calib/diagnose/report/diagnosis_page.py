@@ -4,11 +4,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+from calib.diagnose.recording_diagnosis import Diagnosis
 from calib.diagnose.report import report_sentences
 from calib.diagnose.report.diagnosis_json import FindingEntry
 from calib.diagnose.report.diagnosis_report import Report
 from calib.diagnose.report.diagnosis_verdict import diagnosis_verdict
 from rig.effects.catalogue.effect_list import BY_NAME
+from rig.recording.recording_folder import Recording
 from rig.report.pages.html_elements import folding_section, heading, note, paragraph, table
 from rig.report.pages.page_and_svg_templates import Link, Page, write_page
 from rig.report.pages.plots import panel_row
@@ -25,10 +27,6 @@ DOTS = (
 class View(Protocol):
     """What one kind of machine draws of its diagnosis."""
 
-    @property
-    def asked(self) -> int:
-        """How many hypotheses were held against the recording."""
-
     def where(self, places: list[str]) -> str:
         """The machine with the places of its findings marked, in their order."""
 
@@ -43,6 +41,19 @@ class View(Protocol):
 
     def measurement(self) -> list[tuple[str, Any]]:
         """[(what, value)] of how it was measured."""
+
+
+def machine_view(d: Diagnosis, recording: Recording, report: Report) -> View:
+    """View of a Diagnosis, by what was measured: only what that takes is imported. report : its Report"""
+    first = len(d.measured_findings)
+    entries = report.findings[first : first + len(d.findings)]
+    if d.evidence.family == "joints":
+        from calib.diagnose.report.arm_page_figures import ArmView
+
+        return ArmView(d, entries)
+    from calib.diagnose.report.platform_page_figures import PlatformView
+
+    return PlatformView(d, entries, recording)
 
 
 def diagnosis_page(path: Path, report: Report, view: View, links: Sequence[Link] = ()) -> None:
@@ -94,7 +105,7 @@ def diagnosis_page(path: Path, report: Report, view: View, links: Sequence[Link]
     parts += _left_out(report)
     parts += [
         heading("What was asked"),
-        *_asked(report, view),
+        *_asked(report),
         heading("The measurement"),
         table(("what", "value"), _measurement(report, view)),
     ]
@@ -214,8 +225,8 @@ def _suggestions(report: Report) -> list[str]:
     return parts
 
 
-def _asked(report: Report, view: View) -> list[str]:
-    asked = [paragraph(f"{view.asked} hypotheses, an effect at a place each, were held against the recording.")]
+def _asked(report: Report) -> list[str]:
+    asked = [paragraph(f"{report.asked} hypotheses, an effect at a place each, were held against the recording.")]
     asked += [paragraph(f"Said by the operator beforehand: {'; '.join(report.said)}.")] if report.said else []
     files = "; ".join(f"{f.file} ({', '.join(f.effects)}; sha256 {f.sha256})" for f in report.own_effects)
     asked += [paragraph(f"Effects of the operator's own: {files}.")] if files else []

@@ -5,11 +5,9 @@ from typing import Any
 
 from calib.certify.calibration_evidence import ALONE, OfCalibrations
 from calib.diagnose.engine.excluded_outliers import Crowd, LeftOut
+from calib.diagnose.problems.measured_evidence import ASSUMED_NOISE, RESIDUALS, STATED
 from calib.diagnose.report.diagnosis_json import (
-    ASSUMED_NOISE,
-    RESIDUALS,
     SCHEMA,
-    STATED,
     UNKNOWN,
     CovariateEntry,
     EffectsFile,
@@ -50,7 +48,8 @@ class Report:
         many to be left out, or None
     noise_from : "stated"; "residuals" where nobody states a corner's noise and the residuals determine it; "assumed"
     where nobody states the poses' noise
-    calibrations : OfCalibrations, of those made from the recording that are beside it"""
+    calibrations : OfCalibrations, of those made from the recording that are beside it
+    asked : how many hypotheses, an effect at a place each, were held against the recording"""
 
     recording: str
     start_s: float
@@ -72,6 +71,7 @@ class Report:
     left_out: tuple[LeftOut, ...] = ()
     crowd: Crowd | None = None
     calibrations: OfCalibrations = ALONE
+    asked: int = 0
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
@@ -95,7 +95,7 @@ class Report:
 
     def tree(self) -> dict[str, Any]:
         """The tree of diagnosis.json, without the verdict."""
-        apart = ("more", "confounds", "calibrations", *(() if self.recordings else ("recordings",)))
+        apart = ("more", "confounds", "calibrations", "asked", *(() if self.recordings else ("recordings",)))
         own = {f.name: json_tree(getattr(self, f.name)) for f in fields(self) if f.name not in apart}
         return {
             "schema": SCHEMA,

@@ -5,8 +5,9 @@ from collections.abc import Collection
 from pathlib import Path
 
 from calib.certify.calibration_evidence import confound_sentences
+from calib.diagnose.problems.measured_evidence import ASSUMED_NOISE
 from calib.diagnose.report import report_sentences
-from calib.diagnose.report.diagnosis_json import ASSUMED_NOISE, UNKNOWN
+from calib.diagnose.report.diagnosis_json import UNKNOWN
 from calib.diagnose.report.diagnosis_report import Report, summary_sentence
 from rig.formats.output_files import write_text
 from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence

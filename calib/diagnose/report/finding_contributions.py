@@ -4,33 +4,24 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis
+from calib.diagnose.engine.term_selection import Selection
+from calib.diagnose.problems.measured_evidence import PoseContributions
+from calib.diagnose.recording_diagnosis import Diagnosis
 from rig.recording.recording_tables import write_table
 from rig.report.pages.plots import COLOURS
 from rig.report.pages.svg_elements import svg_figure, svg_text, tooltip
 
 WORST = 24  # poses that are drawn
-LEFT = "what remains"
 ROW, START, END = 16.0, 60.0, 392.0  # units of a figure: of a pose; where bars begin and end
 
 
-def _finding_contributions(d: ArmDiagnosis) -> tuple[list[str], np.ndarray]:
-    """("effect place" .., "what remains"; (n, findings + 1) m) by how much each finding displaces the target in each
-    pose, alone, and what they leave; in the order of the diagnosis."""
-    names, sizes = [], []
-    for finding in d.findings:
-        term = d.fit.terms[finding.number]
-        moved = d.fit.part(finding.number)
-        if term.candidate.joint is not None:
-            moved = np.linalg.norm(d.arms.joints[:, :3, term.candidate.joint], axis=1) * np.abs(moved)
-        names.append(f"{term.candidate.name} {term.candidate.place}")
-        sizes.append(moved)
-    return [*names, LEFT], np.stack([*sizes, np.linalg.norm(d.fit.left[:, :3], axis=1)], axis=1)
-
-
-def write_contributions(path: Path, diagnosis: ArmDiagnosis) -> None:
-    """Write a table of contributions: a row for each pose, a column (m) for each finding and for the rest."""
-    names, sizes = _finding_contributions(diagnosis)
+def write_contributions(path: Path, diagnosis: Diagnosis) -> None:
+    """Write a table of contributions: a row for each pose, a column (m) for each finding and for the rest.
+    nobody knows what findings do to single poses.
+    """
+    if not isinstance(diagnosis.evidence, PoseContributions):
+        return
+    frames, names, sizes = diagnosis.evidence.contributions(diagnosis.selection)
     columns = [name.replace(" ", "_") for name in names]
     columns = [
         f"{name}_{columns[:i].count(name) + 1}" if name in columns[:i] else name for i, name in enumerate(columns)
@@ -38,19 +29,19 @@ def write_contributions(path: Path, diagnosis: ArmDiagnosis) -> None:
     write_table(
         path,
         ("frame", *columns),
-        [",".join([str(frame), *(f"{v:.9f}" for v in row)]) for frame, row in zip(diagnosis.arms.frame, sizes)],
+        [",".join([str(frame), *(f"{v:.9f}" for v in row)]) for frame, row in zip(frames, sizes)],
     )
 
 
-def contribution_figure(diagnosis: ArmDiagnosis) -> str:
+def contribution_figure(evidence: PoseContributions, selection: Selection) -> str:
     """Figure of contributions at the worst poses, a stacked bar for each."""
-    names, sizes = _finding_contributions(diagnosis)
+    frames, names, sizes = evidence.contributions(selection)
     worst = np.argsort(-sizes[:, :-1].sum(axis=1))[:WORST]
     scale = (END - START) / float(sizes[worst].sum(axis=1).max())
     parts = [svg_text(4, 14, "by frame, µm one beside the other", style="name")]
     for row, pose in enumerate(worst):
         at, y = START, 22 + ROW * row
-        parts.append(svg_text(START - 6, y + 12, str(diagnosis.arms.frame[pose]), "end"))
+        parts.append(svg_text(START - 6, y + 12, str(frames[pose]), "end"))
         for which in [*np.argsort(-sizes[pose, :-1]).tolist(), len(names) - 1]:
             wide = float(sizes[pose, which]) * scale
             said = f"{names[which].replace('_', ' ')}: {sizes[pose, which] * 1e6:.1f} µm"

@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
-from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosis
+from calib.diagnose.problems.platform.simultaneous_refinement import Refined
+from calib.diagnose.recording_diagnosis import Diagnosis
 from calib.diagnose.report.diagnosis_json import FindingEntry
+from calib.diagnose.report.held_out_figures import held_out_gain_table, repeat_rows
 from calib.diagnose.report.residual_figures import residuals_in_time_figure
 from calib.diagnose.report.residual_plots import (
     effect_residual_figures,
@@ -18,10 +20,10 @@ from calib.diagnose.report.residual_plots import (
 from calib.diagnose.report.rig_outline import rig_outline_figure
 from calib.report.pose_figures import rig_scene
 from calib.samples.effect_playback import effect_displacements
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.place import Place
 from rig.model.mechanism_geometry import Free
 from rig.recording.recording_folder import Recording
-from rig.recording.time_origin import Origin
+from rig.report.pages.html_elements import heading
 from rig.report.pages.plots import bar_chart, panel_row
 from rig.report.pages.view_3d import Effect as Shown
 from rig.report.pages.view_3d import view_3d_html
@@ -33,31 +35,32 @@ PLAYED = 4  # findings that are shown in three dimensions
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlatformView:
-    """recording : Recording; diagnosis : its PlatformDiagnosis"""
+    """diagnosis : Diagnosis of PlatformEvidence; entries : its findings as reported, in the diagnosis' order;
+    recording : Recording
+    """
 
+    diagnosis: Diagnosis
+    entries: tuple[FindingEntry, ...]
     recording: Recording
-    diagnosis: PlatformDiagnosis
 
     @property
-    def asked(self) -> int:
-        """How many hypotheses were held against the recording."""
-        return self.diagnosis.selection.asked
+    def refined(self) -> Refined:
+        """All that is free, refined with all findings."""
+        refined: Refined = self.diagnosis.selection.fit.refined
+        return refined
 
     def where(self, places: list[str]) -> str:
         """The rig in outline, places marked."""
-        return rig_outline_figure(self.diagnosis.selection.fit.refined.point, places)
+        return rig_outline_figure(self.refined.point, places)
 
     def plot(self, finding: FindingEntry) -> str | None:
         """Of an admitted effect; None for what was found before all else: faces exchanged or moved."""
-        d = self.diagnosis
-        if finding.evidence.delta_bic is None:
-            return None
-        number = next(f.number for f, e in zip(d.selection.findings, d.effects) if _same(finding, e, d.origin))
-        return effect_residual_figures(d.selection.fit.refined, number)
+        number = next((f.number for f, e in zip(self.diagnosis.findings, self.entries) if e is finding), None)
+        return None if number is None else effect_residual_figures(self.refined, number)
 
     def in_space(self) -> list[str]:
         """The rig's poses, with what each finding that moves the platform does at sizes of it."""
-        k = self.diagnosis.selection.fit.refined.point
+        k = self.refined.point
         effects, values = tuple[Shown, ...](), None
         if k.commands is not None and not isinstance(k.design.mechanism, Free):
             tried = [
@@ -69,54 +72,46 @@ class PlatformView:
 
     def remaining(self, unknown: list[FindingEntry]) -> list[str]:
         """Figure of the levels, then of what is unknown."""
-        refined = self.diagnosis.selection.fit.refined
+        refined = self.refined
         k = refined.point
         struts, corners = residuals_without_effects(refined)
         parts: list[str] = [_levels(self.diagnosis, struts)]
+        if self.diagnosis.findings and self.diagnosis.regions:
+            parts += [heading("What each finding brings on frames held out", 3), held_out_gain_table(self.diagnosis)]
         for f in unknown[:PICTURED]:
-            kind, _, name = f.place.partition(" ")
-            if kind == "strut":
-                parts.append(residuals_in_time_figure(f.place, k.t, struts[:, int(name) - 1] * 1e6, "strut, µm"))
-            elif kind == "camera":
-                own = np.flatnonzero(k.observed.observations.camera == [c.name for c in k.design.cameras].index(name))
+            place = Place.parse(f.place)
+            if place.kind == "strut":
+                parts.append(residuals_in_time_figure(f.place, k.t, struts[:, place.number - 1] * 1e6, "strut, µm"))
+            elif place.kind == "camera":
+                own = np.flatnonzero(
+                    k.observed.observations.camera == [c.name for c in k.design.cameras].index(place.name)
+                )
                 parts.append(image_residual_figures(k, own, (corners,), ("what is left",)))
         return parts
 
     def measurement(self) -> list[tuple[str, Any]]:
         """Where poses came from, and how much there is."""
-        k, rec = self.diagnosis.selection.fit.refined.point, self.recording
+        k, rec = self.refined.point, self.recording
         return [
-            ("poses from", self.diagnosis.source),
+            ("poses from", self.diagnosis.evidence.source),
             ("frames", f"{len(k.t)} of {len(rec.exposures.times()[0])}"),
             ("time", f"{np.ptp(k.t) / 60:.1f} min"),
             ("corners", len(k.observed.observations) if k.seen is not None else "none"),
             ("sensors", ", ".join(rec.sensors.channels) if rec.sensors is not None else "none"),
+            *repeat_rows(self.diagnosis),
         ]
 
 
-def _same(finding: FindingEntry, effect: Effect, origin: Origin) -> bool:
-    """Whether a finding is of an effect with its values; moments are reported by the owner's clock, of an origin."""
-    if (finding.effect, finding.place) != (effect.name, effect.place):
-        return False
-    values: dict[str, Any] = effect.values()
-    moments = [p.name for p in effect.parameters if p.role == "moment" and p.name in finding.parameters]
-    if any(finding.parameters[name].value != origin.shown(values[name]) for name in moments):
-        return False
-    return all(
-        np.allclose(p.value, values[n])
-        for n, p in finding.parameters.items()
-        if n in values and n not in moments and np.size(p.value) == np.size(values[n])
-    )
-
-
-def _levels(d: PlatformDiagnosis, struts: np.ndarray) -> str:
+def _levels(d: Diagnosis, struts: np.ndarray) -> str:
     """Figures of what is left of each strut and camera, with nothing admitted, with all, and the noise."""
     refined, before = d.selection.fit.refined, d.selection.before.refined
     k, rows = refined.point, []
     if k.axes:
         noise = np.sqrt(refined.model.strut_noise().mean(axis=0)) * 1e6
         bare, _ = model_residuals(before.model)
-        rows.append(([f"strut {i + 1}" for i in range(k.axes)], _rms(bare) * 1e6, _rms(struts) * 1e6, noise, "µm"))
+        rows.append(
+            ([str(Place.axis("strut", i)) for i in range(k.axes)], _rms(bare) * 1e6, _rms(struts) * 1e6, noise, "µm")
+        )
     if k.seen is not None:
         rows.append(_camera_levels(refined.model, before.model))
     return panel_row(

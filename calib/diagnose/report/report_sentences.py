@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.diagnose.engine.excluded_outliers import Crowd, LeftOut
+from calib.diagnose.engine.parameter_values import Value
 from calib.diagnose.report.diagnosis_json import (
     ASSUMED,
     CovariateEntry,
@@ -12,7 +13,6 @@ from calib.diagnose.report.diagnosis_json import (
     FitEntry,
     RemarkEntry,
     SuggestionEntry,
-    Value,
 )
 from rig.formats.number_parsing_and_rounding import UNITS, round_to_digits, separating_digits
 

@@ -3,6 +3,7 @@
 import numpy as np
 
 from calib.diagnose.problems.platform.effect_candidates import affects_images_only
+from calib.diagnose.problems.platform.excess_scatter import closure_residuals, closures_in_metres
 from calib.diagnose.problems.platform.held_out_validation import residual_change_column
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
@@ -27,23 +28,14 @@ def residuals_without_effects(refined: Refined, without: tuple[int, ...] = ()) -
         (0 if part is None else part[:, 0]) - (basis @ taken)[:, 0]
         for part, basis in zip(done.parts, model.linear.columns.parts)
     ]
-    return _in_metres(model, model.closure_residual + grown[CLOSURES]), _in_pixels(
+    return closures_in_metres(model, model.closure_residual + grown[CLOSURES]), _in_pixels(
         model, model.corner_residual + grown[CORNERS]
     )
 
 
 def model_residuals(model: LinearisedModel) -> tuple[np.ndarray, np.ndarray]:
     """(closures (F, axes) m, corners (n, 2) px) residuals of a model as it is."""
-    return _in_metres(model, model.closure_residual), _in_pixels(model, model.corner_residual)
-
-
-def _in_metres(model: LinearisedModel, closures: np.ndarray) -> np.ndarray:
-    F, axes = model.frames, model.point.axes
-    return (
-        np.linalg.solve(model.closures.W, closures[: F * axes].reshape(F, axes, 1))[..., 0]
-        if axes
-        else np.zeros((F, 0))
-    )
+    return closure_residuals(model), _in_pixels(model, model.corner_residual)
 
 
 def _in_pixels(model: LinearisedModel, image: np.ndarray) -> np.ndarray:
@@ -121,13 +113,13 @@ def _strut_view(
 
 def _own(effect: Effect, k: OperatingPoint) -> np.ndarray:
     """Indices of the corners at an effect's place."""
-    o, (kind, _, name) = k.observed.observations, effect.place.partition(" ")
-    if kind == "camera":
-        return np.flatnonzero(o.camera == [c.name for c in k.design.cameras].index(name))
-    if kind == "marker":
-        return np.flatnonzero(k.observed.markers.id[o.marker] == int(name))
-    if kind == "target":
-        return np.flatnonzero(np.array(k.observed.markers.target)[o.marker] == name)
+    o, place = k.observed.observations, effect.site
+    if place.kind == "camera":
+        return np.flatnonzero(o.camera == [c.name for c in k.design.cameras].index(place.name))
+    if place.kind == "marker":
+        return np.flatnonzero(k.observed.markers.id[o.marker] == place.number)
+    if place.kind == "target":
+        return np.flatnonzero(np.array(k.observed.markers.target)[o.marker] == place.name)
     return np.arange(len(o))
 
 
@@ -183,11 +175,7 @@ def _bars(effect: Effect, k: OperatingPoint, before: np.ndarray, after: np.ndarr
         for values, colour, text in ((before, BEFORE, "without it"), (after, AFTER, "with it"))
     ]
     return bar_chart(
-        f"residuals of every {'cube' if by_target else 'marker'}, RMS",
-        labels,
-        groups,
-        "px",
-        [effect.place.split(" ")[1]],
+        f"residuals of every {'cube' if by_target else 'marker'}, RMS", labels, groups, "px", [effect.site.name]
     )
 
 

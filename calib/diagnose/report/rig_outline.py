@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.report.pose_figures import closed_outline
+from rig.effects.framework.place import Place
 from rig.model.design import Camera, Hexapod, Planar2
 from rig.model.pose import transform_points
 from rig.report.pages.svg_elements import WIDTH, svg_figure, svg_text, tooltip
@@ -82,11 +83,11 @@ def rig_outline_figure(point: OperatingPoint, places: list[str]) -> str:
     if k.design.targets:
         _targets(drawn, k, T, colour)
     for camera in k.design.cameras if k.seen is not None else ():
-        _camera(drawn, camera, colour(f"camera {camera.name}", "cameras"), T.translation)
+        _camera(drawn, camera, colour(str(Place("camera", camera.name)), "cameras"), T.translation)
     whole = [
         (place, MARKS[n % len(MARKS)])
         for n, place in enumerate(places)
-        if place.split(" ")[0] in ("rig", "clock", "cameras", "markers")
+        if Place.parse(place).kind in ("rig", "clock", "cameras", "markers")
     ]
     return drawn.figure(f"the rig in outline, marked: {', '.join(places) or 'nothing'}", whole)
 
@@ -113,15 +114,15 @@ def _hexapod(drawn: Outline, m: Hexapod, T: RigidTransform, colour: Colour) -> N
         drawn.patch(around[:-1], "plate")
         drawn.line(around, colour("rig"))
     for i in range(6):
-        c = colour(f"strut {i + 1}", "rig")
-        drawn.line([m.base_joints[i], tops[i]], c, f"strut {i + 1}")
+        c = colour(str(Place.axis("strut", i)), "rig")
+        drawn.line([m.base_joints[i], tops[i]], c, str(Place.axis("strut", i)))
         drawn.label(0.62 * m.base_joints[i] + 0.38 * tops[i], str(i + 1), c)
 
 
 def _planar(drawn: Outline, m: Planar2, T: RigidTransform, colour: Colour) -> None:
     for i, joint in enumerate(m.base_joints):
-        c = colour(f"strut {i + 1}", "rig")
-        drawn.line([np.r_[joint, 0], T.translation], c, f"strut {i + 1}")
+        c = colour(str(Place.axis("strut", i)), "rig")
+        drawn.line([np.r_[joint, 0], T.translation], c, str(Place.axis("strut", i)))
         drawn.label((np.r_[joint, 0] + T.translation) / 2, str(i + 1), c)
 
 
@@ -131,17 +132,17 @@ def _targets(drawn: Outline, k: OperatingPoint, T: RigidTransform, colour: Colou
     for n, quad in enumerate(base):
         drawn.line(
             quad[[0, 1, 2, 3, 0]],
-            colour(f"marker {markers.id[n]}", f"target {markers.target[n]}", "markers"),
-            f"marker {markers.id[n]}",
+            colour(str(Place("marker", str(markers.id[n]))), str(Place("target", markers.target[n])), "markers"),
+            str(Place("marker", str(markers.id[n]))),
         )
-        own = colour(f"marker {markers.id[n]}")
+        own = colour(str(Place("marker", str(markers.id[n]))))
         if own != PLAIN:
             drawn.patch(quad, "patch", own)
             drawn.label(quad.mean(axis=0), str(markers.id[n]), own)
     for target in k.stated.targets:
         mine = base[[name == target.name for name in markers.target]]
         top = mine.reshape(-1, 3)[mine[..., 2].argmax()]
-        drawn.label(np.r_[mine.mean(axis=(0, 1))[:2], top[2]], target.name, colour(f"target {target.name}"))
+        drawn.label(np.r_[mine.mean(axis=(0, 1))[:2], top[2]], target.name, colour(str(Place("target", target.name))))
 
 
 def _camera(drawn: Outline, camera: Camera, colour: int, middle: np.ndarray) -> None:

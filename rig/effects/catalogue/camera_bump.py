@@ -7,6 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Context, Effect, Parameter
+from rig.effects.framework.place import Place
 from rig.model.design import Camera
 
 
@@ -30,7 +31,7 @@ class CameraBump(Effect):
     view: ClassVar = "time"
 
     def mount(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
-        return ((np.asarray(t) >= self.time) * float(self.at(f"camera {camera.name}")))[:, None] * np.asarray(
+        return ((np.asarray(t) >= self.time) * float(self.at(Place("camera", camera.name))))[:, None] * np.asarray(
             self.motion, float
         )
 
@@ -38,5 +39,5 @@ class CameraBump(Effect):
     def sites(cls, context: Context) -> tuple[str, ...]:
         found = super(CameraBump, cls).sites(context)
         return tuple(
-            place for place in found if place.split(" ")[1] not in context.moving
+            place for place in found if Place.parse(place).name not in context.moving
         )  # a mount that moves has no place to leave

@@ -7,6 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Context, Effect, Parameter
+from rig.effects.framework.place import Place
 from rig.model.design import Camera
 
 
@@ -30,12 +31,12 @@ class CameraDrift(Effect):
     view: ClassVar = "time"
 
     def mount(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
-        share = (1 - np.exp(-np.maximum(t, 0) / self.time_constant)) * self.at(f"camera {camera.name}")
+        share = (1 - np.exp(-np.maximum(t, 0) / self.time_constant)) * self.at(Place("camera", camera.name))
         return share[:, None] * np.asarray(self.motion, float)
 
     @classmethod
     def sites(cls, context: Context) -> tuple[str, ...]:
         found = super(CameraDrift, cls).sites(context)
         return tuple(
-            place for place in found if place.split(" ")[1] not in context.moving
+            place for place in found if Place.parse(place).name not in context.moving
         )  # a mount that moves has no place to leave

@@ -9,7 +9,7 @@ from scipy.linalg import qr
 from rig.effects.framework.diagnosis_interface import Covariate, load_covariate
 from rig.effects.framework.effect import Candidate, Context, Effect, Linear, Motion, Parameter
 from rig.effects.framework.parameter import Drawing, draw_parameter, log_uniform
-from rig.effects.framework.place_names import kind_of
+from rig.effects.framework.place import Place
 from rig.errors import RigError
 
 FAINT = 5e-3  # m/s^2 m; a link's weight that turns a joint by less bends nothing
@@ -88,7 +88,11 @@ class Compliance(Effect):
     def unusual(cls, place: str, values: dict[str, Any]) -> str | None:
         turn = values.get("rms", 0.0)
         if turn > GIVES:
-            words = f"turn by {turn * 1e3:.2g} mrad" if kind_of(place) == "joint" else f"move by {turn * 1e3:.2g} mm"
+            words = (
+                f"turn by {turn * 1e3:.2g} mrad"
+                if Place.parse(place).kind == "joint"
+                else f"move by {turn * 1e3:.2g} mm"
+            )
             return (
                 f"{place} would {words} RMS under its load, ten times what gears and bearings give: something else may "
                 "hide behind it"

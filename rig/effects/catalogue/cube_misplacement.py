@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect, Parameter
+from rig.effects.framework.place import Place
 from rig.model.pose import displace_selected_poses, exp
 
 
@@ -24,7 +25,7 @@ class CubeMisplacement(Effect):
     view: ClassVar = "targets"
 
     def attach(self, markers: Any) -> Any:
-        rows = np.array([self.at(f"target {name}") for name in markers.target])
+        rows = np.array([self.at(Place("target", name)) for name in markers.target])
         if not rows.any():
             return markers
         middle = markers.T_body_marker.translation[rows].mean(axis=0)

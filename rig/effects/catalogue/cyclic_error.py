@@ -7,7 +7,7 @@ import numpy as np
 
 from rig.effects.framework.diagnosis_interface import Covariate
 from rig.effects.framework.effect import Candidate, Context, Effect, Motion, Parameter
-from rig.effects.framework.place_names import kind_of
+from rig.effects.framework.place import Place
 
 FINE = 0.3  # step of a joint's orders, of what its travel resolves
 ORDERS = 450.0  # cycles per turn of a joint; twice what a gear of 1 : 101 with four cycles per motor turn shows
@@ -66,7 +66,7 @@ class CyclicError(Effect):
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
         found = super(CyclicError, cls).candidates(place, context)
-        if kind_of(place) != "joint":
+        if Place.parse(place).kind != "joint":
             return found
         travel = max(np.ptp(context.moved().lengths[:, context.moved().places.index(place)]), 1e-6)
         spacing = FINE * 2 * np.pi / travel

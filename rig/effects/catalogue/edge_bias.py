@@ -7,6 +7,7 @@ import numpy as np
 
 from rig.effects.framework.edge_motion import move_edges_inward
 from rig.effects.framework.effect import Effect, Parameter
+from rig.effects.framework.place import Place
 from rig.model.design import Camera
 
 
@@ -27,6 +28,6 @@ class EdgeBias(Effect):
     view: ClassVar = "outward"
 
     def print_(self, camera: Camera, quads: np.ndarray) -> np.ndarray:
-        if self.bias == 0 or not self.at(f"camera {camera.name}"):
+        if self.bias == 0 or not self.at(Place("camera", camera.name)):
             return quads
         return move_edges_inward(quads, self.bias)

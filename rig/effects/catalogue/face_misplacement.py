@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect, Parameter
+from rig.effects.framework.place import Place
 from rig.model.pose import displace_selected_poses, exp
 
 
@@ -28,7 +29,7 @@ class FaceMisplacement(Effect):
     view: ClassVar = "markers"
 
     def attach(self, markers: Any) -> Any:
-        rows = np.array([self.at(f"marker {number}") for number in markers.id])
+        rows = np.array([self.at(Place("marker", str(number))) for number in markers.id])
         return replace(
             markers,
             T_body_marker=displace_selected_poses(

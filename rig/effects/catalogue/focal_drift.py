@@ -7,6 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Context, Effect, Parameter
+from rig.effects.framework.place import Place
 from rig.errors import RigError
 from rig.model.design import Camera
 
@@ -28,13 +29,13 @@ class FocalDrift(Effect):
     view: ClassVar = "scale"
 
     def focal(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
-        if not self.at(f"camera {camera.name}"):
+        if not self.at(Place("camera", camera.name)):
             return np.ones(len(t))
         return 1 + self.per_kelvin * (channel(*_channels(camera.name)) - REFERENCE_TEMPERATURE)
 
     @classmethod
     def follows(cls, place: str, context: Context) -> tuple[tuple[str, ...], ...]:
-        name = place.partition(" ")[2]
+        name = Place.parse(place).name
         return tuple(_channels(camera) for camera in ([name] if name else [c.name for c in context.design.cameras]))
 
     @classmethod

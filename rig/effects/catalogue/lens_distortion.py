@@ -8,6 +8,7 @@ import numpy as np
 
 from rig.effects.framework.effect import COUNT, Candidate, Context, Effect, Linear, Parameter
 from rig.effects.framework.parameter import Drawing, log_uniform
+from rig.effects.framework.place import Place
 from rig.model.design import Camera
 
 LACKING = {
@@ -48,7 +49,7 @@ class LensDistortion(Effect):
         )
 
     def camera(self, camera: Camera) -> Camera:
-        if not self.at(f"camera {camera.name}") or not any(self.terms):
+        if not self.at(Place("camera", camera.name)) or not any(self.terms):
             return camera
         terms = np.zeros(max(12, len(camera.distortion)))
         terms[: len(camera.distortion)] = camera.distortion
@@ -56,7 +57,7 @@ class LensDistortion(Effect):
         return replace(camera, distortion=terms)
 
     def print_(self, camera: Camera, quads: np.ndarray) -> np.ndarray:
-        if not self.warp or not self.at(f"camera {camera.name}"):
+        if not self.warp or not self.at(Place("camera", camera.name)):
             return quads
         return quads + chebyshev_products(camera, quads, _degree(len(self.warp))) @ np.reshape(self.warp, (2, -1)).T
 
@@ -81,13 +82,13 @@ class LensDistortion(Effect):
         free = range(warp_number_count(WARPS[0])) if which == 2 else LACKING[("radial", "thin prism")[which]]
         unit = np.zeros(warp_number_count(WARPS[0]) if which == 2 else 12)
         unit[list(free)] = rng.normal(size=len(free)) * 1e-3
-        name, camera = "warp" if which == 2 else "terms", drawing.design.camera(place.split(" ")[1])
+        name, camera = "warp" if which == 2 else "terms", drawing.design.camera(Place.parse(place).name)
         moved = drawing.displaced(cls(place, **{name: tuple(unit.tolist())}), camera)
         return cls(place, **{name: tuple((unit * size / moved).tolist())})
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
-        have = len(context.design.camera(place.split(" ")[1]).distortion)
+        have = len(context.design.camera(Place.parse(place).name).distortion)
         lacking = [
             Candidate(cls, place, [{}], [Linear("terms", j, 1e-4) for j in terms], label)
             for label, terms in LACKING.items()

@@ -7,6 +7,7 @@ import numpy as np
 
 from rig.effects.framework.effect import Effect, Parameter
 from rig.effects.framework.parameter import Drawing
+from rig.effects.framework.place import Place
 from rig.model.pose import displace_selected_poses, exp
 
 
@@ -31,7 +32,7 @@ class MarkerSwap(Effect):
 
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> "MarkerSwap":
-        number = int(place.split(" ")[1])
+        number = Place.parse(place).number
         target = next(target for target in drawing.design.targets if number in target.ids)
         if rng.random() < 0.5:
             return cls(place, other=float(rng.choice([i for i in target.ids if i != number])))
@@ -45,7 +46,7 @@ class MarkerSwap(Effect):
         )
 
     def attach(self, markers: Any) -> Any:
-        a = np.flatnonzero(markers.id == int(self.place.split(" ")[1]))
+        a = np.flatnonzero(markers.id == self.site.number)
         b = np.flatnonzero(markers.id == int(self.other)) if self.other >= 0 else a
         order, both = (
             np.arange(len(markers.id)),

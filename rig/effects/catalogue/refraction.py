@@ -8,6 +8,7 @@ import numpy as np
 
 from rig.effects.framework.effect import Candidate, Context, Effect, Parameter
 from rig.effects.framework.parameter import Drawing, draw_number
+from rig.effects.framework.place import Place
 from rig.model.design import Camera
 
 INDEX = 1.5  # of the window's glass against air
@@ -46,7 +47,7 @@ class Refraction(Effect):
             )
 
     def bend(self, camera: Camera, points: np.ndarray) -> np.ndarray:
-        if self.thickness <= 0 or not self.at(f"camera {camera.name}"):
+        if self.thickness <= 0 or not self.at(Place("camera", camera.name)):
             return points
         normal = np.asarray(self.normal, float) / np.linalg.norm(self.normal)
         z = points @ normal

@@ -6,6 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect, Parameter
+from rig.effects.framework.place import Place
 from rig.model.design import Camera
 
 
@@ -24,4 +25,4 @@ class RollingShutter(Effect):
     rolls: ClassVar = True
 
     def late(self, camera: Camera, v: np.ndarray) -> np.ndarray:
-        return self.row_time * self.at(f"camera {camera.name}") * (np.asarray(v) - camera.height / 2)
+        return self.row_time * self.at(Place("camera", camera.name)) * (np.asarray(v) - camera.height / 2)

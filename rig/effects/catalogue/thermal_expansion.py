@@ -7,6 +7,7 @@ import numpy as np
 
 from rig.effects.framework.diagnosis_interface import Covariate, temperature_covariate
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Context, Effect, Motion, Parameter
+from rig.effects.framework.place import Place
 
 AMBIENT = "ambient_temperature_C"
 
@@ -64,5 +65,5 @@ class ThermalExpansion(Effect):
 
 def _channels(place: str) -> tuple[str, ...]:
     """The channels, any one of which tells an axis' temperature: a strut's is its own, a link's may be the room's."""
-    own = f"{place.replace(' ', '')}_temperature_C"
-    return (own,) if place.startswith("strut") else (own, AMBIENT)
+    own, at = f"{place.replace(' ', '')}_temperature_C", Place.parse(place)
+    return (own,) if at.kind == "strut" and not at.stage else (own, AMBIENT)

@@ -9,7 +9,7 @@ import scipy
 from rig.effects.framework.diagnosis_interface import Covariate, travel_covariate
 from rig.effects.framework.effect import COUNT, Candidate, Context, Effect, Linear, Motion, Parameter
 from rig.effects.framework.parameter import Drawing, derivative_step, log_uniform
-from rig.effects.framework.place_names import kind_of
+from rig.effects.framework.place import Place
 
 KNOTS = (5, 9, 14)  # of a strut's profile, or a slide's
 SPACINGS = (1.0, 0.5, 0.25, 0.12, 0.07, 0.05, 0.035)  # rad between knots of a joint's profile
@@ -62,14 +62,14 @@ class TransmissionError(Effect):
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
-        p = cls.parameters[0].at(place)
-        if place.startswith("strut"):
+        p, at = cls.parameters[0].at(place), Place.parse(place)
+        if at.kind == "strut" and not at.stage:
             return [cls._of(place, {COUNT: count}, p) for count in KNOTS]
         q = context.moved().lengths[:, context.moved().places.index(place)]
         span = (float(q.min()), float(max(q.max(), q.min() + 1e-6)))
         counts = (
             sorted({max(FEWEST, int(np.ceil((span[1] - span[0]) / spacing)) + 1) for spacing in SPACINGS})
-            if kind_of(place) == "joint"
+            if at.kind == "joint"
             else list(KNOTS)
         )
         return [cls._of(place, {COUNT: count, "span": span}, p) for count in counts if count <= SHARE * len(q)]

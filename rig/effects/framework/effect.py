@@ -16,7 +16,7 @@ import numpy as np
 from rig.effects.framework.diagnosis_interface import COUNT, QUADRATURE, Context, Covariate, Linear, parameter_values
 from rig.effects.framework.machine_motion import SOON, Motion, Path
 from rig.effects.framework.parameter import Drawing, Parameter, derivative_step, draw_parameter, parameter_grid
-from rig.effects.framework.place_names import AXES, axis_mask, axis_word, includes_place, kind_of
+from rig.effects.framework.place import AXES, Place, axis_mask
 from rig.errors import RigError
 from rig.model.design import Camera
 
@@ -243,7 +243,7 @@ class Effect:
         if kind == "cameras":
             return ("cameras",) if len(context.design.cameras) > 1 else ()
         several = {"camera": context.cameras, "marker": context.markers, "target": context.targets}
-        return tuple(f"{kind} {name}" for name in several[kind]) if kind in several else (kind,)
+        return tuple(str(Place(kind, str(name))) for name in several[kind]) if kind in several else (kind,)
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
@@ -317,10 +317,9 @@ class Effect:
     @classmethod
     def experiment_at(cls, place: str) -> str:
         """What would expose it at a place, in words."""
-        joint = kind_of(place) == "joint"
-        return (cls.joint_experiment if joint and cls.joint_experiment else cls.experiment).format(
-            axis=axis_word(place)
-        )
+        at = Place.parse(place)
+        joint = at.kind == "joint" and cls.joint_experiment
+        return (cls.joint_experiment if joint else cls.experiment).format(axis=at.axis_word)
 
     @classmethod
     def unusual(cls, place: str, values: dict[str, Any]) -> str | None:
@@ -332,7 +331,7 @@ class Effect:
     @classmethod
     def action_at(cls, place: str) -> str:
         """What an owner can do about it at a place, in a sentence."""
-        return cls.action.format(axis=axis_word(place))
+        return cls.action.format(axis=Place.parse(place).axis_word)
 
     @classmethod
     def label(cls) -> str:
@@ -347,17 +346,22 @@ class Effect:
         """What is wrong with its parameters together, in words, or None."""
         return None
 
-    def at(self, kind: str) -> bool:
-        """Whether this effect sits at a place "kind name"; "rig", "cameras" and "markers" take in all of their kind."""
-        return includes_place(self.place, kind)
+    @property
+    def site(self) -> Place:
+        """Its Place."""
+        return Place.parse(self.place)
+
+    def at(self, place: Place | str) -> bool:
+        """Whether this effect sits at a Place or its text; "rig", "cameras" and "markers" take in all of their kind."""
+        return self.site.includes(Place.parse(place) if isinstance(place, str) else place)
 
     def axes(self, places: tuple[str, ...]) -> np.ndarray:
         """(axes,) 1.0 for the axes (their places) where it sits, else 0.0. Raises RigError for an axis that the machine
         does not have.
         """
-        if kind_of(self.place) in AXES and self.place not in places:
+        if self.site.is_axis and self.place not in places:
             raise RigError(f"{self.name} sits at {self.place}, and the machine's axes are {places[0]} to {places[-1]}")
-        return axis_mask(self.place, places).copy()
+        return axis_mask(self.site, places).copy()
 
 
 __all__ = [

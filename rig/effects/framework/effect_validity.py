@@ -4,8 +4,8 @@ import re
 
 import numpy as np
 
-from rig.effects.framework.effect import AXES, Effect
-from rig.effects.framework.place_names import NUMBER, kind_of, split_stage
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.place import AXES, NUMBER, Place
 from rig.formats.checked_entries import NAME
 from rig.formats.input_files import short_repr
 
@@ -14,18 +14,15 @@ MOST = 1000  # numbers of a parameter of any length
 
 def check_effect(effect: Effect) -> Effect:
     """The effect, checked. Raises ValueError for a place where it cannot be or a parameter out of bounds."""
-    kind = kind_of(effect.place)
+    place = Place.parse(effect.place)
+    kind = place.kind
     if kind not in effect.places and not ("axis" in effect.places and kind in AXES):
         raise ValueError(f"{effect.name} cannot sit at {effect.place!r}; it takes {', '.join(effect.places)}")
     name = {**dict.fromkeys(AXES, NUMBER), "marker": f"0|{NUMBER}", "camera": NAME.pattern, "target": NAME.pattern}.get(
         kind
     )
-    if (
-        name is not None
-        and not re.fullmatch(f"{kind} (?:{name})", split_stage(effect.place)[1])
-        or name is None
-        and kind != effect.place
-    ):
+    known = str(place) == effect.place and re.fullmatch(name, place.name) if name else kind == effect.place
+    if not known:
         raise ValueError(
             f"{effect.name}: which {kind}? write for example '{kind} {'1' if kind in (*AXES, 'marker') else 'name'}'"
         )

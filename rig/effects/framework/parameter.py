@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from rig.effects.framework.machine_motion import Motion
-from rig.effects.framework.place_names import kind_of
+from rig.effects.framework.place import Place
 from rig.formats.number_parsing_and_rounding import quantity_text
 from rig.model.design import Camera, Design
 
@@ -60,7 +60,7 @@ class Parameter:
 
     def at(self, place: str) -> "Parameter":
         """The same as it is at a place: in rad in place of m at a joint."""
-        if self.joint is None or kind_of(place) != "joint":
+        if self.joint is None or Place.parse(place).kind != "joint":
             return self
         return replace(
             self, unit=TURNED.get(self.unit, self.unit), bounds=self.joint[0], usual=self.joint[1], joint=None

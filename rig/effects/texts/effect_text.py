@@ -9,7 +9,7 @@ import numpy as np
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import AXES, Effect
 from rig.effects.framework.effect_validity import check_effect
-from rig.effects.framework.place_names import parse_stage_place, split_stage
+from rig.effects.framework.place import Place, parse_stage_place
 from rig.errors import RigError
 from rig.formats.checked_entries import NAME, nearest_known_word
 from rig.formats.input_files import short_repr
@@ -59,12 +59,12 @@ def _place(text: str, kind: type[Effect]) -> str:
         return text
     of_stage = parse_stage_place(text, kind.places)
     if of_stage is not None:
-        return of_stage
+        return str(of_stage)
     for place in (*AXES, "camera", "marker", "target"):
         if place in kinds:
             rest = re.fullmatch(rf"(?:{place})?[ _]?({'[0-9]+' if place in (*AXES, 'marker') else NAME.pattern})", text)
             if rest:
-                return f"{place} {rest.group(1)}"
+                return str(Place(place, rest.group(1)))
     if not text and len(kind.places) == 1 and kind.places[0] in ("rig", "clock", "cameras", "markers"):
         return kind.places[0]
     return text
@@ -164,12 +164,12 @@ def parse_effect_and_place(text: str, design: Design, known: Kinds = BY_NAME) ->
 
 def require_existing_place(effect: Effect, design: Design) -> Effect:
     """The effect, its place required to exist in the design. Raises RigError otherwise."""
-    stage, own = split_stage(effect.place)
-    kind, _, name = own.partition(" ")
-    places = mechanisms.axis_places(design.mechanism)
-    if kind == "joint" and f"{stage}slide {name}" in places:
+    site, places = effect.site, mechanisms.axis_places(design.mechanism)
+    kind, name = site.kind, site.name
+    slide = str(replace(site, kind="slide"))
+    if kind == "joint" and slide in places:
         try:
-            return check_effect(replace(effect, place=f"{stage}slide {name}"))
+            return check_effect(replace(effect, place=slide))
         except ValueError as error:
             raise RigError(str(error)) from None
     if kind in AXES and design.mechanism.bodies and effect.place not in places:
@@ -179,9 +179,9 @@ def require_existing_place(effect: Effect, design: Design) -> Effect:
             + (f"; is {near!r} meant?" if near else "")
             + f"; it has {', '.join(places)}"
         )
-    axes = [split_stage(place)[1].split(" ") for place in places]
+    axes = [Place.parse(place) for place in places]
     there = {
-        **{word: [name for own, name in axes if own == word] for word in AXES},
+        **{word: [axis.name for axis in axes if axis.kind == word] for word in AXES},
         "camera": [c.name for c in design.cameras],
         "target": [t.name for t in design.targets],
         "marker": [str(i) for t in design.targets for i in t.ids],

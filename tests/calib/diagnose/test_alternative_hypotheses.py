@@ -14,9 +14,8 @@ from calib.diagnose.engine.term_selection import _exchanged
 from calib.diagnose.problems.platform.effect_candidates import platform_candidate
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.problems.platform.simultaneous_refinement import refine
-from calib.diagnose.report.platform_report import platform_report
+from calib.diagnose.report.report_entries import diagnosis_report
 from rig.cli import command_line
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Candidate, Linear
@@ -25,6 +24,7 @@ from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_
 from rig.recording import recording_folder
 from synthetic import unlisted_physics
 from tests.bench.investigate import POSES, Case
+from tests.calib.diagnosing import diagnosis_of
 from tests.calib.recorded import recorded
 
 PLAN = "sobol:30,moving:15,ladder:3,sobol:30,moving:15"
@@ -94,7 +94,7 @@ def test_a_grids_parameter_costs_what_the_search_over_it_shows():
 
 def test_a_strong_lag_is_told_from_a_clock_by_fitting_both(tmp_path, design):
     rec = recorded(tmp_path, design, ["servo_lag:rig:time_constant=0.045"], route="moving:40,sobol:30,moving:40")
-    (finding,) = platform_report(diagnose_platform(rec, only=["servo_lag", "time_offset"])).findings
+    (finding,) = diagnosis_report(diagnosis_of(rec, only=["servo_lag", "time_offset"])).findings
     assert (finding.effect, finding.place) == ("servo_lag", "rig")
     assert all(a.delta_bic > 20 for a in finding.cannot_be_told_from)
 
@@ -116,14 +116,14 @@ def test_a_large_bias_of_edges_leaves_noise_alone_to_the_finder(tmp_path, design
 @pytest.mark.slow
 def test_a_step_soon_after_the_start_is_found(tmp_path, design):
     rec = recorded(tmp_path, design, ["missed_steps:strut4:jump=6e-5,time=70"], route=PLAN)
-    found = diagnose_platform(rec, only=["missed_steps", "warm_up", "creep"])
+    found = diagnosis_of(rec, only=["missed_steps", "warm_up", "creep"])
     assert [(e.name, e.place) for e in found.effects] == [("missed_steps", "strut 4")]
 
 
 @pytest.mark.slow
 def test_what_fits_a_name_only_far_from_what_rigs_show_gets_none(tmp_path, design):
     rec = recorded(tmp_path, design, [unlisted_physics.SlippingClutch("strut 5", 1.2e-4)], route=PLAN)
-    found = diagnose_platform(rec, only=["warm_up", "missed_steps", "creep", "scale_error"])
+    found = diagnosis_of(rec, only=["warm_up", "missed_steps", "creep", "scale_error"])
     assert not found.effects and found.left[0].place == "strut 5"
 
 
@@ -140,7 +140,7 @@ def test_all_struts_scales_off_by_one_share_are_one_name_or_alike_to_it(tmp_path
         seed=3,
         route="moving:24,sobol:50",
     )
-    (finding,) = diagnose_platform(rec).selection.findings
+    (finding,) = diagnosis_of(rec).selection.findings
     named = {(s.candidate.name, s.candidate.place) for s in (finding.score, *(a.score for a in finding.alternatives))}
     assert ("scale_error", "rig") in named
     assert scale < 0 or len(named) == 1
@@ -151,7 +151,7 @@ def test_an_effect_of_a_temperature_that_nobody_logged_is_among_its_alternatives
     rec = recorded(
         tmp_path, design, ["base_expansion:rig:coefficient=1e-4"], logged=False, route="sobol:50,ladder:2,sobol:60"
     )
-    found = diagnose_platform(rec, only=["warm_up", "base_expansion"])
+    found = diagnosis_of(rec, only=["warm_up", "base_expansion"])
     named = {
         (f.score.candidate.name, *(a.score.candidate.name for a in f.alternatives)) for f in found.selection.findings
     }
@@ -168,7 +168,7 @@ def test_an_effect_of_a_temperature_that_nobody_logged_is_among_its_alternatives
 def test_such_an_effect_is_a_rival_at_its_own_place(tmp_path, design, text, alike):
     name, place, _ = text.split(":")
     rec = recorded(tmp_path, design, [text], logged=False, route="sobol:50,ladder:2,sobol:60")
-    found = diagnose_platform(rec, only=[alike, name])
+    found = diagnosis_of(rec, only=[alike, name])
     sets = [
         [(a.score.candidate.name, a.score.candidate.place) for a in f.alternatives] for f in found.selection.findings
     ]
@@ -188,7 +188,7 @@ def test_an_effect_of_a_temperature_that_drowns_in_its_log_is_among_its_alternat
     channels = {channel: rec.sensors.at(t, channel) for channel in rec.sensors.channels}
     noisy = channels[name] + np.ptp(channels[name]) * np.array([1, -1, 0.5, -0.5, 0.2, -1, 0.8, -0.5, 0.5])
     channels[name] = noisy - np.polyval(np.polyfit(t, noisy, 1), t) + 20.5  # not even the slope shows
-    (finding,) = diagnose_platform(
+    (finding,) = diagnosis_of(
         replace(rec, sensors=replace(rec.sensors, t=t, channels=channels)), only=["thermal_expansion", "warm_up"]
     ).selection.findings
     named = [(c.name, c.place) for c in (finding.score.candidate, *(a.score.candidate for a in finding.alternatives))]
@@ -269,6 +269,6 @@ def test_a_large_bend_of_a_lens_is_one_finding_of_the_terms_that_it_has(tmp_path
         )
         == 0
     )
-    found = diagnose_platform(recording_folder.load_recording(tmp_path / "rec"), only=["lens_distortion"]).effects
+    found = diagnosis_of(recording_folder.load_recording(tmp_path / "rec"), only=["lens_distortion"]).effects
     assert [(e.name, e.place) for e in found] == [("lens_distortion", f"camera {camera}")]
     assert not found[0].warp and np.flatnonzero(found[0].terms).min() == 8

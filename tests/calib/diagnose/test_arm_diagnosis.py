@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from calib.diagnose.engine.term_selection import select_terms
-from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis, HeldOutPoses
+from calib.diagnose.problems.arm.arm_evidence import ArmEvidence
 from calib.diagnose.problems.arm.arm_problem import ArmProblem
 from calib.diagnose.problems.arm.joint_candidates import joint_candidates
 from calib.diagnose.problems.arm.linearised_poses import Geometry, linearise_poses
 from calib.diagnose.problems.requested_effects import RequestedEffects
-from calib.diagnose.report.arm_report import arm_report
+from calib.diagnose.recording_diagnosis import diagnose_evidence
+from calib.diagnose.report.report_entries import diagnosis_report
 from rig.cli import command_line
 from rig.effects.framework.play_operator import play_operator
 from rig.errors import NotEnoughData
@@ -70,32 +71,17 @@ def test_hidden_effects_are_found_at_their_joints(found):
 
 def test_sizes_are_those_that_were_hidden(found):
     problem, chosen = found
-    proofs = [problem.cross_validation(chosen.fit, f.number) for f in chosen.findings]
-    held = HeldOutPoses(chosen.before.left, chosen.fit.left, 30, ((),), np.zeros(len(problem.arms)))
     geometry = Geometry(UR10, np.zeros((0, 0)), lambda step: UR10)
-    d = ArmDiagnosis(
-        "arm",
-        "poses.csv",
-        problem.arms,
-        geometry,
-        UR10,
-        chosen.before,
-        chosen.fit,
-        chosen.findings,
-        proofs,
-        chosen.asked,
-        [],
-        [held],
-        None,
-        [],
-    )
-    by_name = {f.effect: f for f in arm_report(d).findings}
+    evidence = ArmEvidence(lambda gone: (problem.arms, geometry), "poses.csv", stretches=(30,))
+    d = diagnose_evidence(evidence, "arm")
+    assert [f.number for f in d.findings] == [f.number for f in chosen.findings]
+    by_name = {f.effect: f for f in diagnosis_report(d).findings}
     gap = by_name["backlash"].parameters["gap"]
     assert gap.ci95[0] <= GAP <= gap.ci95[1] and gap.ci95[1] - gap.ci95[0] < 0.3 * GAP
     load = hidden(problem.arms.q)[:, 1]
     assert by_name["compliance"].parameters["rms"].value == pytest.approx(load.std(), rel=0.15)
     assert "joint" in by_name["backlash"].action and all(f.matters for f in by_name.values())
-    json.dumps(arm_report(d).tree())
+    json.dumps(diagnosis_report(d).tree())
 
 
 def test_nothing_hidden_nothing_found():

@@ -14,14 +14,14 @@ from calib.diagnose.problems.arm.joint_candidates import joint_candidates
 from calib.diagnose.problems.arm.linearised_poses import linearise_poses
 from calib.diagnose.problems.arm.pose_fit import fit_poses
 from calib.diagnose.problems.arm.remainder_covariates import ranked_covariates
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.problems.requested_effects import RequestedEffects
-from calib.diagnose.report.platform_report import platform_report
+from calib.diagnose.report.report_entries import diagnosis_report
 from calib.diagnose.report.report_sentences import covariate_table
 from rig.effects.framework.machine_motion import Path
 from rig.effects.framework.play_operator import play_operator
 from rig.recording.recording_folder import Sensors
 from tests.calib import arm_worlds
+from tests.calib.diagnosing import diagnosis_of
 from tests.calib.recorded import recorded
 from tests.rig.arms import UR10
 
@@ -38,7 +38,7 @@ def rec(tmp_path_factory, design):
 
 
 def test_what_an_effect_follows_leads_and_is_gone_after(rec):
-    told = platform_report(diagnose_platform(rec, ["settling_error"]))
+    told = diagnosis_report(diagnosis_of(rec, ["settling_error"]))
     names = [c.name for c in told.covariates]
     assert (
         names[0] == "step"

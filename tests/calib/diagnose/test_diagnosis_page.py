@@ -9,12 +9,9 @@ import numpy as np
 import pytest
 
 from calib.diagnose.engine.lack_of_fit import LackOfFit
-from calib.diagnose.problems.platform import platform_diagnosis as platform
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
+from calib.diagnose.problems.platform import platform_evidence as platform
 from calib.diagnose.report.diagnosis_json import AlternativeEntry, NotAskedEntry
-from calib.diagnose.report.diagnosis_page import diagnosis_page
-from calib.diagnose.report.platform_page_figures import PlatformView
-from calib.diagnose.report.platform_report import platform_report
+from calib.diagnose.report.report_entries import diagnosis_report
 from calib.diagnose.report.residual_plots import effect_residual_figures, model_residuals, residuals_without_effects
 from calib.diagnose.report.rig_outline import MARKS, rig_outline_figure
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
@@ -23,6 +20,7 @@ from rig.planning import plan
 from rig.recording import recording_folder
 from rig.recording.recording_tables import write_poses
 from synthetic import recording_simulation, secret_machine
+from tests.calib.diagnosing import diagnosis_of, page_text
 
 HIDDEN = "backlash:strut3:gap=8e-5"
 
@@ -42,12 +40,12 @@ def make(design, rig_text, folder, text, only):
     )
     recording_simulation.write_recording(done, folder, rig_text, rng, noise=0.03)
     found = recording_folder.load_recording(folder)
-    return found, diagnose_platform(found, only)
+    return found, diagnosis_of(found, only)
 
 
 def made(folder, found, diagnosis):
     """(page, its text) of a recording's diagnosis."""
-    diagnosis_page(folder / "page.html", platform_report(diagnosis), PlatformView(found, diagnosis))
+    page_text(folder / "page.html", found, diagnosis)
     return text_of(folder / "page.html")
 
 
@@ -61,7 +59,7 @@ def text_of(path):
 def test_the_page_says_what_was_found(diagnosed, tmp_path):
     found, diagnosis = diagnosed
     page, text = made(tmp_path, found, diagnosis)
-    gap = platform_report(diagnosis).findings[0].parameters["gap"]
+    gap = diagnosis_report(diagnosis).findings[0].parameters["gap"]
     assert (
         f"Backlash at strut 3, gap {gap.value * 1e6:.3g} µm (95 %: {gap.ci95[0] * 1e6:.3g} to {gap.ci95[1] * 1e6:.3g})"
         in text
@@ -81,7 +79,7 @@ def test_the_page_says_what_was_found(diagnosed, tmp_path):
 
 def test_without_a_finding_nothing_is_claimed(diagnosed, tmp_path):
     found, diagnosis = diagnosed
-    still = diagnose_platform(found, ["missed_steps strut 1"])
+    still = diagnosis_of(found, ["missed_steps strut 1"])
     assert "Nothing is left out" in made(tmp_path, found, replace(still, left=[]))[1]
     left = [
         LackOfFit("strut 3", 4e-5, "m", ("history",), 1e-9, 80.0),
@@ -95,12 +93,12 @@ def test_without_a_finding_nothing_is_claimed(diagnosed, tmp_path):
 
 def test_alternatives_and_what_was_not_asked_are_listed(diagnosed, tmp_path):
     found, diagnosis = diagnosed
-    told = platform_report(diagnosis)
+    told = diagnosis_report(diagnosis)
     finding = replace(
         told.findings[0], cannot_be_told_from=(AlternativeEntry("hysteresis", "strut 3", 1.25, 0.999, "a <ladder>"),)
     )
     told = replace(told, findings=(finding,), not_asked=(NotAskedEntry("thermal_expansion", "no channel"),))
-    diagnosis_page(tmp_path / "page.html", told, PlatformView(found, diagnosis))
+    page_text(tmp_path / "page.html", found, diagnosis, told)
     page, text = text_of(tmp_path / "page.html")
     assert "a &lt;ladder&gt;" in page and "1.2" in text and "thermal expansion" in text and "no channel" in text
     assert "This recording alone cannot tell the backlash" in text
@@ -152,7 +150,7 @@ def test_every_diagnostic_plot_can_be_drawn(text, diagnosed):
 
 def test_what_is_only_significant_comes_after_what_matters(diagnosed, tmp_path):
     found, diagnosis = diagnosed
-    told = platform_report(diagnosis)
+    told = diagnosis_report(diagnosis)
     strong = told.findings[0]
     slight = replace(
         strong,
@@ -162,7 +160,7 @@ def test_what_is_only_significant_comes_after_what_matters(diagnosed, tmp_path):
     )
     told = replace(told, findings=(slight, strong))
     assert [f.matters for f in told.findings] == [False, True] and told.mattering == [strong]
-    diagnosis_page(tmp_path / "page.html", told, PlatformView(found, diagnosis))
+    page_text(tmp_path / "page.html", found, diagnosis, told)
     text = text_of(tmp_path / "page.html")[1]
     assert text.index("1. backlash at strut 3") < text.index("of little account") < text.index("hysteresis at strut 5,")
     assert "1 more is significant" in text
@@ -192,5 +190,5 @@ def test_poses_alone_make_a_page(diagnosed, tmp_path, monkeypatch):
     covariance = np.tile(np.diag([5e-6**2] * 3 + [3e-5**2] * 3), (len(k.frames), 1, 1))
     write_poses(tmp_path / "poses.csv", recording_folder.Poses(k.frames, k.T, covariance))
     alone = recording_folder.load_recording(tmp_path)
-    text = made(tmp_path, alone, diagnose_platform(alone, ["backlash"]))[1]
+    text = made(tmp_path, alone, diagnosis_of(alone, ["backlash"]))[1]
     assert "Backlash at strut 3" in text and re.search(r"corners\s+none", text)

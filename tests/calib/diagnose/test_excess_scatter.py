@@ -9,17 +9,20 @@ import numpy as np
 import pytest
 
 from calib.diagnose.engine.lack_of_fit import MATERIAL, detect_excess_scatter
-from calib.diagnose.problems.arm import arm_diagnosis as arms
-from calib.diagnose.problems.platform import platform_diagnosis as platforms
-from calib.diagnose.report import arm_report, platform_report
-from calib.diagnose.report.diagnosis_json import ASSUMED_NOISE, RESIDUALS, STATED
+from calib.diagnose.problems.arm.arm_evidence import ArmEvidence
+from calib.diagnose.problems.arm.linearised_poses import linearise_poses
+from calib.diagnose.problems.measured_evidence import ASSUMED_NOISE, RESIDUALS, STATED
+from calib.diagnose.recording_diagnosis import diagnose_evidence
 from calib.diagnose.report.diagnosis_page import diagnosis_verdict
 from calib.diagnose.report.diagnosis_report import summary_sentence
+from calib.diagnose.report.report_entries import diagnosis_report
+from calib.samples.recording_samples import sample_recording
 from rig.model.design import Arm
 from rig.recording import recording_folder
 from rig.recording.corner_and_pose_tables import Poses
 from rig.report.verdict import State
 from tests.calib import arm_worlds
+from tests.calib.diagnosing import diagnosis_of
 from tests.calib.recorded import recorded
 
 MOUNT = Arm(
@@ -49,7 +52,7 @@ def stars(folder, jitter, seed=1, again=0):
 
 @pytest.mark.parametrize("again", [0, 20])
 def test_a_scatter_thirty_times_the_stated_noise_is_unexplained(tmp_path, again):
-    report = arm_report.arm_report(arms.diagnose_arm(stars(tmp_path / "rec", 6e-4, again=again)))
+    report = diagnosis_report(diagnosis_of(stars(tmp_path / "rec", 6e-4, again=again)))
     tree = json.loads(json.dumps(report.tree()))
     assert (
         tree["unexplained"]["place"] == "rig"
@@ -62,19 +65,17 @@ def test_a_scatter_thirty_times_the_stated_noise_is_unexplained(tmp_path, again)
 
 
 def test_a_mount_within_its_noise_is_all_clear(tmp_path):
-    report = arm_report.arm_report(arms.diagnose_arm(stars(tmp_path / "rec", 0.0)))
+    report = diagnosis_report(diagnosis_of(stars(tmp_path / "rec", 0.0)))
     assert report.unexplained is None and diagnosis_verdict(report).state is State.GOOD
 
 
 def test_noise_that_nobody_states_proves_nothing(tmp_path):
     rec = stars(tmp_path / "rec", 6e-4)
     poses = Poses(rec.poses.frame, rec.poses.T_base_platform, None)
-    assert arms.sample_recording(replace(rec, poses=poses, design=replace(rec.design, instrument=None))).assumed
-    found, geometry = arms.linearise_poses(arms.sample_recording(rec).samples, rec.design, rec.commands)
-    report = arm_report.arm_report(
-        arms.diagnose_linearised_poses(
-            lambda gone: (replace(found, assumed=True), geometry), "rec", "poses.csv", arms.RequestedEffects()
-        )
+    assert sample_recording(replace(rec, poses=poses, design=replace(rec.design, instrument=None))).assumed
+    found, geometry = linearise_poses(sample_recording(rec).samples, rec.design, rec.commands)
+    report = diagnosis_report(
+        diagnose_evidence(ArmEvidence(lambda gone: (replace(found, assumed=True), geometry), "poses.csv"), "rec")
     )
     assert report.noise_from == ASSUMED_NOISE and not report.findings
     assert diagnosis_verdict(report).state is State.CHECK and any(
@@ -91,19 +92,17 @@ def test_struts_that_scatter_in_few_poses_are_unexplained(tmp_path, design):
     for i in rng.permutation(90)[:13]:  # all that is commanded from the move to a pose until it has been exposed
         values[np.abs(rec.commands.t - t[i]) < 3.0, 4] += rng.choice([-1, 1]) * rng.uniform(1e-4, 2e-4)
     off = replace(rec, commands=replace(rec.commands, values=values))
-    report = platform_report.platform_report(platforms.diagnose_platform(off, ["scale_error"]))
+    report = diagnosis_report(diagnosis_of(off, ["scale_error"]))
     assert report.unexplained.place == "strut 5" and diagnosis_verdict(report).state is State.CHECK
     assert report.fits["closures"].heldout_after > 1.5 * report.fits["closures"].noise_floor
 
 
 def test_corners_noisier_than_stated_are_unexplained(tmp_path, design):
     rec = recorded(tmp_path, design, [], route="sobol:30")
-    assert platform_report.platform_report(platforms.diagnose_platform(rec, ["edge_bias"])).noise_from == RESIDUALS
+    assert diagnosis_report(diagnosis_of(rec, ["edge_bias"])).noise_from == RESIDUALS
     for sigma, place in ((0.04, None), (0.01, "cameras")):  # px; 0.04 was drawn
         stated = replace(rec.corners, covariance=np.tile(sigma**2 * np.eye(2), (len(rec.corners.frame), 1, 1)))
-        report = platform_report.platform_report(
-            platforms.diagnose_platform(replace(rec, corners=stated), ["edge_bias"])
-        )
+        report = diagnosis_report(diagnosis_of(replace(rec, corners=stated), ["edge_bias"]))
         assert (report.unexplained and report.unexplained.place) == place and report.noise_from == STATED
         assert diagnosis_verdict(report).state is (State.GOOD if place is None else State.CHECK)
     assert report.unexplained.unit == "px" and report.unexplained.magnitude == pytest.approx(

@@ -10,13 +10,13 @@ import pytest
 from calib.diagnose.engine.linear_model import Column, LinearModel
 from calib.diagnose.engine.term_selection import select_terms
 from calib.diagnose.problems.arm import excess_scatter as arm_excess_scatter
+from calib.diagnose.problems.arm.arm_evidence import pose_repeatability
 from calib.diagnose.problems.arm.arm_problem import ArmProblem
 from calib.diagnose.problems.arm.candidate_search import joint_products, search_candidates, solved_grid, solved_nodes
 from calib.diagnose.problems.arm.joint_candidates import joint_candidates
 from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit
 from calib.diagnose.problems.arm.linearised_poses import linearise_poses
 from calib.diagnose.problems.arm.pose_fit import Term, fit_poses
-from calib.diagnose.problems.arm.repeated_commands import pose_repeatability
 from calib.diagnose.problems.arm.whitened_columns import Columns, Part
 from calib.diagnose.problems.requested_effects import RequestedEffects
 from calib.identify.robust_fit import excess_scatter, robust_weights
@@ -141,7 +141,7 @@ def test_sinusoid_is_found_with_its_order(searched):
     assert [(t.candidate.name, t.candidate.place) for t in chosen.fit.terms] == [("cyclic_error", "joint 3")]
     assert chosen.fit.terms[0].node["order"] == pytest.approx(7, abs=0.1)
     assert np.hypot(*chosen.fit.theta[chosen.fit.slices[0]]) == pytest.approx(3e-4, rel=0.1)
-    proof = problem.cross_validation(chosen.fit, 0)
+    proof = problem.cross_validations(chosen.fit, [0])[0]
     assert proof.after < 0.7 * proof.before and proof.gain > 2
 
 

@@ -4,9 +4,9 @@ coil wholly wound up.
 
 import pytest
 
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from rig.effects.catalogue import effect_list
 from rig.effects.texts.effect_text import parse_effect
+from tests.calib.diagnosing import diagnosis_of
 from tests.calib.recorded import recorded
 
 MODE = "phase=1,mode=0.6/0/0.8/0.5/0/0"
@@ -46,8 +46,8 @@ def test_every_parameter_that_is_no_size_has_its_ends_here():
 @pytest.mark.slow
 @pytest.mark.parametrize("text", AT_LIMITS)
 def test_what_lies_at_a_limit_is_named_at_its_place(tmp_path, design, text):
-    true, found = parse_effect(text), diagnose_platform(recorded(tmp_path, design, [text], 11, "standard", 0.03))
-    named = [(s.name, s.place) for s in found.swapped] + [(e.name, e.place) for e in found.effects]
+    true, found = parse_effect(text), diagnosis_of(recorded(tmp_path, design, [text], 11, "standard", 0.03))
+    named = [(s.name, s.place) for s in found.evidence.swapped] + [(e.name, e.place) for e in found.effects]
     same = [
         (a.score.candidate.name, a.score.candidate.place) for f in found.selection.findings[:1] for a in f.alternatives
     ]

@@ -18,18 +18,16 @@ from calib.diagnose.problems.platform.lack_of_fit import lack_of_fit
 from calib.diagnose.problems.platform.linearised_residuals import CORNERS, linearise
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnose.problems.platform.parameter_directions import parameter_directions
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.problems.platform.simultaneous_refinement import refine
 from calib.diagnose.problems.requested_effects import RequestedEffects
-from calib.diagnose.report.diagnosis_page import diagnosis_page
-from calib.diagnose.report.platform_page_figures import PlatformView
-from calib.diagnose.report.platform_report import platform_report
+from calib.diagnose.report.report_entries import diagnosis_report
 from calib.samples.recording_samples import sample_recording
 from rig.effects.texts.effect_text import parse_effect
 from rig.planning import plan
 from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine, unlisted_physics
+from tests.calib.diagnosing import diagnosis_of, page_text
 from tests.calib.recorded import recorded
 from tests.numeric import jacobian
 from tests.vision import tumbling
@@ -94,8 +92,8 @@ def test_what_is_hidden_is_found(tmp_path, design, text, name, parameter, value)
     rec = recorded(tmp_path, design, [text])
     kind, place = name.split(" ", 1)
     alike = {"backlash": ["hysteresis"], "missed_steps": ["warm_up"], "edge_bias": ["print_scale"]}[kind]
-    found = diagnose_platform(rec, only=[kind, *alike])
-    tree = json.loads(json.dumps(platform_report(found).tree()))
+    found = diagnosis_of(rec, only=[kind, *alike])
+    tree = json.loads(json.dumps(diagnosis_report(found).tree()))
     assert [(f["effect"], f["place"]) for f in tree["findings"]] == [(kind, place)]
     fitted = tree["findings"][0]["parameters"][parameter]
     sigma = (fitted["ci95"][1] - fitted["ci95"][0]) / 3.92
@@ -164,8 +162,8 @@ def test_geometry_known_from_elsewhere_shows_what_would_hide_in_it(tmp_path, des
     sampled = sample_recording(before)
     done = certify_platform(sampled.samples, before.design.mechanism, rng)
     known = Calibration(done.correction, done.found.covariance, done.found.scatter, (), (), done.held_out, {})
-    assert not diagnose_platform(after, only=["compliance"]).selection.findings  # a constant load hides in the joints
-    tree = platform_report(diagnose_platform(after, only=["compliance"], calibration=known)).tree()
+    assert not diagnosis_of(after, only=["compliance"]).selection.findings  # a constant load hides in the joints
+    tree = diagnosis_report(diagnosis_of(after, only=["compliance"], calibration=known)).tree()
     assert [(f["effect"], f["place"]) for f in tree["findings"]] == [("compliance", "rig")]
     assert tree["findings"][0]["parameters"]["stiffness"]["value"] == pytest.approx(8e6, rel=0.2)
 
@@ -173,7 +171,7 @@ def test_geometry_known_from_elsewhere_shows_what_would_hide_in_it(tmp_path, des
 @pytest.mark.slow
 def test_a_strong_profile_is_one_finding_however_fine(tmp_path, design):
     rec = recorded(tmp_path, design, ["transmission_error:strut1:profile=-1e-5/-4e-5/2e-5/6e-5/3e-5/-6e-5"])
-    found = diagnose_platform(rec, only=["transmission_error", "cyclic_error", "scale_error"])
+    found = diagnosis_of(rec, only=["transmission_error", "cyclic_error", "scale_error"])
     assert [(e.name, e.place) for e in found.effects] == [("transmission_error", "strut 1")] and not found.left
 
 
@@ -188,7 +186,7 @@ def test_a_marker_of_another_size_gets_no_name(tmp_path, design):
         rng,
         0.04,
     )
-    found = diagnose_platform(
+    found = diagnosis_of(
         recording_folder.load_recording(tmp_path),
         only=["face_misplacement", "print_scale", "edge_bias", "cube_misplacement"],
     )
@@ -204,8 +202,8 @@ def test_a_body_moved_by_hand_says_which_faces_sit_elsewhere(tmp_path):
     )
     exposures = recording_folder.Exposures(np.arange(len(t)), t, names * len(t), [""] * len(t))
     rec = recording_folder.Recording(tmp_path, stated, None, exposures, None, corners, None)
-    found = diagnose_platform(rec)
-    tree = json.loads(json.dumps(platform_report(found).tree()))
+    found = diagnosis_of(rec)
+    tree = json.loads(json.dumps(diagnosis_report(found).tree()))
     moved = [f for f in tree["findings"] if f["effect"] == "face_misplacement"]
     assert (
         len(moved) >= len(np.unique(o.marker)) - 1
@@ -219,5 +217,5 @@ def test_a_body_moved_by_hand_says_which_faces_sit_elsewhere(tmp_path):
         for value, low, high in zip(p["value"], *p["ci95"])
     )
     assert tree["fit"]["heldout_after"] < 1.1 * tree["fit"]["noise_floor"]
-    diagnosis_page(tmp_path / "page.html", platform_report(found), PlatformView(rec, found))
+    page_text(tmp_path / "page.html", rec, found)
     assert (tmp_path / "page.html").read_text().count("face misplacement at marker") >= len(moved)

@@ -6,13 +6,13 @@ import pytest
 from calib.diagnose.engine.frame_inner_products import Normal, solve_normal_equations
 from calib.diagnose.engine.lack_of_fit import LackOfFit, delta_chi2_by_column_count
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.problems.platform.platform_problem import PlatformProblem
 from rig.effects.texts.effect_text import parse_effect
 from rig.formats.rig_toml import design_file
 from rig.planning import plan
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine, unlisted_physics
+from tests.calib.diagnosing import diagnosis_of
 from tests.calib.physical import measured_by
 from tests.calib.recorded import recorded
 
@@ -22,7 +22,7 @@ PLAN = "ladder:3,sobol:15,moving:15,wait:60,ladder:3,axes:8,moving:15"
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory, rig_text):
-    """A function: an effect -> PlatformDiagnosis of a rig that hides it, whose poses an instrument measures, which is
+    """A function: an effect -> Diagnosis of a rig that hides it, whose poses an instrument measures, which is
     quick.
     """
     text, folder = measured_by(rig_text), tmp_path_factory.mktemp("refuted")
@@ -40,7 +40,7 @@ def seen(tmp_path_factory, rig_text):
             rng,
             0.04,
         )
-        return diagnose_platform(recording_folder.load_recording(to))
+        return diagnosis_of(recording_folder.load_recording(to))
 
     return diagnosed
 
@@ -62,7 +62,7 @@ def seen(tmp_path_factory, rig_text):
 )
 def test_a_curve_that_outdoes_a_law_leaves_no_name(seen, effect, depends, looked_at):
     found = seen(effect)
-    assert found.effects == [] and (found.left[0].place, found.left[0].depends_on) == (effect.place, (depends,))
+    assert found.effects == () and (found.left[0].place, found.left[0].depends_on) == (effect.place, (depends,))
     (suggested,) = found.suggestions
     assert suggested.place == effect.place and [q.name for q in suggested.written.quantities] == [looked_at]
 

@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.problems.requested_effects import RequestedEffects
-from calib.diagnose.report.platform_report import platform_report
+from calib.diagnose.report.report_entries import diagnosis_report
 from rig.effects.catalogue.screw_coupling import ScrewCoupling
 from rig.effects.framework.effect import Parameter
 from rig.errors import RigError
+from tests.calib.diagnosing import diagnosis_of
 from tests.calib.recorded import recorded
 
 
@@ -36,7 +36,7 @@ def test_an_exchange_of_faces_is_asked_for_at_its_marker_alone(tmp_path, design)
     found = {
         only: [
             (f.effect, f.place)
-            for f in platform_report(diagnose_platform(rec, only=[only])).findings
+            for f in diagnosis_report(diagnosis_of(rec, only=[only])).findings
             if f.effect == "marker_swap"
         ]
         for only in ("marker_swap", "marker_swap marker 6", "marker_swap marker 8", "marker_swap marker 4")
@@ -48,13 +48,11 @@ def test_an_exchange_of_faces_is_asked_for_at_its_marker_alone(tmp_path, design)
     )
     assert not [
         f
-        for f in platform_report(
-            diagnose_platform(rec, only=["marker_swap"], without=(f"marker_swap {place}",))
-        ).findings
+        for f in diagnosis_report(diagnosis_of(rec, only=["marker_swap"], without=(f"marker_swap {place}",))).findings
         if f.effect == "marker_swap"
     ]
     with pytest.raises(RigError, match="cannot sit at 'marker 99'"):
-        diagnose_platform(rec, only=["marker_swap marker 99"])
+        diagnosis_of(rec, only=["marker_swap marker 99"])
 
 
 def test_what_a_bound_forbids_is_reported_at_the_bound(tmp_path, design, monkeypatch):
@@ -64,7 +62,7 @@ def test_what_a_bound_forbids_is_reported_at_the_bound(tmp_path, design, monkeyp
     )
     assert isinstance(tight[0], Parameter)
     monkeypatch.setattr(ScrewCoupling, "parameters", tight)
-    finding = platform_report(diagnose_platform(rec, only=["screw_coupling"])).findings[0]
+    finding = diagnosis_report(diagnosis_of(rec, only=["screw_coupling"])).findings[0]
     gain = finding.parameters["gain"]
     assert (finding.effect, finding.place, gain.value, gain.at_bound) == ("screw_coupling", "rig", 0.97, 0.97)
     assert np.isfinite(gain.ci95).all()

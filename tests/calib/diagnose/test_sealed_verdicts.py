@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
-from calib.diagnose.report.platform_report import platform_report
+from calib.diagnose.report.report_entries import diagnosis_report
 from rig.recording import recording_folder
+from tests.calib.diagnosing import diagnosis_of
 from tests.conftest import ROOT
 
 VERDICTS = json.loads((ROOT / "tests/data/sealed_verdicts.json").read_text())
@@ -20,7 +20,7 @@ PART = 0.1  # of an interval's length
 @pytest.mark.parametrize("name", sorted(VERDICTS))
 def test_a_sealed_recording_gets_the_verdict_that_it_got(shared, name):
     found, expected = (
-        platform_report(diagnose_platform(recording_folder.load_recording(shared / "recordings" / name))).tree(),
+        diagnosis_report(diagnosis_of(recording_folder.load_recording(shared / "recordings" / name))).tree(),
         VERDICTS[name],
     )
     assert [(f["effect"], f["place"]) for f in found["findings"]] == [

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from calib.diagnose.engine.selection_inputs import NotAsked, StatedTerms
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.problems.requested_effects import RequestedEffects, require_assumed_effects_testable
-from calib.diagnose.report.platform_report import platform_report
+from calib.diagnose.report.report_entries import diagnosis_report
 from calib.diagnose.report.report_sentences import evidence_sentence
 from rig.cli import command_line
 from rig.effects.texts.effect_text import parse_effect_and_place
 from rig.errors import NotEnoughData, RigError
 from rig.recording.frame_selection import remove_frames
+from tests.calib.diagnosing import diagnosis_of
 from tests.calib.recorded import recorded
 
 STRUT_2, STRUT_4 = ("backlash", "strut 2"), ("backlash", "strut 4")
@@ -37,8 +37,8 @@ def places(found):
 
 
 def test_what_is_assumed_stays_and_is_said_to_be_so(quiet):
-    assert places(platform_report(diagnose_platform(quiet, ["backlash"]))) == []
-    told = platform_report(diagnose_platform(quiet, ["creep"], given=StatedTerms((STRUT_2,))))
+    assert places(diagnosis_report(diagnosis_of(quiet, ["backlash"]))) == []
+    told = diagnosis_report(diagnosis_of(quiet, ["creep"], given=StatedTerms((STRUT_2,))))
     assert places(told) == [(*STRUT_2, "assumed")]
     gap = told.findings[0].parameters["gap"]
     assert gap.value < 15e-6 and gap.ci95[0] <= gap.value <= gap.ci95[1]
@@ -46,10 +46,10 @@ def test_what_is_assumed_stays_and_is_said_to_be_so(quiet):
 
 
 def test_what_was_seen_before_has_to_stand(loose):
-    told = platform_report(diagnose_platform(loose, ["backlash"], given=StatedTerms((), (STRUT_4, STRUT_2))))
+    told = diagnosis_report(diagnosis_of(loose, ["backlash"], given=StatedTerms((), (STRUT_4, STRUT_2))))
     assert places(told) == [(*STRUT_2, "seen before")]
     assert told.findings[0].parameters["gap"].value == pytest.approx(100e-6, rel=0.05)
-    told = platform_report(diagnose_platform(loose, ["backlash"], given=StatedTerms((STRUT_2,))))
+    told = diagnosis_report(diagnosis_of(loose, ["backlash"], given=StatedTerms((STRUT_2,))))
     assert places(told) == [(*STRUT_2, "assumed")] and "shows it by itself as well" in evidence_sentence(
         told.findings[0]
     )

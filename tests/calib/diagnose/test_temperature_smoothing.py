@@ -8,12 +8,12 @@ import pytest
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.interval_widening import temperature_log_errors
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.problems.platform.simultaneous_refinement import refine
 from calib.diagnose.problems.temperature_smoothing import smooth_temperatures
 from rig.effects.texts.effect_text import parse_effect
 from rig.recording.recording_folder import Sensors
 from synthetic.secret_machine import draw_temperatures
+from tests.calib.diagnosing import diagnosis_of
 from tests.calib.recorded import recorded
 
 FAR = 8.0
@@ -64,7 +64,7 @@ def test_few_rows_and_no_log_stay():
 @pytest.mark.slow
 def test_noise_of_a_thermometer_does_not_hide_a_strong_effect(tmp_path, design):
     rec = recorded(tmp_path, design, ["focal_drift:camera cam1:per_kelvin=4e-4"], route="sobol:100,ladder:2,sobol:100")
-    found = diagnose_platform(rec, only=["focal_drift", "camera_drift"])
+    found = diagnosis_of(rec, only=["focal_drift", "camera_drift"])
     assert [(e.name, e.place) for e in found.effects] == [("focal_drift", "camera cam1")] and not found.left
 
 

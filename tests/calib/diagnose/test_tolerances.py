@@ -20,15 +20,13 @@ from calib.diagnose.problems.platform.effect_candidates import platform_candidat
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, linearise
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.problems.platform.platform_problem import PlatformProblem
 from calib.diagnose.problems.requested_effects import RequestedEffects
-from calib.diagnose.report.diagnosis_page import diagnosis_page
-from calib.diagnose.report.platform_page_figures import PlatformView
-from calib.diagnose.report.platform_report import platform_report
+from calib.diagnose.report.report_entries import diagnosis_report
 from rig.effects.catalogue import effect_list
 from rig.model.manufacturing_tolerances import PLACES, SIDES
 from synthetic import blind_image_settings
+from tests.calib.diagnosing import diagnosis_of, page_text
 from tests.calib.recorded import recorded
 
 ROUTE, PRINTED = (
@@ -46,26 +44,26 @@ def printed(design, place, side, seed=1):
     [pytest.param(1e-5, 0.0, marks=pytest.mark.slow), pytest.param(0.0, 2.5e-4, marks=pytest.mark.slow), (5e-6, 2e-4)],
 )
 def test_markers_printed_within_tolerance_are_no_finding(tmp_path, design, place, side):
-    found = diagnose_platform(recorded(tmp_path, design, [printed(design, place, side)], 11, ROUTE, 0.03), only=PRINTED)
-    tree = json.loads(json.dumps(platform_report(found).tree()))
+    found = diagnosis_of(recorded(tmp_path, design, [printed(design, place, side)], 11, ROUTE, 0.03), only=PRINTED)
+    tree = json.loads(json.dumps(diagnosis_report(found).tree()))
     assert tree["findings"] == [] and tree["unexplained"] is None
 
 
 def test_all_sides_off_by_a_part_in_two_thousand_are_a_remark_with_their_size(tmp_path, design):
     rec = recorded(tmp_path, design, [f"print_scale:markers:scale={SIDES.limit}"], 11, ROUTE, 0.03)
-    found = diagnose_platform(rec, only=PRINTED)
-    tree = json.loads(json.dumps(platform_report(found).tree()))
+    found = diagnosis_of(rec, only=PRINTED)
+    tree = json.loads(json.dumps(diagnosis_report(found).tree()))
     assert tree["findings"] == [] and tree["unexplained"] is None
     said = {(r["effect"], r["place"]): r for r in tree["remarks"]}["print_scale", "markers"]
     low, high = said["parameters"]["scale"]["ci95"]
     assert low < SIDES.limit < high and high - low < SIDES.limit and "0.05 %" in said["reason"]
-    diagnosis_page(tmp_path / "page.html", platform_report(found), PlatformView(rec, found))
+    page_text(tmp_path / "page.html", rec, found)
     assert "print scale at markers" in (tmp_path / "page.html").read_text()
 
 
 def test_what_is_beyond_tolerance_is_a_finding_beside_what_is_within(tmp_path, design):
     hidden = ["face_misplacement:8:offset=2e-4/0/0,rotation=0/0/0", "backlash:strut2:gap=6e-5"]
-    found = diagnose_platform(
+    found = diagnosis_of(
         recorded(tmp_path, design, [*hidden, printed(design, 5e-6, 1e-4)], 11, ROUTE, 0.03), only=PRINTED
     )
     assert {(e.name, e.place) for e in found.effects} == {
@@ -168,15 +166,13 @@ def test_tolerances_come_in_where_they_explain_more_than_the_best_candidate(tmp_
     found = tolerance_columns.tolerance_model(fit.refined.model, problem.sensitivities)
     assert tolerance_columns.tolerances_explain_residuals(found.projected(fit.refined.model), found.sigma)
     best = problem.search(problem.residual(fit), candidates)[0]
-    assert problem.is_explained_by_tolerances(fit, best) is first and problem.tolerance_model is first
-    assert (
-        not problem.is_explained_by_tolerances(fit, None) if first else problem.is_explained_by_tolerances(fit, None)
-    )  # once; alone, whatever they explain is theirs
+    assert problem.tolerances_explain(fit, best) is first and not problem.tolerant  # to ask changes nothing
+    assert problem.tolerances_explain(fit, None)  # alone, whatever they explain is theirs
+    tolerant = problem.with_tolerances()
+    assert tolerant.tolerant and not tolerant.tolerances_explain(fit, None)  # once
 
 
 def test_what_has_no_name_beside_tolerances_is_left_and_offered_a_formula(tmp_path, design):
     hidden = ["backlash:strut2:gap=6e-5", printed(design, 5e-6, 2e-4)]
-    found = diagnose_platform(
-        recorded(tmp_path, design, hidden, 11, ROUTE, 0.03), only=["print_scale", "face_misplacement"]
-    )
+    found = diagnosis_of(recorded(tmp_path, design, hidden, 11, ROUTE, 0.03), only=["print_scale", "face_misplacement"])
     assert {u.place for u in found.left} == {"strut 2"} and {s.place for s in found.suggestions} == {"strut 2"}

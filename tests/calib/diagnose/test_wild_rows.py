@@ -9,13 +9,10 @@ import numpy as np
 import pytest
 
 from calib.certify.platform_certification import certify_platform, platform_workspace_claim
-from calib.diagnose.problems.arm import arm_diagnosis as arm_problem
-from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm as arm_diagnose
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
-from calib.diagnose.report.arm_report import arm_report as arm_report
-from calib.diagnose.report.diagnosis_page import diagnosis_page, diagnosis_verdict
-from calib.diagnose.report.platform_page_figures import PlatformView
-from calib.diagnose.report.platform_report import platform_report
+from calib.diagnose import recording_diagnosis
+from calib.diagnose.problems.arm import arm_evidence
+from calib.diagnose.report.diagnosis_page import diagnosis_verdict
+from calib.diagnose.report.report_entries import diagnosis_report
 from calib.identify.robust_fit import MOST, has_many_deviations, outlier_rows, robust_fit, tail_length_ratio
 from calib.models.arm.certification import arm_workspace_claim as arm_promised
 from calib.models.arm.certification import certify_arm as arm_certify
@@ -24,6 +21,7 @@ from calib.samples.recording_samples import sample_recording
 from rig.recording import frame_selection, recording_folder
 from rig.report.verdict import State
 from tests.calib import arm_worlds
+from tests.calib.diagnosing import diagnosis_of, page_text
 from tests.calib.recorded import recorded
 from tests.calib.wild_rows import posed, spoilt_corners, spoilt_poses
 from tests.rig.arms import UR10
@@ -38,7 +36,7 @@ HIDDEN = {
 
 
 def names(found):
-    return [(f.effect, f.place) for f in platform_report(found).findings]
+    return [(f.effect, f.place) for f in diagnosis_report(found).findings]
 
 
 def masks(frames, rng, count):
@@ -84,9 +82,9 @@ def test_names_do_not_depend_on_which_wild_rows_are_masked(tmp_path, design):
         rng = np.random.default_rng(number)
         bad, frames = spoilt_poses(posed(tmp_path / str(number), design, [text], number), rng)
         for mask in ["", *masks(frames, rng, 1)]:
-            found = diagnose_platform(frame_selection.remove_frames(bad, mask) if mask else bad)
+            found = diagnosis_of(frame_selection.remove_frames(bad, mask) if mask else bad)
             assert names(found) == expected
-            gone = {one.frame for one in found.wild.left_out}
+            gone = {one.frame for one in found.outliers.left_out}
             assert gone <= set(frames.tolist()) and len(gone) + len(mask.split(",")) * bool(mask) >= len(frames) - 2
 
 
@@ -95,8 +93,8 @@ def test_rows_that_were_left_out_are_listed_with_why(tmp_path, design):
     poses = rec.poses.T_base_platform.as_matrix()
     poses[50, 0, 3] += 1e-3
     bad = replace(rec, poses=replace(rec.poses, T_base_platform=type(rec.poses.T_base_platform).from_matrix(poses)))
-    found = diagnose_platform(bad, ["backlash"])
-    told = platform_report(found)
+    found = diagnosis_of(bad, ["backlash"])
+    told = diagnosis_report(found)
     (entry,) = json.loads(json.dumps(told.tree()))["left_out"]
     assert (
         entry["frame"] == 50
@@ -105,7 +103,7 @@ def test_rows_that_were_left_out_are_listed_with_why(tmp_path, design):
         and entry["unit"] == "m"
     )
     assert 1e-4 < entry["off"] < 1e-3 and entry["times"] > 20 and "agree with no other" in entry["reason"]
-    diagnosis_page(tmp_path / "page.html", told, PlatformView(rec, found))
+    page_text(tmp_path / "page.html", rec, found, told)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert (
         "Left out before anything was searched" in page
@@ -120,8 +118,8 @@ def test_a_pose_far_from_all_others_does_not_hide_itself(tmp_path, design):
     poses = rec.poses.T_base_platform.as_matrix()
     poses[44, :3, 3] *= 1e-3
     bad = replace(rec, poses=replace(rec.poses, T_base_platform=type(rec.poses.T_base_platform).from_matrix(poses)))
-    found = diagnose_platform(bad, ["backlash"])
-    assert [one.frame for one in found.wild.left_out] == [44] and names(found) == [] and found.left == []
+    found = diagnosis_of(bad, ["backlash"])
+    assert [one.frame for one in found.outliers.left_out] == [44] and names(found) == [] and found.left == []
 
 
 def test_a_chain_with_wild_poses_is_diagnosed_as_without_them(tmp_path):
@@ -129,15 +127,15 @@ def test_a_chain_with_wild_poses_is_diagnosed_as_without_them(tmp_path):
     case = draw(1037, "axis_coupling", "strong", "sobol", "chain", 80)
     bad, frames, _ = spoilt(case, 1037)
     rec, mask = recording_folder.load_recording(record(bad, tmp_path / "wild")), ",".join(map(str, frames))
-    found, expected = (arm_diagnose(one, ["scale_error"]) for one in (rec, frame_selection.remove_frames(rec, mask)))
-    assert {one.frame for one in found.left_out} == set(frames.tolist()) and expected.left_out == ()
-    told, without = (arm_report(one).tree()["findings"] for one in (found, expected))
+    found, expected = (diagnosis_of(one, ["scale_error"]) for one in (rec, frame_selection.remove_frames(rec, mask)))
+    assert {one.frame for one in found.outliers.left_out} == set(frames.tolist()) and expected.outliers.left_out == ()
+    told, without = (diagnosis_report(one).tree()["findings"] for one in (found, expected))
     assert told == without and [f["effect"] for f in told] == ["scale_error"]
 
 
 def test_many_rows_far_off_are_no_wild_rows(tmp_path, design):
     bad, frames = spoilt_poses(posed(tmp_path / "rec", design, [], 4), np.random.default_rng(4), 0.2)
-    told = platform_report(diagnose_platform(bad, ["backlash"]))
+    told = diagnosis_report(diagnosis_of(bad, ["backlash"]))
     assert told.left_out == () and told.crowd is not None and told.crowd.count > MOST * told.crowd.of
     assert told.unexplained is not None and diagnosis_verdict(told).state is State.CHECK
 
@@ -152,10 +150,12 @@ def test_an_arms_wild_poses_are_left_out(tmp_path):
     )
     rec = recording_folder.load_recording(tmp_path / "rec")
     bad, frames = spoilt_poses(rec, rng)
-    clean = arm_report(arm_diagnose(rec, ["scale_error"]))
+    clean = diagnosis_report(diagnosis_of(rec, ["scale_error"]))
     assert len(clean.left_out) <= 1
     for mask in ["", *masks(frames, rng, 1)]:
-        found = arm_report(arm_diagnose(frame_selection.remove_frames(bad, mask) if mask else bad, ["scale_error"]))
+        found = diagnosis_report(
+            diagnosis_of(frame_selection.remove_frames(bad, mask) if mask else bad, ["scale_error"])
+        )
         assert (
             [(f.effect, f.place) for f in found.findings]
             == [("scale_error", "joint 4")]
@@ -170,27 +170,26 @@ def test_what_an_arm_lists_as_left_out_is_what_its_last_search_left_out(tmp_path
     """Where nothing is gross beforehand, wild poses show after a search: after the last one it is too late to leave
     them out.
     """
-    monkeypatch.setattr(arm_problem, "GROSS", np.inf)
-    monkeypatch.setattr(arm_problem, "ROUNDS", rounds)
+    monkeypatch.setattr(arm_evidence, "GROSS", np.inf)
+    monkeypatch.setattr(recording_diagnosis, "ROUNDS", rounds)
     rng = np.random.default_rng(2)
     arm_worlds.write(tmp_path / "rec", UR10, arm_worlds.tracked(arm_worlds.secret(UR10, rng), UR10, 60, rng))
     rec = spoilt_poses(recording_folder.load_recording(tmp_path / "rec"), rng)[0]
-    found = arm_diagnose(rec, ["scale_error"])
-    searched = found.arms.frame[found.fit.used]
-    assert sorted(one.frame for one in found.left_out) == np.setdiff1d(rec.poses.frame, searched).tolist() and bool(
-        found.left_out
-    ) == (rounds > 1)
+    found = diagnosis_of(rec, ["scale_error"])
+    searched = found.selection.fit.arms.frame[found.selection.fit.used]
+    left_out = sorted(one.frame for one in found.outliers.left_out)
+    assert left_out == np.setdiff1d(rec.poses.frame, searched).tolist() and bool(left_out) == (rounds > 1)
 
 
 def test_a_misread_marker_is_left_out_alone(tmp_path, design):
     rec = recorded(tmp_path, design, [], route="sobol:60")
-    assert diagnose_platform(rec, ["edge_bias"]).wild.left_out == ()
+    assert diagnosis_of(rec, ["edge_bias"]).outliers.left_out == ()
     bad, frames = spoilt_corners(rec, np.random.default_rng(2))
-    found = diagnose_platform(bad, ["edge_bias"])
-    assert {one.frame for one in found.wild.left_out} == set(frames.tolist()) and len(found.wild.left_out) == len(
-        frames
-    )
-    assert all(one.what == "corners" and one.unit == "px" and "marker" in one.place for one in found.wild.left_out)
+    found = diagnosis_of(bad, ["edge_bias"])
+    assert {one.frame for one in found.outliers.left_out} == set(frames.tolist()) and len(
+        found.outliers.left_out
+    ) == len(frames)
+    assert all(one.what == "corners" and one.unit == "px" and "marker" in one.place for one in found.outliers.left_out)
     assert names(found) == [] and len(found.selection.fit.refined.point.frames) == 60
 
 
@@ -199,8 +198,8 @@ def test_a_short_event_is_not_wild(tmp_path, design, text):
     """A jump before the last few exposures, a load in two of them."""
     rec = posed(tmp_path / "rec", design, [text], 5, "sobol:90,payload:2")
     assert np.count_nonzero(rec.exposures.times()[1] > 530) == 6
-    found = diagnose_platform(rec, [text.split(":")[0]])
-    assert found.wild.left_out == () and names(found) == [
+    found = diagnosis_of(rec, [text.split(":")[0]])
+    assert found.outliers.left_out == () and names(found) == [
         (text.split(":")[0], text.split(":")[1].replace("strut", "strut "))
     ]
 
@@ -212,9 +211,9 @@ def test_names_are_those_of_the_recording_without_wild_rows(tmp_path, design, se
     for text, expected in HIDDEN.items():
         clean = posed(tmp_path / text.split(":")[0], design, [text], seed)
         bad, frames = spoilt_poses(clean, rng)
-        assert names(diagnose_platform(clean)) == expected
+        assert names(diagnosis_of(clean)) == expected
         for mask in masks(frames, rng, 3):
-            assert names(diagnose_platform(frame_selection.remove_frames(bad, mask))) == expected
+            assert names(diagnosis_of(frame_selection.remove_frames(bad, mask))) == expected
 
 
 def test_what_one_strut_does_alone_is_not_wild():

@@ -7,10 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm
 from calib.diagnose.problems.arm.joint_candidates import joint_candidate
 from calib.diagnose.problems.arm.linearised_poses import linearise_planned_poses
-from calib.experiment.diagnosis_questions import arm_questions
+from calib.experiment.arm_questions import arm_questions
 from calib.experiment.experiment_choice import evaluate_experiment
 from rig.cli.command_line import main
 from rig.effects.catalogue.time_offset import TimeOffset
@@ -22,13 +21,14 @@ from rig.planning import configuration_sets, plan
 from rig.planning.layout import shipped_arm_layout
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
+from tests.calib.diagnosing import diagnosis_of
 
 FRICTION, PLAY = "hysteresis:joint 2:range=0.5,weight=0.001", "backlash:joint 2:gap=2e-4"
 
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
-    """(Recording of a SCARA whose second joint sticks, its ArmDiagnosis)."""
+    """(Recording of a SCARA whose second joint sticks, its Diagnosis)."""
     at = tmp_path_factory.mktemp("scara")
     (at / "rig.toml").write_text(shipped_arm_layout.shipped_arm_rig_toml("scara"))
     design, rng = design_file.load_design(at / "rig.toml"), np.random.default_rng(3)
@@ -43,7 +43,7 @@ def found(tmp_path_factory):
     )
     recording_simulation.write_recording(done, at / "rec", shipped_arm_layout.shipped_arm_rig_toml("scara"), rng)
     read = recording_folder.load_recording(at / "rec")
-    return read, diagnose_arm(read)
+    return read, diagnosis_of(read)
 
 
 def test_a_plan_that_was_made_is_told_as_it_was_seen(found):
@@ -51,11 +51,17 @@ def test_a_plan_that_was_made_is_told_as_it_was_seen(found):
     move is the same.
     """
     read, d = found
-    again = linearise_planned_poses(d.arms, d.geometry, read.commands, d.arms.t, d.arms.context.sensors)
-    np.testing.assert_allclose(again.q, d.arms.q)
-    np.testing.assert_allclose(again.joints, d.arms.joints, atol=1e-12)
-    np.testing.assert_allclose(again.freedoms, d.arms.freedoms, atol=1e-12)
-    np.testing.assert_allclose(again.context.moved().lengths, d.arms.context.moved().lengths)
+    again = linearise_planned_poses(
+        d.selection.fit.arms,
+        d.selection.problem.geometry,
+        read.commands,
+        d.selection.fit.arms.t,
+        d.selection.fit.arms.context.sensors,
+    )
+    np.testing.assert_allclose(again.q, d.selection.fit.arms.q)
+    np.testing.assert_allclose(again.joints, d.selection.fit.arms.joints, atol=1e-12)
+    np.testing.assert_allclose(again.freedoms, d.selection.fit.arms.freedoms, atol=1e-12)
+    np.testing.assert_allclose(again.context.moved().lengths, d.selection.fit.arms.context.moved().lengths)
 
 
 def test_what_names_foretell_differs_as_the_machine_does(found):
@@ -73,7 +79,10 @@ def test_what_names_foretell_differs_as_the_machine_does(found):
     first, other = (next(k for k, h in enumerate(question.named) if h is one) for one in question.likeliest)
     assert each.of.sum() == pytest.approx(np.sum((told.means[other] - told.means[first]) ** 2), rel=1e-6)
 
-    design, sigma = d.arms.context.design, np.sqrt(np.diag(d.arms.own[0]) + d.fit.scatter**2)
+    design, sigma = (
+        d.selection.fit.arms.context.design,
+        np.sqrt(np.diag(d.selection.fit.arms.own[0]) + d.selection.fit.scatter**2),
+    )
     effects = [
         h.fitted.fit.terms[h.number].candidate.effect(
             h.fitted.fit.terms[h.number].node, h.fitted.fit.theta[h.fitted.fit.slices[h.number]]
@@ -92,7 +101,7 @@ def test_a_clocks_offset_moves_an_arm_as_the_machine_has_it(found):
     """As one hypothesis of all joints: while it moved none, each joint got a lag of its own."""
     read, d = found
     route = plan.build_plan(read.design, "zigzag:16", 1)
-    there = linearise_planned_poses(d.arms, d.geometry, route.commands, route.t, None)
+    there = linearise_planned_poses(d.selection.fit.arms, d.selection.problem.geometry, route.commands, route.t, None)
     candidate = joint_candidate((TimeOffset.candidates("clock", there.context)[0],), there)
     assert candidate.joint is None and candidate.grid[0] == {}
     moved = 1e-3 * candidate.weights(candidate.grid[0])[..., 0]

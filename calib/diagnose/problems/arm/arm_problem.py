@@ -21,7 +21,7 @@ from calib.diagnose.engine.term_selection import remove_redundant_terms
 from calib.diagnose.problems.arm import lack_of_fit as remainder
 from calib.diagnose.problems.arm.candidate_search import candidate_with_nodes, score_column, search_candidates
 from calib.diagnose.problems.arm.joint_candidates import JointCandidate, JointScore
-from calib.diagnose.problems.arm.linearised_poses import Arms
+from calib.diagnose.problems.arm.linearised_poses import Arms, Geometry
 from calib.diagnose.problems.arm.nonlinear_parameters import has_continuous_parameters
 from calib.diagnose.problems.arm.pose_fit import Fit, Term, fit_poses
 from calib.diagnose.problems.arm.term_simplification import (
@@ -43,13 +43,16 @@ KNOWN = 0.5  # numbers that data must determine of a term for it to be tested
 class ArmProblem:
     """arms : Arms; candidates : asked for; train : (n,) bool, poses that may be fitted, None for all;
     policy : thresholds
-    given : what is said beforehand"""
+    given : what is said beforehand; geometry : Geometry that the poses are linear about, None where nobody asks for it
+    What an instrument may do on its own is in the poses' covariance, so there are no tolerances; smooth functions of an
+    arm's other joints are no freedom of anything, so none cover a term: it stands on its stretches held out"""
 
     arms: Arms
     candidates: list[JointCandidate]
     train: np.ndarray | None = None
     policy: SelectionPolicy = ARM
     given: StatedTerms = StatedTerms()
+    geometry: Geometry | None = None
 
     def start(self) -> Fit:
         return fit_poses(self.arms, (), self.train)
@@ -63,20 +66,13 @@ class ArmProblem:
     def residual(self, fit: Fit) -> Fit:
         return fit
 
-    def is_explained_by_tolerances(self, fit: Fit, best: JointScore | None) -> bool:
-        return False  # what an instrument may do on its own is in the poses' covariance
-
     def without_term(self, fit: Fit, number: int) -> Fit:
         return fit.without_terms([number])
-
-    def covered(self, fit: Fit, number: int, left: list[LackOfFit]) -> Fit | None:
-        # smooth functions of an arm's other joints are no freedom of anything: a term stands on its stretches held out
-        return None
 
     def linear(self, model: Fit) -> LinearModel:
         return model.linear
 
-    def open(self, fit: Fit) -> list[JointCandidate]:
+    def admissible(self, fit: Fit) -> list[JointCandidate]:
         return admissible_candidates(fit, self.candidates)
 
     def search(
@@ -124,10 +120,10 @@ class ArmProblem:
     def _weighed(self, now: Fit, terms: list[Term]) -> Fit:
         return fit_poses(self.arms, terms, self.train, now.weighing, rounds=QUICK)
 
-    def refined(self, fit: Fit) -> Fit:
+    def refine_terms(self, fit: Fit) -> Fit:
         return refine_profiles(fit, self.train, self.policy)
 
-    def simplified(self, now: Fit) -> Fit:
+    def simplify_terms(self, now: Fit) -> Fit:
         now = merge_sinusoids_into_profiles(now, self.candidates, self.train, self.policy, self.given)
         now = remove_redundant_terms(self, simplify_profiles(now, self.candidates, self.train, self.policy, self.given))
         now = optimise_terms(now, [term for term in now.terms if has_continuous_parameters(term)])
@@ -146,11 +142,8 @@ class ArmProblem:
     def likelihood_ratio(self, fit: Fit, other: Fit) -> float:
         return fit.cost() - other.cost()
 
-    def heldout_gains(self, fit: Fit, numbers: list[int]) -> list[float]:
-        return [validation.gain for validation in self._validations(fit, numbers)]
-
-    def cross_validation(self, fit: Fit, number: int) -> CrossValidation:
-        return self._validations(fit, [number])[0]
+    def cross_validations(self, fit: Fit, numbers: list[int]) -> list[CrossValidation]:
+        return self._validations(fit, numbers)
 
     def by_regions(self, fit: Fit, numbers: list[int]) -> list[list[CrossValidation]]:
         """For each joint, CrossValidation of some terms where whole regions of that joint's travel are held out in

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.diagnose.engine.lack_of_fit import ALPHA, Covariate, LackOfFit, detect_excess_scatter
 from calib.diagnose.problems.arm.pose_fit import Fit
-from calib.diagnose.problems.arm.repeated_commands import Repeats
+from calib.diagnose.problems.measured_evidence import Repeats
 
 SHARE = 0.05  # of the squares left, from which a covariate is named beside the scatter
 

@@ -34,6 +34,8 @@ SIMPLICITY = {
     3: Form.PROFILE,
 }  # of what depends on the axis alone, as effects state it
 MOST = 200  # nodes of a candidate whose weights are kept
+POSES_ALONE = "of an arm or a chain, measured poses are searched, and not the corners that they were measured from"
+NO_CORNERS = "there are no corners"
 SPAN = "span"  # in a profile's node: (low, high) rad
 
 
@@ -83,7 +85,10 @@ def joint_candidates(arms: Arms, asked: RequestedEffects) -> tuple[list[JointCan
     """
     out, skipped, sites = [], [], {}
     for kind in asked.kinds:
-        if not asked.touches(kind.name) or kind.discrete or kind.stage in ("targets", "view"):
+        if not asked.touches(kind.name):
+            continue
+        if kind.discrete or kind.stage in ("targets", "view"):
+            skipped.append(NotAsked(kind.name, POSES_ALONE if arms.context.design.cameras else NO_CORNERS))
             continue
         try:
             found = kind.sites(arms.context)

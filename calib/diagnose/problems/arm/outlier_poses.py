@@ -1,10 +1,8 @@
 """Outlier poses of an arm, excluded before the search."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from calib.diagnose.engine.excluded_outliers import Crowd, LeftOut
+from calib.diagnose.engine.excluded_outliers import Crowd, LeftOut, Outliers
 from calib.diagnose.problems.arm.linearised_poses import Arms
 from calib.diagnose.problems.remainder_covariates import axis_speeds, time_cosines
 from calib.identify.robust_fit import MIDDLE, MOST, outlier_rows, robust_fit
@@ -21,42 +19,22 @@ REASON = (
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WildPoses:
-    """frames : numbers of poses left out; left_out : (LeftOut, ..) of them; crowd : Crowd of poses that are far off in
-    too many, or None.
-    """
-
-    frames: frozenset[int] = frozenset()
-    left_out: tuple[LeftOut, ...] = ()
-    crowd: Crowd | None = None
-
-    def with_more(self, more: "WildPoses", count: int) -> "WildPoses":
-        """Both together, of so many poses; where these are too many, the first alone and the crowd that they are."""
-        frames = self.frames | more.frames
-        if len(frames) > MOST * count:
-            return WildPoses(self.frames, self.left_out, Crowd("poses", len(frames), count))
-        return WildPoses(
-            frames, tuple(sorted(self.left_out + more.left_out, key=lambda one: one.frame)), more.crowd or self.crowd
-        )
-
-
-def outlier_poses(arms: Arms, residuals: np.ndarray, gate: float) -> WildPoses:
-    """WildPoses by residuals left (n, k), m and rad, beyond a gate."""
+def outlier_poses(arms: Arms, residuals: np.ndarray, gate: float) -> Outliers:
+    """Outliers by residuals left (n, k), m and rad, beyond a gate."""
     W = np.linalg.inv(np.linalg.cholesky(arms.own))
     columns = np.concatenate([arms.freedoms, _smooth(arms)], axis=2)[..., : residuals.size // ROWS]
     found = robust_fit([((W @ residuals[..., None])[..., 0], W @ columns)])
     all_off = _relative(found.residual)
     far = outlier_rows(all_off, arms.t, arms.q, gate)
     if far.sum() > MOST * len(arms):
-        return WildPoses(crowd=Crowd("poses", int(far.sum()), len(arms)))
+        return Outliers(crowd=Crowd("poses", int(far.sum()), len(arms)))
     residual = np.linalg.solve(W[far], found.residual[far, :, None])[..., 0]
     told = []
     for frame, off, relative in zip(arms.frame[far].tolist(), residual, np.abs(all_off[far])):
         turned = int(relative.argmax()) >= 3
         size = float(np.linalg.norm(off[3:] if turned else off[:3]))
         told.append(LeftOut(frame, "pose", "rig", size, "rad" if turned else "m", float(relative.max()), REASON))
-    return WildPoses(frozenset(arms.frame[far].tolist()), tuple(told))
+    return Outliers(frozenset(arms.frame[far].tolist()), left_out=tuple(told))
 
 
 def _relative(residual: np.ndarray) -> np.ndarray:

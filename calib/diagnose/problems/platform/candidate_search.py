@@ -17,6 +17,7 @@ from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from rig.compute.parallel_map import Progress, parallel_map
 from rig.effects.framework.effect import Motion
+from rig.effects.framework.place import Place
 from vision.bundle.corner_jacobians import corner_jacobians
 
 CHUNK = 64  # nodes at a time
@@ -168,7 +169,7 @@ def mount_pixels(model: LinearisedModel, place: str) -> np.ndarray:
     o = k.observed.observations
     out = np.zeros((len(o), 2, 6))
     for i, rows, _, J_camera, _ in corner_jacobians(o, k.state):
-        if f"camera {k.design.cameras[i].name}" == place:
+        if Place("camera", k.design.cameras[i].name) == Place.parse(place):
             out[rows] = J_camera
     return out
 
@@ -215,7 +216,7 @@ def _mounted(
 
 def _share(model: LinearisedModel, candidate: PlatformCandidate, node: Node) -> np.ndarray:
     """(F,) share of its motion that a mount has made by each frame."""
-    camera = model.point.stated.camera(candidate.place.split(" ")[1])
+    camera = model.point.stated.camera(Place.parse(candidate.place).name)
     return candidate.effect(node, np.r_[1.0, np.zeros(5)]).mount(camera, model.point.t, model.point.logged)[:, 0]
 
 

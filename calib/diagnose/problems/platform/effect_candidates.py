@@ -12,6 +12,7 @@ from calib.diagnose.problems.requested_effects import RequestedEffects
 from rig.effects.framework.diagnosis_interface import QUADRATURE
 from rig.effects.framework.effect import Candidate as EffectCandidate
 from rig.effects.framework.effect import Context, Effect
+from rig.effects.framework.place import Place
 from rig.errors import FileError, RigError
 
 SIZED = ("linear", "inverse", "size")  # roles of the numbers that tell how large an effect is
@@ -93,7 +94,9 @@ def platform_candidates(
         try:
             sites[kind.name] = kind.sites(context)
             if kind.discrete:  # a face that nobody saw may have been exchanged as well
-                sites[kind.name] = tuple(f"marker {number}" for number in dict.fromkeys(point.observed.markers.id))
+                sites[kind.name] = tuple(
+                    str(Place("marker", str(number))) for number in dict.fromkeys(point.observed.markers.id)
+                )
                 continue
             for place in sites[kind.name]:
                 if asked.place(kind.name, place):

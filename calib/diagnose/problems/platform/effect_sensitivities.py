@@ -8,6 +8,7 @@ from calib.diagnose.engine.selection_inputs import Node
 from calib.diagnose.problems.platform.effect_candidates import PlatformCandidate
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from rig.effects.framework.effect import COUNT, Effect, Linear, Motion
+from rig.effects.framework.place import Place
 
 
 @dataclass(slots=True, eq=False)
@@ -60,11 +61,13 @@ class Sensitivities:
 
     def _bending(self, candidate: PlatformCandidate) -> tuple[np.ndarray, np.ndarray] | None:
         """The same of what bends one camera's image and says how, None for anything else."""
-        where, name = candidate.place.partition(" ")[::2]
-        if where != "camera":
+        place = Place.parse(candidate.place)
+        if place.kind != "camera":
             return None
         rows = self._rows(candidate.place)
-        found = candidate.kind.bending(self.point.design.camera(name), self._quads(rows)[0], candidate.spec.linear)
+        found = candidate.kind.bending(
+            self.point.design.camera(place.name), self._quads(rows)[0], candidate.spec.linear
+        )
         return None if found is None else (rows, found)
 
     def derivative(self, kind: type[Effect], place: str, column: Linear, node: Node) -> tuple[np.ndarray, np.ndarray]:
@@ -103,14 +106,14 @@ class Sensitivities:
         return self.pixels[key]
 
     def _rows(self, place: str) -> np.ndarray:
-        s, (kind, _, name) = self.point.observed.sightings, place.partition(" ")
-        if kind == "camera":
+        s, at = self.point.observed.sightings, Place.parse(place)
+        if at.kind == "camera":
             names = [c.name for c in self.point.design.cameras]
-            return np.flatnonzero(s.camera == names.index(name))
-        if kind == "marker":
-            return np.flatnonzero(self.point.observed.markers.id[s.marker] == int(name))
-        if kind == "target":
-            return np.flatnonzero(np.array([t == name for t in self.point.observed.markers.target])[s.marker])
+            return np.flatnonzero(s.camera == names.index(at.name))
+        if at.kind == "marker":
+            return np.flatnonzero(self.point.observed.markers.id[s.marker] == at.number)
+        if at.kind == "target":
+            return np.flatnonzero(np.array([t == at.name for t in self.point.observed.markers.target])[s.marker])
         return np.arange(len(s.frame))
 
     def corners(self, rows: np.ndarray, quads: np.ndarray) -> np.ndarray:

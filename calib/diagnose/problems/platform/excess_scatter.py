@@ -8,6 +8,7 @@ from calib.diagnose.engine.lack_of_fit import LackOfFit, detect_excess_scatter
 from calib.diagnose.problems.platform.lack_of_fit import is_at_place
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
 from calib.models.platform.identification import geometric_parameters
+from rig.effects.framework.place import Place
 
 MIDDLE = 5.6 / 2  # a middle square has so many times the variance of a mean square over as many numbers
 
@@ -28,6 +29,21 @@ def excess_scatter(model: LinearisedModel, left: list[LackOfFit]) -> list[LackOf
     ]
 
 
+def closure_residuals(model: LinearisedModel) -> np.ndarray:
+    """(F, axes) m that a model as it is leaves of the closures."""
+    return closures_in_metres(model, model.closure_residual)
+
+
+def closures_in_metres(model: LinearisedModel, closures: np.ndarray) -> np.ndarray:
+    """(F, axes) m of whitened closures (F axes + .,)."""
+    F, axes = model.frames, model.point.axes
+    return (
+        np.linalg.solve(model.closures.W, closures[: F * axes].reshape(F, axes, 1))[..., 0]
+        if axes
+        else np.zeros((F, 0))
+    )
+
+
 def _strut_scatter(model: LinearisedModel) -> list[LackOfFit | None]:
     """Of each strut, by its closures."""
     k, F = model.point, model.frames
@@ -37,7 +53,7 @@ def _strut_scatter(model: LinearisedModel) -> list[LackOfFit | None]:
     squares, freedom = (residual**2 / own).sum(axis=0), F - len(geometric_parameters(k.platform)) / k.axes
     noise = np.sqrt(own.mean(axis=0))
     return [
-        detect_excess_scatter(f"strut {i + 1}", "m", float(noise[i]), float(squares[i]), freedom, k.axes)
+        detect_excess_scatter(str(Place.axis("strut", i)), "m", float(noise[i]), float(squares[i]), freedom, k.axes)
         for i in range(k.axes)
     ]
 

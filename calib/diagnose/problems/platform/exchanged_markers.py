@@ -6,6 +6,7 @@ import numpy as np
 
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from rig.effects.catalogue.marker_swap import MarkerSwap
+from rig.effects.framework.place import Place
 from vision.predict import predict_sightings
 
 FAR = 5.0  # px; a sighting farther off than this, in the middle, is misplaced
@@ -26,9 +27,9 @@ def find_marker_swaps(point: OperatingPoint) -> list[MarkerSwap]:
     for m in misplaced:
         if m in done:
             continue
-        trials = [MarkerSwap(f"marker {ids[m]}", -1.0, float(turn)) for turn in (1, 2, 3)]
+        trials = [MarkerSwap(str(Place("marker", str(ids[m]))), -1.0, float(turn)) for turn in (1, 2, 3)]
         trials += [
-            MarkerSwap(f"marker {ids[a]}", float(ids[b]), float(turn))
+            MarkerSwap(str(Place("marker", str(ids[a]))), float(ids[b]), float(turn))
             for n in (*misplaced, *unseen)
             if n != m
             for a, b in ((m, n), (n, m))
@@ -37,12 +38,12 @@ def find_marker_swaps(point: OperatingPoint) -> list[MarkerSwap]:
         worst = []
         for trial in trials:
             moved = _distance(point, (trial,))
-            both = {m, *np.flatnonzero(np.isin(ids, [int(trial.other), int(trial.place.split(" ")[1])]))}
+            both = {m, *np.flatnonzero(np.isin(ids, [int(trial.other), trial.site.number]))}
             worst.append(max(np.median(moved[rows == n]) for n in both if (rows == n).any()))
         best = int(np.argmin(worst))
         if worst[best] < max(BROUGHT_BACK * np.median(off[rows == m]), 2.0):
             out.append(trials[best])
-            done |= {m, *np.flatnonzero(np.isin(ids, [int(trials[best].other), int(trials[best].place.split(" ")[1])]))}
+            done |= {m, *np.flatnonzero(np.isin(ids, [int(trials[best].other), trials[best].site.number]))}
     return out
 
 

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.diagnose.engine.cross_validation import (
+    FEWEST,
+    FOLDS,
     CrossValidation,
     HeldOut,
     frame_folds,
@@ -16,6 +18,7 @@ from calib.diagnose.problems.platform.effect_candidates import affects_images_on
 from calib.diagnose.problems.platform.linearised_corners import edge_bias_freedoms
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined
+from calib.samples.pose_samples import time_block_folds
 from rig.effects.framework.effect import Effect
 
 
@@ -31,11 +34,24 @@ def cross_validate_blocks(refined: Refined, numbers: set[int], blocks: tuple[int
     return _compared(refined.model, before, after, blocks)
 
 
-def _both(refined: Refined, numbers: set[int]) -> tuple[HeldOut, HeldOut, np.ndarray]:
-    """(held out without the effects, with them, folds (F,))."""
+def cross_validate_region(refined: Refined, number: int, block: int, along: np.ndarray) -> CrossValidation:
+    """CrossValidation of one admitted effect in a block, whole regions held out in turn.
+
+    along : (F,) what frames are put in order by
+    """
+    order = np.argsort(along, kind="stable")
+    fold = np.empty(len(along), int)
+    fold[order] = time_block_folds(len(order), min(FOLDS, max(len(order) // FEWEST, 2)))
+    before, after, _ = _both(refined, {number}, fold)
+    return _compared(refined.model, before, after, (block,), order)[0]
+
+
+def _both(refined: Refined, numbers: set[int], fold: np.ndarray | None = None) -> tuple[HeldOut, HeldOut, np.ndarray]:
+    """(held out without the effects, with them, folds (F,)). fold : stretches of time where None"""
     model, k = refined.model, refined.point
     asked = [k.effects[i] for i in sorted(numbers)]
-    fold = frame_folds(model.frames, any(e.sudden for e in asked), sides_of_sudden_changes(asked, k.t))
+    if fold is None:
+        fold = frame_folds(model.frames, any(e.sudden for e in asked), sides_of_sudden_changes(asked, k.t))
     with_all = refined.marginalised
     after = held_out_residuals(with_all.linear, tuple(b.residual for b in with_all.linear.blocks), fold)
     others = [i for i, c in enumerate(refined.coordinates) if c.effect not in numbers]
@@ -69,8 +85,9 @@ def residual_change_column(model: LinearisedModel, effects: Sequence[Effect]) ->
 
 
 def _compared(
-    model: LinearisedModel, before: HeldOut, after: HeldOut, blocks: tuple[int, ...]
+    model: LinearisedModel, before: HeldOut, after: HeldOut, blocks: tuple[int, ...], order: np.ndarray | None = None
 ) -> tuple[CrossValidation, ...]:
+    """CrossValidation in each block. order : (F,) in which frames are neighbours, time's where None"""
     F, axes = model.frames, model.point.axes
     finder = [j for _, j in edge_bias_freedoms(model.nuisances.names, model.point.design)]
     squares = []
@@ -82,7 +99,10 @@ def _compared(
         )
         squares.append(per_frame + (closures.reshape(F, axes) ** 2).sum(axis=1))
     known = [held.beforehand[CLOSURES][finder] for held in (before, after)]  # priors' rows stand behind the closures
-    gain = summed_gain_in_standard_errors(squares[0] - squares[1], known[0] @ known[0] - known[1] @ known[1])
+    fall = squares[0] - squares[1]
+    gain = summed_gain_in_standard_errors(
+        fall if order is None else fall[order], known[0] @ known[0] - known[1] @ known[1]
+    )
     return tuple(
         _corners(model, before, after, gain) if block == CORNERS else _closures(model, before, after, gain)
         for block in blocks

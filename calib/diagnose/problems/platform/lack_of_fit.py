@@ -32,6 +32,7 @@ from rig.compute.parallel_map import parallel_map
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.catalogue.lens_distortion import LensDistortion
 from rig.effects.framework.effect import Effect
+from rig.effects.framework.place import Place
 
 MEDIAN_SPREAD = (
     5.6  # variance of a sample's middle square over its square, times the sample's size, for normal residuals
@@ -87,7 +88,7 @@ def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
         size = np.sqrt(max(alike, 0) / len(k.t) * own[:, i].mean())
         out.append(
             LackOfFit(
-                f"strut {i + 1}",
+                str(Place.axis("strut", i)),
                 float(size),
                 "m",
                 ("order",),
@@ -103,7 +104,12 @@ def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
         if ratio > 0:
             out.append(
                 LackOfFit(
-                    f"strut {i + 1}", float(scatter[i]), "m", (), float(scipy.special.ndtr(-ratio)), float(ratio**2)
+                    str(Place.axis("strut", i)),
+                    float(scatter[i]),
+                    "m",
+                    (),
+                    float(scipy.special.ndtr(-ratio)),
+                    float(ratio**2),
                 )
             )
     return out
@@ -115,7 +121,7 @@ def _camera(model: LinearisedModel, i: int) -> list[LackOfFit | None]:
     if not count:
         return []
     out: list[LackOfFit | None] = []
-    place, information = f"camera {camera.name}", count / model.corner_noise() ** 2
+    place, information = str(Place("camera", camera.name)), count / model.corner_noise() ** 2
     if i not in k.moving:
         products = corner_products(model, view_pixels(model, place))
         out += [
@@ -153,7 +159,16 @@ def _apart(k: OperatingPoint, place: str, count: int) -> list[slice]:
 def _marker(model: LinearisedModel, edges: np.ndarray, number: int, count: int) -> list[LackOfFit | None]:
     """Of a marker seen so many times. edges : see `edge_pixels`"""
     hit, moved = marker_corner_pixels(model.point, edges, number)
-    return [_still(model, hit, moved, f"marker {number}", "place on the marker", 4 * count / model.corner_noise() ** 2)]
+    return [
+        _still(
+            model,
+            hit,
+            moved,
+            str(Place("marker", str(number))),
+            "place on the marker",
+            4 * count / model.corner_noise() ** 2,
+        )
+    ]
 
 
 def _still(

@@ -7,6 +7,7 @@ import numpy as np
 
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from rig.effects.catalogue.edge_bias import EdgeBias
+from rig.effects.framework.place import Place
 from rig.model.design import Design
 from rig.model.manufacturing_tolerances import FINDER, SEAT
 from vision import lens
@@ -127,7 +128,9 @@ def _add_finder(k: OperatingPoint, found: _Nuisances, at: np.ndarray, whitener: 
     for i in sorted(found.camera_columns):
         camera, seen_by = k.stated.cameras[i], seen.sightings.camera == i
         moved = np.zeros_like(quads)
-        moved[seen_by] = EdgeBias(f"camera {camera.name}", 1.0).print_(camera, quads[seen_by]) - quads[seen_by]
+        moved[seen_by] = (
+            EdgeBias(str(Place("camera", camera.name)), 1.0).print_(camera, quads[seen_by]) - quads[seen_by]
+        )
         rows = np.flatnonzero(o.camera == i)
         found.add(
             at[rows],
@@ -145,7 +148,7 @@ def _add_seats(k: OperatingPoint, found: _Nuisances, at: np.ndarray, whitener: n
     o, markers = k.observed.observations, k.observed.markers
     R = k.T.rotation.as_matrix()
     for seat in k.seats:
-        own = np.array([f"target {target}" == seat.place for target in markers.target])
+        own = np.array([Place("target", target) == Place.parse(seat.place) for target in markers.target])
         rows = np.flatnonzero(own[o.marker])
         if not len(rows):
             continue

@@ -13,6 +13,7 @@ from calib.samples.recording_samples import Sampled, sample_recording
 from rig.effects.catalogue.cube_misplacement import CubeMisplacement
 from rig.effects.catalogue.edge_bias import EdgeBias
 from rig.effects.framework.effect import Effect, Motion
+from rig.effects.framework.place import Place
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Camera, Design, Hexapod, Planar2
@@ -171,7 +172,7 @@ class OperatingPoint:
         seen = self.observed
         run = self.run(effects) if run is None else run
         sightings = seen.sightings if rows is None else seen.sightings.take(rows)
-        shifted = [EdgeBias(f"camera {c.name}", b) for c, b in zip(self.design.cameras, self.finder) if b]
+        shifted = [EdgeBias(str(Place("camera", c.name)), b) for c, b in zip(self.design.cameras, self.finder) if b]
         quads = predict_sightings(
             sightings, self.state, seen.markers, self.t, [*effects, *shifted, *self.seats], self.sensors, run
         )
@@ -269,7 +270,7 @@ def operating_point_of_recording(
 def cube_seats(design: Design, known: Sequence[CubeMisplacement] = ()) -> tuple[CubeMisplacement, ...]:
     """One for each cube of a design that was put back, off by nothing but for those that are known."""
     own = {seat.place: seat for seat in known}
-    places = [f"target {target.name}" for target in design.targets if target.turned is not None]
+    places = [str(Place("target", target.name)) for target in design.targets if target.turned is not None]
     return tuple(own.get(place, CubeMisplacement(place)) for place in places)
 
 

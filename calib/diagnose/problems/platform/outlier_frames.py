@@ -1,14 +1,12 @@
 """Wild frames and wild corners of a platform's recording, left out before anything is searched: a pose that is far off
 what all others allow, a marker that was misread."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import TypeVar
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from calib.diagnose.engine.excluded_outliers import Crowd, LeftOut
+from calib.diagnose.engine.excluded_outliers import Crowd, LeftOut, Outliers
 from calib.diagnose.problems.platform.operating_point import OperatingPoint, group_sightings
 from calib.diagnose.problems.remainder_covariates import axis_speeds, scaled_to_unit_interval, time_cosines
 from calib.identify.robust_fit import (
@@ -22,6 +20,7 @@ from calib.identify.robust_fit import (
     robust_fit,
 )
 from calib.models.platform.identification import loop_closure_jacobian, strut_length_jacobian
+from rig.effects.framework.place import Place
 from rig.model import mechanisms
 from rig.recording.recording_folder import PAYLOAD
 from vision.corner_observations import observations_of_frames
@@ -31,56 +30,11 @@ SLOW = 4  # cosines of time that are free
 ROWS = 4  # frames for each number that is free in one strut
 LEAST = 0.5  # px; corners nearer than this to where they should be are no other marker's
 HELD = 2  # sightings that a frame must keep
-ROUNDS = 3  # of explaining anew without what turned out to be wild
 ALONE = (
     "its measured pose and its command agree with no other frame, neither those before and after it nor those at "
     "configurations near it"
 )
 MISREAD = "its corners are off as those of this marker before and after are not, nor any near them: it was misread"
-
-E = TypeVar("E")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Outliers:
-    """frames : numbers of those left out whole; sightings : {(frame's number, camera's index, marker's row)} of those
-    whose corners are
-    left_out : (LeftOut, ..) of both; crowd : Crowd of what is far off in too many, or None"""
-
-    frames: frozenset[int] = frozenset()
-    sightings: frozenset[tuple[int, int, int]] = frozenset()
-    left_out: tuple[LeftOut, ...] = ()
-    crowd: Crowd | None = None
-
-    def with_more(self, more: "Outliers", frames: int) -> "Outliers":
-        """Both together, of so many frames; where these are too many, the crowd that they are beside the first
-        alone.
-        """
-        crowd = more.crowd or self.crowd
-        if len(self.frames) + len(more.frames) > MOST * frames:
-            return replace(self, crowd=Crowd("frames", len(self.frames) + len(more.frames), frames))
-        told = sorted(self.left_out + more.left_out, key=lambda one: one.frame)
-        return Outliers(self.frames | more.frames, self.sightings | more.sightings, tuple(told), crowd)
-
-
-def fit_without_outliers(
-    point: OperatingPoint, covariance: np.ndarray, fit: Callable[[OperatingPoint], tuple[E, OperatingPoint]]
-) -> tuple[E, Outliers]:
-    """(fit of an OperatingPoint without its outliers, Outliers). covariance : (F, 6, 6) of its poses
-
-    fit : OperatingPoint -> (what explains it, OperatingPoint with that admitted), at which rows show as wild that
-    a large effect hid; then all is explained anew without them
-    """
-    first = point.frames
-    wild = _find_outliers(point, covariance)
-    for turn in range(ROUNDS):
-        found, at = fit(_without_outliers(point, wild))
-        more = Outliers() if turn == ROUNDS - 1 else _find_outliers(at, covariance[np.searchsorted(first, at.frames)])
-        both = wild.with_more(more, len(first))
-        if both.left_out == wild.left_out:
-            break
-        wild = both
-    return found, both
 
 
 def _find_outliers(point: OperatingPoint, covariance: np.ndarray) -> Outliers:
@@ -88,7 +42,7 @@ def _find_outliers(point: OperatingPoint, covariance: np.ndarray) -> Outliers:
     wild = _wild_corners(point) if point.seen is not None else Outliers()
     if not point.axes:
         return wild
-    return wild.with_more(_wild_frames(point, covariance), len(point.frames))
+    return wild.with_more(_wild_frames(point, covariance), len(point.frames), "frames")
 
 
 def _without_outliers(point: OperatingPoint, wild: Outliers) -> OperatingPoint:
@@ -138,7 +92,7 @@ def _wild_frames(k: OperatingPoint, covariance: np.ndarray) -> Outliers:
     for f in np.flatnonzero(far).tolist():
         i = int(np.abs(found.relative[f]).argmax())
         off, times = float(abs(found.residual[f, i]) * sigma[f, i]), float(abs(found.relative[f, i]))
-        told.append(LeftOut(int(k.frames[f]), "pose", f"strut {i + 1}", off, "m", times, ALONE))
+        told.append(LeftOut(int(k.frames[f]), "pose", str(Place.axis("strut", i)), off, "m", times, ALONE))
     return Outliers(frozenset(k.frames[far].tolist()), left_out=tuple(told))
 
 

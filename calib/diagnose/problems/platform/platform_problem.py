@@ -1,7 +1,8 @@
 """The platform as Problem of the engine: effects fitted with cameras, geometry and poses."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 
@@ -41,40 +42,44 @@ class PlatformFit:
 PlatformSelection = Selection[PlatformFit, PlatformCandidate]
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class PlatformProblem:
     """point : OperatingPoint with nothing admitted; candidates : asked for; policy : thresholds; given : what is said
     beforehand
-    sensitivities : kept from search to search
-    tolerance_model : whether what tolerances may do on their own is among the nuisances: from where they are seen to be
-        at work on"""
+    tolerant : whether what tolerances may do on their own is among the nuisances
+    sensitivities : of the effects, derivatives held from search to search"""
 
     point: OperatingPoint
     candidates: list[PlatformCandidate]
     policy: SelectionPolicy = PLATFORM
     given: StatedTerms = StatedTerms()
+    tolerant: bool = False
     sensitivities: Sensitivities = field(init=False)
-    tolerance_model: bool = field(init=False, default=False)
 
     def __post_init__(self) -> None:
-        self.sensitivities = Sensitivities(self.point)
+        object.__setattr__(self, "sensitivities", Sensitivities(self.point))
 
     def start(self) -> PlatformFit:
         return PlatformFit(refine(self.point, self.sensitivities))
 
-    def is_explained_by_tolerances(self, fit: PlatformFit, best: PlatformScore | None) -> bool:
-        if self.tolerance_model:
+    def tolerances_explain(self, fit: PlatformFit, best: PlatformScore | None) -> bool:
+        if self.tolerant:
             return False
         model = fit.refined.marginalised
         found = tolerance_columns.tolerance_model(model, self.sensitivities)
         if found is None:
             return False
         seen = found.projected(model)
-        if tolerance_columns.tolerances_explain_residuals(seen, found.sigma):
-            self.tolerance_model = best is None or tolerance_columns.tolerance_log_likelihood_ratio(
-                seen, found.sigma
-            ) > float(best.raw_delta_bic(model.size))
-        return self.tolerance_model
+        if not tolerance_columns.tolerances_explain_residuals(seen, found.sigma):
+            return False
+        return best is None or tolerance_columns.tolerance_log_likelihood_ratio(seen, found.sigma) > float(
+            best.raw_delta_bic(model.size)
+        )
+
+    def with_tolerances(self) -> Self:
+        other = replace(self, tolerant=True)
+        other.sensitivities.pixels.update(self.sensitivities.pixels)
+        return other
 
     def terms(self, fit: PlatformFit) -> list[PlatformCandidate]:
         return list(fit.terms)
@@ -104,7 +109,7 @@ class PlatformProblem:
 
     def beside_tolerances(self, model: LinearisedModel) -> LinearisedModel:
         """LinearisedModel with what tolerances do among the nuisances, where this problem is tolerant."""
-        found = tolerance_columns.tolerance_model(model, self.sensitivities) if self.tolerance_model else None
+        found = tolerance_columns.tolerance_model(model, self.sensitivities) if self.tolerant else None
         return model if found is None else tolerance_columns.model_with_tolerances(model, found)
 
     def covered(self, fit: PlatformFit, number: int, left: list[LackOfFit]) -> LinearisedModel:
@@ -114,9 +119,6 @@ class PlatformProblem:
     def linear(self, model: LinearisedModel) -> LinearModel:
         return model.linear
 
-    def open(self, fit: PlatformFit) -> list[PlatformCandidate]:
-        return self.candidates
-
     def search(
         self,
         model: LinearisedModel,
@@ -124,14 +126,10 @@ class PlatformProblem:
         least: float = -np.inf,
         progress: Callable[[int, int], None] | None = None,
     ) -> list[PlatformScore]:
-        self.sensitivities = self.sensitivities.at(model.point)
-        return search_candidates(model, candidates, self.sensitivities, least, progress)
+        return search_candidates(model, candidates, self.sensitivities.at(model.point), least, progress)
 
     def rescored(self, model: LinearisedModel, fit: PlatformFit, number: int) -> PlatformScore:
         return self.search(model, [fit.terms[number]])[0]
-
-    def aliases(self, model: LinearisedModel, own: PlatformScore, score: PlatformScore) -> list[PlatformScore]:
-        return []
 
     def column(self, model: LinearisedModel, score: PlatformScore) -> Column:
         column = candidate_column(model, score.candidate, score.node, self.sensitivities.at(model.point))
@@ -141,9 +139,6 @@ class PlatformProblem:
     def add_term(self, fit: PlatformFit, score: PlatformScore) -> PlatformFit:
         refined = add_term(fit.refined, score, self.sensitivities.at(fit.refined.point))
         return PlatformFit(refined, (*fit.terms, score.candidate))
-
-    def companion(self, fit: PlatformFit, score: PlatformScore) -> PlatformScore | None:
-        return self.search(self.residual(fit), [score.candidate])[0]
 
     def remove_term(self, fit: PlatformFit, number: int) -> PlatformFit:
         return PlatformFit(
@@ -156,12 +151,6 @@ class PlatformProblem:
         terms = (*fit.terms[:number], fit.terms[-1], *fit.terms[number:-1])
         return PlatformFit(refine(k.with_effects(order), self.sensitivities), terms)
 
-    def refined(self, fit: PlatformFit) -> PlatformFit:
-        return fit  # whatever is admitted is refined at once
-
-    def simplified(self, fit: PlatformFit) -> PlatformFit:
-        return fit  # a special case is a name of its own, and its alternatives are held against it
-
     def wald(self, fit: PlatformFit, number: int) -> Wald:
         return Wald(*fit.refined.wald(number))
 
@@ -169,11 +158,8 @@ class PlatformProblem:
         least = min(fit.refined.point.standing, other.refined.point.standing)
         return fit.refined.likelihood(least) - other.refined.likelihood(least)
 
-    def heldout_gains(self, fit: PlatformFit, numbers: list[int]) -> list[float]:
-        return [self.cross_validation(fit, number).gain for number in numbers]
-
-    def cross_validation(self, fit: PlatformFit, number: int) -> CrossValidation:
-        return cross_validate(fit.refined, {number}, self.block(fit.terms[number]))
+    def cross_validations(self, fit: PlatformFit, numbers: list[int]) -> list[CrossValidation]:
+        return [cross_validate(fit.refined, {number}, self.block(fit.terms[number])) for number in numbers]
 
     def block(self, candidate: PlatformCandidate) -> int:
         """Where a candidate shows: CORNERS where it changes only what is seen or nothing was commanded, else

@@ -10,6 +10,7 @@ from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORN
 from calib.diagnose.problems.platform.smooth_functions import view_pixels
 from calib.diagnose.problems.remainder_covariates import motion_functions, separate_weights, time_and_sensor_functions
 from rig.compute.parallel_map import parallel_map
+from rig.effects.framework.place import Place
 
 STRUTS, IMAGES = "struts", "images"
 
@@ -34,7 +35,7 @@ def _shares(model: LinearisedModel) -> dict[str, dict[str, Share]]:
     if k.seen is not None and len(k.moving) < len(k.design.cameras):
         seen = np.unique(k.seen.observations.camera)
         views = [
-            corner_products(model, view_pixels(model, f"camera {k.design.cameras[i].name}"))
+            corner_products(model, view_pixels(model, str(Place("camera", k.design.cameras[i].name))))
             for i in seen
             if i not in k.moving
         ]

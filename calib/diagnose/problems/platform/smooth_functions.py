@@ -16,6 +16,7 @@ from calib.diagnose.problems.remainder_covariates import (
     time_cosines,
 )
 from rig.effects.catalogue.lens_distortion import chebyshev_products
+from rig.effects.framework.place import Place
 from rig.model.pose import pose_difference
 
 SLOW, FAST = 8, 24  # cosines of a smooth function of time
@@ -57,7 +58,7 @@ def smooth_strut_functions(point: OperatingPoint) -> list[tuple[str, list[tuple[
         for i in range(point.axes):
             weights = np.zeros((F, point.axes, functions.shape[2]))
             weights[:, i] = functions[:, i]
-            strutwise.append((f"strut {i + 1}", weights))
+            strutwise.append((str(Place.axis("strut", i)), weights))
         out.append((depends, strutwise))
     if pace.any():
         out.append(("speed", [("rig", speeds)]))
@@ -68,7 +69,7 @@ def view_pixels(model: LinearisedModel, place: str) -> np.ndarray:
     """(n, 2, 7) px of corners, per unit tangent of a camera's mount and per unit share of its focal length."""
     k = model.point
     o = k.observed.observations
-    i = [f"camera {c.name}" for c in k.design.cameras].index(place)
+    i = [str(Place("camera", c.name)) for c in k.design.cameras].index(place)
     rows, out = o.camera == i, np.zeros((len(o), 2, 7))
     out[..., :6] = mount_pixels(model, place)
     out[rows, :, 6] = k.pixels()[rows] - k.design.cameras[i].matrix[:2, 2]
@@ -158,20 +159,20 @@ def smooth_function_columns(
     named = {
         "pose" if d.endswith("position") else d
         for u in left
-        if u.place.startswith(("strut", "rig"))
+        if Place.parse(u.place).kind in ("strut", "rig")
         for d in u.depends_on
     }
     parts = [w for d in sorted(named & weights.keys()) for _, w in weights[d]]
     pixels = []
     for u in left:
-        if u.place.startswith("camera") and u.depends_on == ("time",):
+        if Place.parse(u.place).kind in ("camera", "cameras") and u.depends_on == ("time",):
             moved = np.einsum(
                 "nca,nak->nck", view_pixels(model, u.place), view_time_functions(k, FAST)[k.observed.observations.frame]
             )
             pixels.append(moved)
-        elif u.place.startswith("camera") and u.depends_on == ("image position",):
-            pixels.append(warp_pixels(k, [f"camera {c.name}" for c in k.design.cameras].index(u.place)))
-    if any(u.place.startswith("marker") for u in left):
+        elif Place.parse(u.place).kind in ("camera", "cameras") and u.depends_on == ("image position",):
+            pixels.append(warp_pixels(k, [str(Place("camera", c.name)) for c in k.design.cameras].index(u.place)))
+    if any(Place.parse(u.place).kind in ("marker", "markers") for u in left):
         ids = np.unique(k.observed.markers.id[k.observed.sightings.marker])
         pixels.append(_marker_pixels(k, ids) @ np.kron(np.eye(len(ids)), _distortions()))
     return np.concatenate(pixels, axis=2) if pixels else None, np.concatenate(parts, axis=2) if parts else None

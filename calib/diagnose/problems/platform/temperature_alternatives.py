@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from calib.diagnose.engine.candidate_score import Alternative, Score
+from calib.diagnose.engine.finding_confirmation import Finding, is_finding_significant
 from calib.diagnose.engine.linear_model import Column, Projection, column_cosine, join_columns
-from calib.diagnose.engine.term_selection import Finding, is_finding_significant
 from calib.diagnose.problems.platform.effect_candidates import (
     PlatformCandidate,
     PlatformScore,
@@ -23,6 +23,7 @@ from calib.diagnose.problems.remainder_covariates import time_cosines
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import AXES, REFERENCE_TEMPERATURE, Effect
 from rig.effects.framework.effect import Candidate as EffectCandidate
+from rig.effects.framework.place import Place
 from rig.recording.recording_folder import Sensors
 
 WARM = tuple(
@@ -114,7 +115,7 @@ def _noisy_log_temperature_alternatives(problem: PlatformProblem, selection: Pla
 
 def _places(kind: type[Effect], place: str) -> list[str]:
     """Where an effect may sit that looks like a finding at a place: all over, or just there."""
-    at = place.split(" ")[0]
+    at = Place.parse(place).kind
     own = at in kind.places or (at in AXES and "axis" in kind.places)
     return [whole for whole in kind.places if whole not in ("axis", "camera")] + [place] * (own and " " in place)
 

@@ -2,14 +2,17 @@
 matters.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import scipy
 
 from calib.diagnose.engine.candidate_score import Score
+from calib.diagnose.engine.chance_probability import Z95
+from calib.diagnose.engine.finding_confirmation import Finding, is_significant
 from calib.diagnose.engine.lack_of_fit import LackOfFit
-from calib.diagnose.engine.term_selection import Finding, is_significant
+from calib.diagnose.engine.parameter_values import Value
+from calib.diagnose.problems.measured_evidence import Remark, Tolerable
 from calib.diagnose.problems.platform.candidate_search import candidate_column
 from calib.diagnose.problems.platform.held_out_validation import residual_change_column
 from calib.diagnose.problems.platform.linearised_residuals import CORNERS
@@ -28,24 +31,13 @@ LASTING_VIEWS = ("map", "outward", "markers", "targets")  # effects that residua
 REASON_TOGETHER = "printed markers, the corner finder and thermometers may do on their own"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Remarks:
-    """findings : [(Finding, reason)] admitted that do not matter; left : [(LackOfFit, reason)];
-    sites : [SignificantTolerance] of tolerances beyond chance
-    reason : in words that follow "no more than"."""
-
-    findings: list[tuple[Finding, str]]
-    left: list[tuple[LackOfFit, str]]
-    sites: list[SignificantTolerance]
-
-
 def separate_tolerable_findings(
     problem: PlatformProblem, selection: PlatformSelection, unexplained: list[LackOfFit]
-) -> tuple[PlatformSelection, list[LackOfFit], Remarks]:
+) -> tuple[PlatformSelection, list[LackOfFit], Tolerable]:
     """(Selection of findings beyond tolerances, unexplained beyond them, Remarks on those that are tolerable)."""
-    fit, known = selection.fit, problem.tolerance_model
+    fit, known = selection.fit, problem.tolerant
     if not known and not selection.findings and not unexplained:
-        return selection, unexplained, Remarks([], [], [])
+        return selection, unexplained, Tolerable()
     matters, small = [], []
     for f in selection.findings:
         reason = None if problem.given.holds(f.score.candidate) else _reason(problem, selection, f, known)
@@ -64,7 +56,18 @@ def separate_tolerable_findings(
     ]
     stays = [u for u in stays if not any(u is v for v, _ in tiny)]
     sites = significant_tolerances(model, found) if known and found is not None else []
-    return replace(selection, findings=matters), stays, Remarks(small, [*gone, *tiny], sites)
+    return replace(selection, findings=matters), stays, Tolerable(small, [*gone, *tiny], [_remark(s) for s in sites])
+
+
+def _remark(slight: SignificantTolerance) -> Remark:
+    """Remark of what a tolerance was seen to be."""
+    parameters, at, ends = {}, 0, Z95 * slight.sigma
+    for name, unit, count in slight.site.parameters:
+        rows = slice(at, at + count)
+        low, value, high = ((slight.values + s * ends)[rows].tolist() for s in (-1, 0, 1))
+        parameters[name] = Value(value, unit, [low, high]) if count > 1 else Value(value[0], unit, [low[0], high[0]])
+        at += count
+    return Remark(slight.site.effect, slight.site.place, parameters, slight.site.tolerance.reason, slight.p_value)
 
 
 def _reason(problem: PlatformProblem, selection: PlatformSelection, finding: Finding, known: bool) -> str | None:

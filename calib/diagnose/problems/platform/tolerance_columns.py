@@ -21,6 +21,7 @@ from calib.diagnose.problems.remainder_covariates import time_cosines
 from rig.effects.catalogue.face_misplacement import FaceMisplacement
 from rig.effects.catalogue.print_scale import PrintScale
 from rig.effects.framework.effect import Linear
+from rig.effects.framework.place import Place
 from rig.model import mechanisms
 from rig.model.manufacturing_tolerances import PLACES, SIDES, STEEL, THERMOMETER, Tolerance
 from vision.bundle.printing_errors import KINDS, NAMES
@@ -143,7 +144,7 @@ def _markers(model: LinearisedModel, kept: Sensitivities) -> tuple[list[Site], l
     own = ids[o.sightings.marker][o.row[everywhere]]
     _, prints = np.unique(ids, return_index=True)
     for m in np.sort(prints[np.isin(ids[prints], own)]):
-        place, half = f"marker {ids[m]}", o.markers.side[m] / 2
+        place, half = str(Place("marker", str(ids[m]))), o.markers.side[m] / 2
         columns = [
             kept.derivative(FaceMisplacement, place, Linear(name, j, STEP), {})
             for name in ("offset", "rotation")

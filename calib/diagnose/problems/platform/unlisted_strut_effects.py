@@ -31,6 +31,7 @@ from calib.diagnose.problems.platform.platform_problem import PlatformFit, Platf
 from calib.diagnose.problems.platform.simultaneous_refinement import refine
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.formula_quantities import POSE
+from rig.effects.framework.place import Place
 from rig.effects.texts.formula_effect_file import Written
 
 SEVERAL = 3  # struts that are unknown, from which all alike and the platform are asked as well
@@ -79,12 +80,12 @@ def suggest_strut_formulas(
     progress : called with (label, done, of), or None
     """
     k = fit.refined.point
-    places = list(dict.fromkeys(u.place for u in unexplained if u.place.startswith("strut") or u.place == "rig"))
+    places = list(dict.fromkeys(u.place for u in unexplained if Place.parse(u.place).kind in ("strut", "rig")))
     model = problem.residual(fit)
     if not k.axes or not places:
         return []
     said = progress or silent_progress
-    struts = [i for i in range(k.axes) if f"strut {i + 1}" in places]
+    struts = [i for i in range(k.axes) if str(Place.axis("strut", i)) in places]
     sites = [_of_strut(k, i) for i in struts] + (
         [_of_all(k), _of_platform(k)] if len(struts) >= SEVERAL or "rig" in places else []
     )
@@ -101,7 +102,7 @@ def suggest_strut_formulas(
 
 def _of_strut(k: OperatingPoint, i: int) -> Site:
     return Site(
-        f"strut {i + 1}",
+        str(Place.axis("strut", i)),
         [i],
         np.broadcast_to(np.eye(k.axes)[:, [i]], (len(k.t), k.axes, 1)),
         library_of_quantities(k.motion(()), i),
