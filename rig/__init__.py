@@ -1,6 +1,7 @@
 """The machine: what it is, how it moves, how it is commanded, how it misbehaves.
 
-`load` reads a recording; `load_design` reads a rig.toml alone. What they refuse is a `RigError` that names file, line
+`load` reads a recording and `save` writes one; `load_design` reads a rig.toml alone. `plan` chooses configurations to
+visit, `check` says what a recording's files show of mistakes. What they refuse is a `RigError` that names file, line
 and column.
 """
 
@@ -10,19 +11,35 @@ from rig.compute.lazy_package_exports import lazy_getattr
 from rig.compute.numba_kernels import set_kernel_cache_folder
 
 if TYPE_CHECKING:
+    from rig.api import CheckResult as CheckResult
+    from rig.api import PlannedConfigurations as PlannedConfigurations
+    from rig.api import check as check
+    from rig.api import load as load
+    from rig.api import plan as plan
+    from rig.api import save as save
     from rig.errors import RigError as RigError
     from rig.formats.rig_toml.design_file import load_design as load_design
     from rig.model.design import Design as Design
     from rig.recording.recording_folder import Recording as Recording
-    from rig.recording.recording_folder import load_recording as load_recording
 
 set_kernel_cache_folder()
 
-__all__ = ["load_recording", "load_design", "Recording", "Design", "RigError"]
+__all__ = [
+    "load",
+    "save",
+    "load_design",
+    "plan",
+    "check",
+    "Recording",
+    "Design",
+    "PlannedConfigurations",
+    "CheckResult",
+    "RigError",
+]
 __getattr__ = lazy_getattr(
     __name__,
     {
-        "load": "rig.recording.recording_folder:load_recording",
+        **dict.fromkeys(("load", "save", "plan", "check", "CheckResult", "PlannedConfigurations"), "rig.api"),
         "load_design": "rig.formats.rig_toml.design_file:load_design",
         "Recording": "rig.recording.recording_folder",
         "Design": "rig.model.design",

@@ -1,1 +1,19 @@
-"""A rig that is not there: a secret machine, its recordings and pictures, blind campaigns."""
+"""A rig that is not there: a secret machine, its recordings and pictures, blind campaigns.
+
+`simulate` takes a rig.toml to a recording (`SimulationResult`), as `SimulateOptions` and `ImageOptions` have it;
+`redraw` draws a diagnosed recording anew, with and without what was found.
+"""
+
+from typing import TYPE_CHECKING
+
+from rig.compute.lazy_package_exports import lazy_getattr
+
+if TYPE_CHECKING:
+    from synthetic.api import ImageOptions as ImageOptions
+    from synthetic.api import SimulateOptions as SimulateOptions
+    from synthetic.api import SimulationResult as SimulationResult
+    from synthetic.api import redraw as redraw
+    from synthetic.api import simulate as simulate
+
+__all__ = ["simulate", "redraw", "SimulateOptions", "ImageOptions", "SimulationResult"]
+__getattr__ = lazy_getattr(__name__, dict.fromkeys(__all__, "synthetic.api"))

@@ -1,7 +1,7 @@
 """Images to poses: corners, their places and covariance, cameras and targets adjusted together.
 
-`measured` takes a recording (rig.load_recording) to its `Measurement`: the platform's pose in every frame with
-covariance, cameras as adjusted.
+`measure` takes a recording (rig.load) to its `MeasurementResult`, as `MeasureOptions` have it: the platform's pose in
+every frame with covariance, cameras as adjusted.
 """
 
 from typing import TYPE_CHECKING
@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING
 from rig.compute.lazy_package_exports import lazy_getattr
 
 if TYPE_CHECKING:
-    from vision.recording_adjustment import Measurement as Measurement
-    from vision.recording_measurement import measured as measured
+    from vision.api import MeasureOptions as MeasureOptions
+    from vision.api import measure as measure
+    from vision.measurement_result import MeasurementResult as MeasurementResult
 
-__all__ = ["measured", "Measurement"]
+__all__ = ["measure", "MeasureOptions", "MeasurementResult"]
 __getattr__ = lazy_getattr(
-    __name__, {"measured": "vision.recording_measurement", "Measurement": "vision.recording_adjustment"}
+    __name__,
+    {**dict.fromkeys(("measure", "MeasureOptions"), "vision.api"), "MeasurementResult": "vision.measurement_result"},
 )

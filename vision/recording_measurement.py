@@ -26,25 +26,6 @@ FRAMES = 8  # on which other lenses are tried
 PLACES = ("auto", "stated", "free")
 
 
-def measured(
-    recording: Recording, places: str = "auto", progress: Callable[[str, int, int], None] | None = None
-) -> Measurement:
-    """Measurement of a recording, as `rig measure` makes it: poses with covariance, cameras adjusted.
-
-    places : whether the markers' places on their bodies are adjusted too: "stated", "free", or "auto", where the stated
-    ones contradict what is seen; progress : called with (label, done, of), or None
-    Raises NotEnoughData for a recording with neither corners nor images
-
-    >>> import rig, vision
-    >>> found = vision.measured(rig.load_recording("tests/data/bench/check"))
-    >>> len(found.frames), found.covariance.shape
-    (6, (6, 6, 6))
-    >>> found.noise < 0.1  # px, standard deviation of a corner
-    True
-    """
-    return measure_recording(recording, progress=progress, places=places)[0]
-
-
 def measure_recording(
     recording: Recording,
     free: Sequence[str] = ("poses", "lenses"),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from calib.certificate import certificate_sentences
-from calib.certificate.certificate_contents import Asked, Contents, measured_volume, measuring_conditions
+from calib.certificate.certificate_contents import CertifyOptions, Contents, measured_volume, measuring_conditions
 from calib.certify import promise_and_conformity, tolerance_limits
 from calib.certify.calibration import Calibration
 from calib.certify.calibration_evidence import confound_sentences
@@ -62,7 +62,7 @@ class Certificate(Contents):
 def calibration_certificate(
     calibration: Calibration,
     held_out_recordings: Sequence[tuple[Recording, Sampled]],
-    request: Asked,
+    request: CertifyOptions,
     provenance: dict[str, Any],
     rng: np.random.Generator,
 ) -> Certificate:
@@ -140,7 +140,7 @@ def _units(calibration: Calibration, poses: HeldPoses) -> tuple[float, float]:
     )
 
 
-def _judged(poses: HeldPoses, asked: Asked, rng: np.random.Generator) -> tuple[Conformity, ...]:
+def _judged(poses: HeldPoses, asked: CertifyOptions, rng: np.random.Generator) -> tuple[Conformity, ...]:
     if not asked.tolerances:
         return ()
     if not poses.rotations and any(quantity == "rotation" for quantity, _ in asked.tolerances):

@@ -128,7 +128,7 @@ def _approach(poses: HeldPoses) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class CertifyOptions:
     """coverage, confidence : of the promise; tolerances : {"position": m, "rotation": rad} to judge against, either or
     none
     scale : relative standard uncertainty of the targets' scale, None where nobody certified it; scale_source : who did,
@@ -145,7 +145,7 @@ class Asked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contents:
-    """What is certified. machine : its kind; calibrated_from : recording, in words; asked : Asked; promise,
+    """What is certified. machine : its kind; calibrated_from : recording, in words; asked : CertifyOptions; promise,
     cells : whole volume and boxes of it
     errors : (n, 6) m and rad of the poses that count, for drawing; before, after : Figures by the owner's model and
         calibrated, of those
@@ -154,7 +154,7 @@ class Contents:
     recording, none where no factor is claimed."""
 
     machine: str
-    asked: Asked
+    asked: CertifyOptions
     promise: Promise
     cells: tuple[Cell, ...]
     volume: Volume

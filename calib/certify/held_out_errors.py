@@ -8,9 +8,9 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certify.distinct_configurations import LEAST
 from calib.correct.correction import Correction
-from calib.samples.pose_samples import Samples, rms_uncertainty
+from calib.samples.pose_samples import Samples
 from rig.model import mechanisms
-from rig.model.pose import pose_difference
+from rig.model.pose import pose_difference, rms_uncertainty
 
 DRAWS = 1000  # of the bootstrap
 GAIN = 2.0  # standard errors by which a correction must pay on held-out poses to be kept

@@ -204,7 +204,7 @@ class Correction(Generic[M, R]):
             raise RigError(
                 f"this calibration knows physics that commands have to undo ({', '.join(self.physics)}), and "
                 "a correction by "
-                "configuration alone leaves it out: take calib.commanded(calibration, wanted), which gives "
+                "configuration alone leaves it out: take calib.correct(calibration, wanted), which gives "
                 "what `rig correct` does"
             )
 

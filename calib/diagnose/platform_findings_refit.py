@@ -103,8 +103,8 @@ class PlatformRefit:
         return np.stack(out, axis=2) if out else np.zeros((*self.samples.commanded.shape, 0))
 
 
-def findings_of_platform_diagnosis(diagnosis: Diagnosis) -> Findings:
-    """Findings of a platform's diagnosis, of the recording that is calibrated."""
+def findings_of_diagnosis(diagnosis: Diagnosis) -> Findings:
+    """Findings of a Diagnosis of the recording that is calibrated."""
     return Findings(diagnosis.machine_effects, None, unexplained_findings(diagnosis.left))
 
 

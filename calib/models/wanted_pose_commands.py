@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certify.calibration import Calibration
-from calib.correct.correction import Responses, require_reachable
+from calib.correct.correction import Responses
 from calib.correct.physics_compensation import (
     Machine,
     Physics,
@@ -51,38 +51,6 @@ class _Spread:
     covariance: np.ndarray
     responses: Responses
     missing: tuple[str, ...]
-
-
-def commanded(
-    calibration: Calibration,
-    wanted_poses: RigidTransform,
-    t: np.ndarray | None = None,
-    sensors: Sensors | None = None,
-    start: np.ndarray | None = None,
-    approach: str = "auto",
-) -> Commanded:
-    """Commanded for wanted poses T_base_platform (n,), or one (), in their order: what `rig correct` writes, all that
-    the calibration knows undone.
-
-    t : (n,) s, when each is held, None for each until all has come to rest; sensors : Sensors over that time, None for
-        as when calibrated
-    start : (axes,) m or rad where the axes stand at first, home by default; approach : as of `commands_along_route`
-    Raises Unreachable listing the poses that leave the axes' ranges or come too soon, NotConverged where no commands
-        are found
-    """
-    nominal = calibration.correction.nominal
-    T = RigidTransform.from_matrix(wanted_poses.as_matrix().reshape(-1, 4, 4))
-    begin = mechanisms.kinematics_of(nominal).home(nominal) if start is None else np.asarray(start, float)
-    done = commands_along_route(
-        calibration,
-        T,
-        begin,
-        None if t is None else route_pace(calibration, np.asarray(t, float), sensors),
-        sensors,
-        approach,
-    )
-    require_reachable(done.values, nominal, [f"pose {i}" for i in range(len(done.values))])
-    return done
 
 
 def route_pace(calibration: Calibration, t: np.ndarray, sensors: Sensors | None) -> Pace:

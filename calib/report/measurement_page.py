@@ -3,25 +3,22 @@
 import base64
 import html
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from calib.report.pose_figures import pose_coverage_figures
-from calib.samples.pose_samples import rms_uncertainty
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_elements import folding_section, heading, list_html, note, paragraph, table
 from rig.report.pages.image_plane_figures import Arrows, Cells, image_plane_figure, patch_means
 from rig.report.pages.page_and_svg_templates import Link, Page, write_page
 from rig.report.pages.plots import Series, panel_row, plot_panel
-from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge_evidence
 from vision import frame_pictures
 from vision.bundle.adjustment_validation import HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places
+from vision.measurement_result import TWICE, MeasurementResult, measurement_verdict
 from vision.reading.marker_identity import Suspect
-from vision.reading.recording_corners import Collected
 from vision.recording_adjustment import Measurement
 
 ENLARGED = 200.0
@@ -98,24 +95,7 @@ def _figure(m: Measurement, i: int, frame: int, image: bytes) -> str:
     )
 
 
-SOLVED = 0.5  # of the frames, below which a measurement is bad
-TWICE = 2.0  # of the squares that the covariance predicts, from which it is not to be believed
 CELLS = 16  # of a residual map, across the image
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MeasurementResult:
-    """What there is to say of a measurement. collected : what its images gave, or None; held : of frames held out;
-    places : vision Places where markers' places were adjusted, else None; statement : lines on what the recording
-    determines; suspects : markers that are not what rig.toml says"""
-
-    recording: Recording
-    measurement: Measurement
-    held: HeldOut | NotHeldOut
-    collected: Collected | None = None
-    places: Places | None = None
-    statement: Sequence[str] = ()
-    suspects: Sequence[Suspect] = ()
 
 
 def write_measurement_page(path: Path | str, result: MeasurementResult, links: Sequence[Link] = ()) -> None:
@@ -179,50 +159,6 @@ def write_measurement_page(path: Path | str, result: MeasurementResult, links: S
         Page(
             "measure", title, verdict, parts, list(dict.fromkeys([*_recommended_actions(result), *verdict.next])), links
         ),
-    )
-
-
-def measurement_verdict(result: MeasurementResult) -> Verdict:
-    """Verdict on a measurement."""
-    m, total = result.measurement, len(result.recording.exposures.times()[0])
-    position, rotation = rms_uncertainty(m.covariance)
-    size = f"poses to {position * 1e6:.1f} µm and {rotation * 1e6:.1f} µrad (standard uncertainty, RMS)"
-    why = f"{len(m.frames)} of {total} frames solved, {size}"
-    missing, unexplained = [], []
-    if len(m.frames) < total:
-        missing.append(Missing(f"{total - len(m.frames)} frames have no pose"))
-    if result.suspects:
-        missing.append(
-            Missing(
-                f"{len(result.suspects)} marker{'s are' if len(result.suspects) > 1 else ' is'} not what rig.toml says"
-            )
-        )
-    if isinstance(result.held, NotHeldOut):
-        missing.append(Missing("no frame could be held out to check the uncertainties"))
-    elif abs(result.held.ratio - 1) > 2 * result.held.scatter:
-        if result.held.ratio > AGREES**2:
-            unexplained.append(
-                f"frames held out miss by {result.held.ratio:.1f} times the squares predicted: the "
-                "uncertainties are not to be believed"
-            )
-        elif result.held.ratio < 1 / AGREES**2:
-            missing.append(
-                Missing(
-                    f"frames held out miss by {result.held.ratio:.2f} of the squares predicted: the noise of "
-                    "corners, and with it every "
-                    "uncertainty, is less than stated"
-                )
-            )
-    beyond = (
-        not isinstance(result.held, NotHeldOut)
-        and result.held.ratio > TWICE
-        and abs(result.held.ratio - 1) > 2 * result.held.scatter
-    )
-    refuted = [*unexplained] if beyond else []
-    if len(m.frames) < SOLVED * total:
-        refuted.append("fewer than half of the frames have a pose")
-    return judge_evidence(
-        Evidence(why, unexplained=() if beyond else tuple(unexplained), missing=tuple(missing), refuted=tuple(refuted))
     )
 
 

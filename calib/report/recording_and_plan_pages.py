@@ -1,8 +1,9 @@
 """HTML pages of a recording and of a plan: their poses in a 3-D scene, and effects on them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -108,17 +109,27 @@ def _recommended_actions(recording: Recording) -> list[str]:
     ]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PlanResult:
+class PlanFigures(Protocol):
     """A plan. design; values : (n, axes) m or rad in their order; verdict : on it; said : lines on what it tells"""
 
-    design: Design
-    values: np.ndarray
-    verdict: Verdict
-    said: Sequence[str]
+    @property
+    def design(self) -> Design:
+        """The rig that is planned for."""
+
+    @property
+    def values(self) -> np.ndarray:
+        """(n, axes) m or rad, in their order."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict on it."""
+
+    @property
+    def said(self) -> Sequence[str]:
+        """Lines on what it makes visible."""
 
 
-def write_plan_page(path: Path | str, file: str, plan_result: PlanResult, links: Sequence[Link] = ()) -> None:
+def write_plan_page(path: Path | str, file: str, plan_result: PlanFigures, links: Sequence[Link] = ()) -> None:
     """Write the HTML page of a plan in a file. Raises as forward kinematics does"""
     if not len(plan_result.values):
         write_page(path, Page("plan", f"No plan {file}", plan_result.verdict, [], [], links))

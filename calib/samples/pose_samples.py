@@ -239,14 +239,3 @@ def inverse_covariance(covariance: np.ndarray) -> np.ndarray:
 def time_block_folds(count: int, folds: int) -> np.ndarray:
     """Fold number (count,) of each sample: time blocks of equal size, never single rows."""
     return np.minimum(np.arange(count) * folds // max(count, 1), folds - 1)
-
-
-def rms_uncertainty(covariance: np.ndarray) -> tuple[float, float]:
-    """RMS standard uncertainty (m, rad) of position and rotation, of covariances (n, 6, 6), else infinite."""
-    variances = np.einsum("nii->ni", covariance)
-    known = np.where(np.isinf(variances), 0.0, variances)
-    position, rotation = (
-        float(np.sqrt(known[:, part].sum(axis=1).mean())) if np.isfinite(variances[:, part]).any() else np.inf
-        for part in (slice(0, 3), slice(3, 6))
-    )
-    return position, rotation

@@ -1,5 +1,5 @@
-"""The page of the Python interface: what `rig`, `vision`, `calib` hand on, and the rooms below. Made when the documents
-are built.
+"""The page of the Python interface: what `rig`, `synthetic`, `vision`, `calib` hand on, and the rooms below. Made when
+the documents are built.
 """
 
 import ast
@@ -11,37 +11,63 @@ from docs.make.told import in_cell
 
 ROOT = Path(__file__).parents[2]
 ENTRIES = ("rig", "vision", "calib")
+ENTRIES = ("rig", "synthetic", "vision", "calib")
 HEAD = """# From Python
 
-Made from the code. `import rig, vision, calib` gives what stands first here; it is opened when it is first used, so \
-that importing takes no
-time. Results show themselves in a notebook; three notebooks go the whole way:
-[measure and calibrate](notebooks/measure-and-calibrate.ipynb), [diagnose](notebooks/diagnose.ipynb), \
+Made from the code. What a command computes is one function here: `rig calibrate` takes its arguments, calls
+`calib.calibrate`, prints and writes. Each verb takes options and returns a result, both frozen. A result states its
+verdict with `print`, shows itself in a notebook, and writes what the command writes. `import rig, synthetic, vision,
+calib` takes no time: a name is opened when it is first used.
+
+Three notebooks go the whole way:
+[measure and calibrate](notebooks/measure-and-calibrate.ipynb), [diagnose](notebooks/diagnose.ipynb),
 [certify](notebooks/certify.ipynb).
 
-    import rig, vision, calib
+"""
+EXAMPLE = """\
+import calib, rig, synthetic, vision
 
-    recording = rig.load_recording("REC")                      # a folder, checked
-    measured = vision.measured(recording)            # poses with covariance, cameras adjusted
-    calibration = calib.calibrated(recording)        # geometry, corrections, what they are worth
-    report = calib.diagnosed(recording)              # what physics is left out
-    certificate = calib.certified(calibration, [rig.load_recording("REC2")])
-    calib.save("calibration.json", calibration)
+made = synthetic.simulate("rig.toml", synthetic.SimulateOptions(plan="sobol:16", seed=1))
+made.write("REC")                                # a recording; its truth stays with `made`
+recording = rig.load("REC")                      # a folder, checked
+measured = vision.measure(recording)             # poses with covariance, cameras adjusted
+result = calib.calibrate(recording)              # geometry, corrections, what they are worth
+print(result)                                    # the verdict, in a line
+calib.save("calibration.json", result.calibration)
+again = synthetic.simulate("rig.toml", synthetic.SimulateOptions(plan="sobol:12", seed=2))
+again.write("REC2")
+verified = calib.verify(result.calibration, rig.load("REC2"))
+found = calib.diagnose(recording, calib.DiagnoseOptions(only=("backlash",)))
+wanted = recording.design.mechanism.home         # RigidTransform () or (n,)
+commands = calib.correct(result.calibration, wanted).values
+"""
+REST = """
+What a function refuses is a `rig.RigError`. `progress` of a function is called with (label, done, of), `notice` with
+lines on what is unlikely in a recording; both are silent unless given.
 
-Below the entry points all modules may be imported, room by room; arrays are told with shape and unit in their \
+## Installing it
+
+`pip install .` in a copy of the source puts four packages on the top level of an environment: `rig`, `vision`, `calib`
+and `synthetic`. These are common words. Where another distribution, or a folder of your own project, has one of these
+names, Python imports whichever stands first on its path, and `pip` does not warn.
+`python -c "import calib; print(calib.__file__)"` shows which one that is. Give `rig` an environment of its own then
+(`python -m venv`), and call its commands from there, or rename your own folder.
+
+Below the entry points all modules may be imported, folder by folder; arrays are stated with shape and unit in their
 docstrings.
 """
 
 
 def page() -> str:
     """The page in Markdown."""
-    parts = [HEAD]
+    example = "".join(f"    {line}".rstrip() + "\n" for line in EXAMPLE.splitlines())
+    parts = [HEAD, example, REST]
     for name in ENTRIES:
         package = importlib.import_module(name)
         parts.append(f"\n## {name}\n\n{inspect.getdoc(package)}\n")
         parts += [_entry(f"{name}.{public}", getattr(package, public)) for public in package.__all__]
     parts.append("\n## The rooms\n\n| module | what it does |\n|---|---|\n")
-    for package_name in (*ENTRIES, "synthetic"):
+    for package_name in ENTRIES:
         parts += [
             _row(path)
             for path in sorted((ROOT / package_name).rglob("*.py"))

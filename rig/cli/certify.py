@@ -6,7 +6,6 @@ import math
 import re
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,15 +24,13 @@ from rig.cli.shared.command_options import (
 )
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number
-from rig.report.verdict import Evidence, exit_status
+from rig.report.verdict import exit_status
 
 if TYPE_CHECKING:
-    from calib.certificate import digital_certificate_xml
-    from calib.certificate.certificate import Certificate
-    from calib.certify.calibration_evidence import AgainstClaim
-    from calib.files.calibration_file import Calibration
-    from calib.samples.recording_samples import Sampled
-    from rig.recording.recording_folder import Recording
+    from calib.api.certify import CertificationResult
+    from calib.certificate.certificate_contents import CertifyOptions
+    from calib.certificate.digital_certificate_xml import Issuer
+
 
 UNITS = {
     "um": ("position", 1e-6),
@@ -150,161 +147,84 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> int:
     """Certify a calibration by held-out recordings and write what is promised; 3 where the verdict is bad."""
-    asked = dict(arguments.tolerance)
-    if len(asked) < len(arguments.tolerance):
+    suffix, options = _suffix(arguments.out), _options(arguments)
+    if arguments.mask is not None and len(arguments.recordings) > 1:
+        raise RigError("--mask names frames of one recording; certify by that one alone")
+    progress = Progress()
+    progress("reading the calibration", 0, 1)
+    from calib.api.certify import certify
+    from calib.certificate.certificate import certificate_provenance
+    from calib.files import calibration_file
+    from rig.report.refutations import refutations_of_file
+
+    calibration = calibration_file.load(arguments.calibration)
+    whole = arguments.outputs.folder(arguments.out) if suffix == "" else arguments.outputs.file(arguments.out)
+    recordings = [read_recording(arguments, path) for path in arguments.recordings]
+    refuted = refutations_of_file(arguments.calibration)
+    source = certificate_provenance(arguments.calibration, calibration, recordings, arguments.argv, SEED)
+    result = certify(calibration, recordings, options, refuted, source, str(arguments.calibration), progress)
+    progress.close()
+    calibration_and_effect_files.print_refutations(arguments.calibration, refuted)
+    for name, sentence in result.refutations:
+        calibration_and_effect_files.write_refutation(arguments, arguments.calibration, name, sentence)
+    left_out = missing_matplotlib_reason() if suffix == "" else None
+    kinds = [kind for kind in KINDS if kind != ".pdf" or not left_out]
+    for place in [whole / f"certificate{kind}" for kind in kinds] if suffix == "" else [whole]:
+        shown = arguments.out if suffix else arguments.out / place.name
+        result.write(place, page_links(arguments, shown), _issuer(arguments))
+    _print_certificate(result)
+    arguments.result = result.tree()
+    if left_out:
+        print(f"certificate.pdf is left out: certificates as PDF {left_out}", file=sys.stderr)
+    print(f"written: {arguments.out}")
+    return exit_status(result.verdict)
+
+
+def _suffix(out: Path) -> str:
+    """The suffix of the file that is written, "" for a folder. Raises RigError for one that no certificate has"""
+    if out.suffix not in (*KINDS, ""):
+        raise RigError(f"{out}: a certificate is written as {', '.join(KINDS)}, or to a folder with all of them")
+    if out.suffix == ".pdf":
+        require_matplotlib("certificates as PDF")
+    return out.suffix
+
+
+def _options(arguments: Namespace) -> CertifyOptions:
+    """What is asked of a certificate, by the arguments. Raises RigError for arguments that do not go together"""
+    tolerances = dict(arguments.tolerance)
+    if len(tolerances) < len(arguments.tolerance):
         raise RigError("--tolerance takes one length and one angle at the most")
     if arguments.scale_source and arguments.scale_uncertainty is None:
         raise RigError("--scale-source names who certified the scale; --scale-uncertainty says how well")
     if not re.fullmatch("[A-Z]{2}", arguments.country):
         raise RigError(f"--country takes two capital letters (ISO 3166-1), not {arguments.country!r}")
-    suffix = arguments.out.suffix
-    if suffix not in (*KINDS, ""):
-        raise RigError(
-            f"{arguments.out}: a certificate is written as {', '.join(KINDS)}, or to a folder with all of them"
-        )
-    if suffix == ".pdf":
-        require_matplotlib("certificates as PDF")
-    progress = Progress()
-    progress("reading the calibration", 0, 1)
-    from calib.files import calibration_file
+    from calib.certificate.certificate_contents import CertifyOptions
 
-    calibration = calibration_file.load(arguments.calibration)
-    whole = arguments.outputs.folder(arguments.out) if suffix == "" else arguments.outputs.file(arguments.out)
-    held = _held_out(calibration, arguments, progress)
-    progress("certifying", 0, 1)
-
-    import numpy as np
-
-    from calib.certificate import certificate, certificate_json
-    from calib.certificate.certificate import calibration_certificate, certificate_verdict
-    from calib.certificate.certificate_contents import Asked
-
-    wanted = Asked(
+    return CertifyOptions(
         arguments.coverage,
         arguments.confidence,
-        tuple(asked.items()),
+        tuple(tolerances.items()),
         arguments.scale_uncertainty,
         arguments.scale_source,
         arguments.rated_load,
     )
-    made = calibration_certificate(
-        calibration,
-        held,
-        wanted,
-        certificate.certificate_provenance(
-            arguments.calibration, calibration, [r for r, _ in held], arguments.argv, SEED
-        ),
-        np.random.default_rng(SEED),
-    )
-    known, claims = _against_claim(calibration, held, arguments)
-    made = replace(made, known=known, claims=claims)
-    verdict = certificate_verdict(made)
-    progress.close()
-    left_out = missing_matplotlib_reason() if suffix == "" else None
-    places = (
-        [whole / f"certificate{kind}" for kind in KINDS if kind != ".pdf" or not left_out] if suffix == "" else [whole]
-    )
-    for place in places:
-        _write(place, place.suffix, made, arguments)
-    print(verdict.line)
-    _say(made)
-    for _, sampled in held:
-        print_frames_without_pose(sampled.measurement)
-    arguments.result = certificate_json.certificate_dict(made)
-    if left_out:
-        print(f"certificate.pdf is left out: certificates as PDF {left_out}", file=sys.stderr)
-    print(f"written: {arguments.out}")
-    return exit_status(verdict)
 
 
-def _against_claim(
-    calibration: Calibration, held: list[tuple[Recording, Sampled]], arguments: Namespace
-) -> tuple[Evidence, tuple[AgainstClaim, ...]]:
-    """(Evidence of a calibration with what held-out recordings say of its claim, AgainstClaim of each); its file is
-    marked where they refute it.
-    """
-    import numpy as np
-
-    from calib.certify import calibration as words
-    from calib.certify.calibration_evidence import (
-        calibration_evidence,
-        check_claim_on_recording,
-        evidence_with_confounds,
-        evidence_with_verification,
-    )
-    from calib.samples.confounded_conditions import confounds_of_recordings
-
-    known, claims = (
-        calibration_evidence(calibration, calibration_and_effect_files.read_refutations(arguments.calibration)),
-        [],
-    )
-    known = evidence_with_confounds(
-        known, calibration, [confounds_of_recordings([recording for recording, _ in held])], "these recordings"
-    )
-    for recording, sampled in held:
-        one = check_claim_on_recording(
-            calibration,
-            recording.name,
-            calibration.with_physics(recording, sampled.samples),
-            np.random.default_rng(SEED),
-        )
-        if one is None:
-            continue
-        claims.append(one)
-        known = evidence_with_verification(known, one.found, recording.name)
-        if one.found.refutes:
-            calibration_and_effect_files.write_refutation(
-                arguments, arguments.calibration, recording.name, words.refutation_sentence(one.found)
-            )
-    return known, tuple(claims)
-
-
-def _held_out(calibration: Calibration, arguments: Namespace, progress: Progress) -> list[tuple[Recording, Sampled]]:
-    """[(Recording, Sampled)], none of whose data took part in fitting or is there twice. Raises RigError naming what
-    did.
-    """
-    from calib.recording_calibration import held_out_recordings
-
-    if arguments.mask is not None and len(arguments.recordings) > 1:
-        raise RigError("--mask names frames of one recording; certify by that one alone")
-    loaded = [read_recording(arguments, path) for path in arguments.recordings]
-    return held_out_recordings(calibration, loaded, progress, str(arguments.calibration))
-
-
-def _write(path: Path, suffix: str, made: Certificate, arguments: Namespace) -> None:
-    from calib.certificate import certificate_json
-    from calib.certificate import digital_certificate_xml as xml
-    from rig.formats.output_files import write_text
-
-    if suffix == ".html":
-        from calib.certificate.certificate_page import write_certificate_page
-
-        write_certificate_page(
-            path, made, page_links(arguments, arguments.out if arguments.out.suffix else arguments.out / path.name)
-        )
-    elif suffix == ".pdf":
-        from calib.certificate import certificate_pdf
-
-        certificate_pdf.write_certificate_pdf(path, made)
-    elif suffix == ".xml":
-        write_text(path, xml.digital_certificate_xml(made, _issuer(arguments)))
-    else:
-        write_text(path, certificate_json.certificate_text(made))
-
-
-def _issuer(arguments: Namespace) -> digital_certificate_xml.Issuer:
+def _issuer(arguments: Namespace) -> Issuer:
     from calib.certificate.digital_certificate_xml import Issuer
 
     return Issuer(arguments.laboratory, arguments.person, arguments.customer, arguments.country, arguments.manufacturer)
 
 
-def _say(made: Certificate) -> None:
-    """Print what is certified."""
+def _print_certificate(result: CertificationResult) -> None:
+    """Print what is certified, the verdict first."""
     from calib.certificate import certificate_sentences as words
 
+    made = result.certificate
     print(
         "\n".join(
             [
+                result.verdict.line,
                 words.length_scale_line(made),
                 words.promise_line(made),
                 words.measured_volume_line(made),
@@ -313,3 +233,5 @@ def _say(made: Certificate) -> None:
             ]
         )
     )
+    for _, sampled in result.held_out:
+        print_frames_without_pose(sampled.measurement)

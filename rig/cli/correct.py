@@ -7,17 +7,17 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import calibration_and_effect_files, poses_from_readings
+from rig.cli.shared import calibration_and_effect_files
 from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option, file_or_stdout
-from rig.errors import RigError, Unreachable
+from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_numbers
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from calib.api.correct import CorrectionResult, CorrectOptions
     from calib.files.calibration_file import Calibration
-    from calib.models.wanted_pose_commands import Commanded
-    from rig.recording.recording_folder import Sensors, Wanted
+    from rig.recording.recording_folder import Wanted
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -80,231 +80,112 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Write the commands that give the wanted poses, or the poses that readings stand for."""
-    if arguments.forward:
-        poses_from_readings.write_poses_of_readings(arguments)
-        return
-    import numpy as np
+    from calib.api.correct import correct
+    from rig.recording.recording_folder import load_wanted_poses
+    from rig.recording.recording_tables import write_poses
 
-    from rig.model import mechanisms
-    from rig.recording import recording_folder as recordings
-    from rig.recording import recording_tables
-
+    if arguments.forward and (
+        arguments.uncorrected or arguments.single_step or arguments.skip_unreachable or arguments.sensors
+    ):
+        raise RigError(
+            "--uncorrected, --single-step, --skip-unreachable and --sensors are about commands for wanted "
+            "poses, not about --forward"
+        )
     calibration = calibration_and_effect_files.load_calibration(
         arguments.calibration, calibration_and_effect_files.load_effect_files(arguments)
     )
-    calibration_and_effect_files.read_refutations(arguments.calibration)
-    if arguments.single_step and calibration.physics is not None and not arguments.uncorrected:
-        raise RigError(
-            "--single-step is of corrections that depend on the configuration alone; this calibration knows "
-            "physics besides"
-        )
-    wanted = recordings.load_wanted_poses(arguments.poses)
-    sensors = _sensors(arguments.sensors, wanted)
-    start = _start(arguments.start, calibration)
     out = arguments.outputs.file(arguments.out)
-    count = len(wanted.poses.frame)
-    keep, refused = np.arange(count), []
-    while len(keep):  # first what no command reaches, then what lies beyond the limits or comes too soon
-        try:
-            done = _commanded(arguments, calibration, wanted, keep, (start, sensors))
-            break
-        except Unreachable as error:
-            refused += [
-                (int(wanted.poses.frame[keep[i]]), line.split(": ", 1)[1])
-                for i, line in zip(error.index, error.violations)
-            ]
-            keep = np.delete(keep, error.index)
-    if refused:
-        message = Unreachable(
-            f"{len(refused)} of {count} wanted poses cannot be reached:",
-            [frame for frame, _ in refused],
-            [f"frame {frame}: {line}" for frame, line in sorted(refused)],
-        )
-        if not arguments.skip_unreachable or not len(keep):
-            raise message
+    if arguments.forward:
+        return _write_read_poses(arguments, calibration, out)
+    calibration_and_effect_files.read_refutations(arguments.calibration)
+    wanted = load_wanted_poses(arguments.poses)
+    result = correct(calibration, wanted, _options(arguments, wanted))
+    result.write(out)
+    arguments.result = result.tree()
+    poses = result.poses
+    beside = None if poses is None else arguments.outputs.stage_file(out, ".poses.csv")
+    if poses is not None and beside is not None:
+        write_poses(beside, poses)
+    _print_result(arguments, result, None if beside is None else beside.name)
+
+
+def _options(arguments: Namespace, wanted: Wanted) -> CorrectOptions:
+    """How wanted poses are corrected, by the arguments."""
+    from calib.api.correct import CorrectOptions
+    from rig.recording.recording_folder import load_sensors
+
+    return CorrectOptions(
+        load_sensors(arguments.sensors, wanted.origin) if arguments.sensors else None,
+        _start(arguments.start),
+        arguments.approach,
+        arguments.skip_unreachable,
+        arguments.uncorrected,
+        arguments.single_step,
+    )
+
+
+def _start(text: str) -> np.ndarray | None:
+    """(axes,) m or rad where the axes stand at first, None for home. Raises RigError for what is no such place"""
+    import numpy as np
+
+    if text == "home":
+        return None
+    try:
+        return np.array(parse_numbers(text.split(",")))
+    except ValueError:
+        raise RigError(
+            f"--start takes home or an axis' values each, joined by commas, m or rad, got {text!r}"
+        ) from None
+
+
+def _write_read_poses(arguments: Namespace, calibration: Calibration, out: Path) -> None:
+    """Write the poses that a measuring machine's readings stand for."""
+    from calib.api.read_poses import poses_of_readings
+    from rig.formats import csv_table
+
+    axes = calibration.correction.nominal.axes
+    found = poses_of_readings(calibration, csv_table.read(arguments.forward, ("frame", *axes)))
+    found.write(out)
+    print(f"{len(found.poses.frame)} poses written to {arguments.out}: {found}")
+    if found.physics:
+        print("what the calibration knows of physics is not taken off readings: it depends on what went before them")
+
+
+def _print_result(arguments: Namespace, result: CorrectionResult, poses: str | None) -> None:
+    """Print how sure the poses are, what is left of them, and how many were written. poses : name of their file"""
+    from calib.api.correct import unreachable
+    from rig.model import mechanisms
+
+    count = len(result.wanted.poses.frame)
+    if result.out_of_reach:
+        message = unreachable(list(result.out_of_reach), count)
         print(f"rig correct: {message}\nleft out, as asked", file=sys.stderr)
-    _write(out, calibration, wanted, keep, done)
-    arguments.result = {
-        "schema": "corrected/1",
-        "wanted": count,
-        "written": len(keep),
-        "out_of_reach": [{"frame": frame, "reason": line} for frame, line in sorted(refused)],
-        "commands": [
-            {"frame": int(wanted.poses.frame[k]), "values": values} for k, values in zip(keep, done.values.tolist())
-        ],
-    }
-    if done.covariance is not None:
-        expected = arguments.outputs.stage_file(out, ".poses.csv")
-        if expected is not None:
-            recording_tables.write_poses(
-                expected, recordings.Poses(wanted.poses.frame[keep], done.T_base_platform, done.covariance)
-            )
-        if not (arguments.uncorrected or arguments.single_step):
-            _say(calibration, done, done.covariance)
-    correction = calibration.correction
-    _say_rest(arguments, calibration, out, (wanted, keep), done)
-    print(f"{len(keep)} of {count} poses written to {arguments.out}")
-    field = correction.extension
-    if field is not None and not field.inside(done.values).all():
+    if result.covariance is not None and not (arguments.uncorrected or arguments.single_step):
+        _print_uncertainty(result, result.covariance)
+    if result.rest is not None:
+        _print_rest(result, result.rest, poses)
+    print(f"{len(result.index)} of {count} poses written to {arguments.out}")
+    if result.extrapolated:
         print(
-            f"{(~field.inside(done.values)).sum()} of them lie beyond the samples of the correction: there "
+            f"{result.extrapolated} of them lie beyond the samples of the correction: there "
             "it is extrapolated, continuously"
         )
     if arguments.single_step:
-        off = correction.missed(wanted.poses.T_base_platform[keep], done.values)
         print(
-            f"the single step misses the fixed point by {np.nanmax(np.abs(off)):.3g} "
-            f"{mechanisms.travel_unit(correction.nominal)} at most"
+            f"the single step misses the fixed point by {result.single_step_miss:.3g} "
+            f"{mechanisms.travel_unit(result.calibration.correction.nominal)} at most"
         )
 
 
-def _commanded(
-    arguments: Namespace,
-    calibration: Calibration,
-    wanted: Wanted,
-    keep: np.ndarray,
-    given: tuple[np.ndarray, Sensors | None],
-) -> Commanded:
-    """Commanded for the wanted poses to keep. given : where the axes start, sensors. Raises Unreachable for those that
-    cannot be.
-    """
-    from calib.correct.correction import require_reachable
-    from calib.models.wanted_pose_commands import commands_along_route, route_pace
+def _print_uncertainty(result: CorrectionResult, covariance: np.ndarray) -> None:
+    """Print how sure the poses are, of covariance (n, 6, 6), and what that rests on."""
+    from calib.api.correct import covariance_sizes
 
-    (start, sensors), T = given, wanted.poses.T_base_platform[keep]
-    pace = None if wanted.t is None else route_pace(calibration, wanted.t[keep], sensors)
-    correction = calibration.correction
-    plain = (
-        correction.uncorrected(T)
-        if arguments.uncorrected
-        else correction.single_step(T)
-        if arguments.single_step
-        else None
-    )
-    done = commands_along_route(calibration, T, start, pace, sensors, arguments.approach, plain)
-    require_reachable(done.values, calibration.correction.nominal, [f"pose {i}" for i in range(len(keep))])
-    return done
-
-
-def _sensors(path: Path | None, wanted: Wanted) -> Sensors | None:
-    """Sensors of a file. Raises RigError for a log in time where the poses have no times, or that does not cover
-    them.
-    """
-    from calib.correct.physics_compensation import require_sensor_coverage
-    from rig.recording import recording_folder as recordings
-
-    if path is None:
-        return None
-    sensors = recordings.load_sensors(path, wanted.origin)
-    if wanted.t is None and len(sensors.t) > 1:
-        raise RigError(
-            f"{path} has {len(sensors.t)} rows, and the wanted poses have no times: say in a column t when "
-            "each is to be held, or give "
-            "one row that holds for all"
-        )
-    if wanted.t is not None:
-        require_sensor_coverage(sensors, wanted.t, wanted.origin.shown)
-    return sensors
-
-
-def _start(text: str, calibration: Calibration) -> np.ndarray:
-    """(axes,) m or rad where the axes stand at first. Raises RigError for what is no such place."""
-    import numpy as np
-
-    from calib.correct.correction import require_reachable
-    from rig.model import mechanisms
-
-    nominal = calibration.correction.nominal
-    if text == "home":
-        return mechanisms.kinematics_of(nominal).home(nominal)
-    try:
-        values = np.array(parse_numbers(text.split(",")))
-    except ValueError:
-        values = np.zeros(0)
-    if values.shape != (len(nominal.axes),) or not np.isfinite(values).all():
-        raise RigError(f"--start takes home or {len(nominal.axes)} values joined by commas, m or rad, got {text!r}")
-    try:
-        require_reachable(values[None], nominal, ["the start"])
-    except Unreachable as error:
-        raise RigError(f"--start cannot be: {error.violations[0]}") from None
-    return values
-
-
-def _write(out: Path, calibration: Calibration, wanted: Wanted, keep: np.ndarray, done: Commanded) -> None:
-    """Write the commands, in time with the rows on the way."""
-    from calib.correct.pose_route import HOLDING
-    from rig.recording import recording_tables
-
-    axes, frames = calibration.correction.nominal.axes, wanted.poses.frame[keep]
-    if wanted.t is None:
-        rows = [
-            ",".join([str(frame), *(f"{length:.10f}" for length in lengths)])
-            for frame, lengths in zip(frames, done.values)
-        ]
-        recording_tables.write_table(out, ("frame", *axes), rows)
-        return
-    route, rows = done.route, []
-    for t, pose, doing, lengths in zip(route.t.tolist(), route.pose, route.doing, route.values(done.values)):
-        held = doing == HOLDING
-        rows.append(
-            ",".join(
-                [
-                    str(frames[pose]) if held else "",
-                    wanted.origin.text(t if held else round(t, 6)),
-                    *(f"{x:.10f}" for x in lengths),
-                ]
-            )
-        )
-    recording_tables.write_table(out, ("frame", "t", *axes), rows)
-
-
-def _say_rest(
-    arguments: Namespace, calibration: Calibration, out: Path, asked: tuple[Wanted, np.ndarray], done: Commanded
-) -> None:
-    """Of an arm of fewer than six joints, say what it leaves to the wanted poses, and write beside the commands the
-    poses that it takes instead.
-
-    asked : (Wanted, (n,) which of its poses are commanded)
-    """
-    import numpy as np
-
-    from calib.models.arm import certification
-    from calib.models.arm.correction import ArmCorrection
-    from rig.model.pose import pose_difference
-    from rig.recording import recording_folder as recordings
-    from rig.recording import recording_tables
-
-    correction, (wanted, keep) = calibration.correction, asked
-    if not isinstance(correction, ArmCorrection) or not correction.deficient:
-        return
-    frames, rest = wanted.poses.frame[keep], pose_difference(done.T_base_platform, wanted.poses.T_base_platform[keep])
-    place, turn = (np.linalg.norm(rest[:, part], axis=1) * 1e3 for part in (slice(0, 3), slice(3, 6)))
+    done, physics = result.commanded, result.calibration.physics
+    (position, rotation), (far, wide) = covariance_sizes(covariance)
     print(
-        f"an arm of {len(correction.nominal.joints)} joints cannot make up for every error: what it leaves "
-        "to the wanted poses is "
-        f"{np.sqrt(np.mean(place**2)):.4f} mm RMS, {place.max():.4f} at the most, and "
-        f"{np.sqrt(np.mean(turn**2)):.4f} mrad RMS, "
-        f"{turn.max():.4f} at the most (frame {frames[int(turn.argmax())]})"
-    )
-    beside = arguments.outputs.stage_file(out, ".poses.csv")
-    if beside is not None:
-        if done.covariance is None:
-            covariance = certification.arm_pose_covariance(calibration, done.values)
-            recording_tables.write_poses(beside, recordings.Poses(frames, done.T_base_platform, covariance))
-        print(f"the poses that it takes instead, with their uncertainty, are in {beside.name}")
-
-
-def _say(calibration: Calibration, done: Commanded, covariance: np.ndarray) -> None:
-    """Say how sure the poses are, of covariance (n, 6, 6), and what that rests on."""
-    import numpy as np
-
-    lengths = [np.sqrt(np.trace(covariance[:, part, part], axis1=1, axis2=2)) for part in (slice(0, 3), slice(3, 6))]
-    (position, rotation), (far, wide) = (
-        [float(f(x)) * 1e3 for x in lengths] for f in (lambda x: np.sqrt(np.mean(x**2)), np.max)
-    )
-    print(
-        f"stated standard uncertainty of the poses: {position:.4f} mm and {rotation:.4f} mrad RMS, {far:.4f} "
-        f"and {wide:.4f} at the most"
+        f"stated standard uncertainty of the poses: {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad RMS, "
+        f"{far * 1e3:.4f} and {wide * 1e3:.4f} at the most"
     )
     if done.missing:
         print(
@@ -313,8 +194,22 @@ def _say(calibration: Calibration, done: Commanded, covariance: np.ndarray) -> N
         )
     if done.route.approached.any():
         print(f"{done.route.approached.sum()} poses are come to from one side")
-    physics = calibration.physics
-    if physics is not None:
-        left = [f"{e.label()} at {e.place}" for e in physics.scattering()]
-        if left:
-            print(f"not undone, as nobody knows its moment, and in the uncertainty: {', '.join(left)}")
+    left = [] if physics is None else [f"{e.label()} at {e.place}" for e in physics.scattering()]
+    if left:
+        print(f"not undone, as nobody knows its moment, and in the uncertainty: {', '.join(left)}")
+
+
+def _print_rest(result: CorrectionResult, rest: np.ndarray, poses: str | None) -> None:
+    """Print what an arm of too few joints leaves to the wanted poses (n, 6), m and rad."""
+    import numpy as np
+
+    position, rotation = (np.linalg.norm(rest[:, part], axis=1) * 1e3 for part in (slice(0, 3), slice(3, 6)))
+    print(
+        f"an arm of {len(result.calibration.correction.nominal.axes)} joints cannot make up for every error: what it "
+        "leaves to the wanted poses is "
+        f"{np.sqrt(np.mean(position**2)):.4f} mm RMS, {position.max():.4f} at the most, and "
+        f"{np.sqrt(np.mean(rotation**2)):.4f} mrad RMS, "
+        f"{rotation.max():.4f} at the most (frame {result.frames[int(rotation.argmax())]})"
+    )
+    if poses is not None:
+        print(f"the poses that it takes instead, with their uncertainty, are in {poses}")

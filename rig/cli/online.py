@@ -18,6 +18,7 @@ from rig.cli.shared.command_options import (
     page_links,
     page_path,
     print_frames_without_pose,
+    read_recording,
 )
 from rig.cli.shared.online_pose_learning import unlearnt_frame_numbers, unlearnt_samples
 from rig.errors import RigError
@@ -61,13 +62,17 @@ def run(arguments: Namespace) -> None:
     """Learn the parameters from a recording's poses, one at a time, and say what jumped."""
     progress = Progress()
     progress("reading the recording", 0, 1)
-    recording = recording_checks.load_recording(arguments)
-    look = recording_checks.check_recording(recording, arguments.anyway)
-    from rig.model.mechanism_kinds import require_hexapod
+    notice = recording_checks.print_notices(progress)
+    source = poses_from_readings.limb_source(arguments)
+    recording = read_recording(arguments)
+    from calib.checks.recording_preparation import prepare_recording
+    from calib.online.limb_pose_source import sample_by_limbs
+    from calib.samples.recording_samples import sample_recording
 
-    mechanism = require_hexapod(
-        recording.design.mechanism, "on-line learning is for hexapods, not for a mechanism of kind {kind!r}"
-    )
+    look = prepare_recording(recording, arguments.anyway, notice)
+    mechanism = recording.design.mechanism
+    if mechanism.kind != "hexapod":
+        raise RigError(f"on-line learning is for hexapods, not for a mechanism of kind {mechanism.kind!r}")
     state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
     page = page_path(arguments)
 
@@ -75,7 +80,11 @@ def run(arguments: Namespace) -> None:
     from calib.samples.confounded_conditions import confounds_of_recordings
 
     calibration = _calibration(arguments.calibration, mechanism) if arguments.calibration else None
-    sampled = partial(poses_from_readings.samples_by_limbs_or_vision, arguments, recording, progress, look)
+    sampled = (
+        partial(sample_recording, recording, progress=progress, on_corners=look)
+        if source is None
+        else partial(sample_by_limbs, recording, source, progress, notice)
+    )
     recording.commanded()  # a recording that nobody commanded is refused
     confounds = confounds_of_recordings([recording])
     assert confounds is not None

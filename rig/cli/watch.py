@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rig.cli.shared import calibration_and_effect_files
 from rig.cli.shared.command_options import (
@@ -20,16 +18,9 @@ from rig.cli.shared.command_options import (
 )
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_whole_number
-from rig.report.verdict import State, exit_status
+from rig.report.refutations import refutations_of_file
+from rig.report.verdict import exit_status
 
-if TYPE_CHECKING:
-    from calib.certify.calibration import Calibration
-    from calib.certify.claim_verification import Verification
-    from calib.drift.change_evidence import Verdict
-    from calib.drift.visit_history import History
-    from rig.recording.recording_folder import Recording
-
-MEASURING = ("camera", "target", "instrument")  # kinds of changes of what measures: the calibration itself stands
 POSES = 12
 
 
@@ -82,18 +73,10 @@ def run(arguments: Namespace) -> int:
 
 
 def _watch(arguments: Namespace) -> int:
-    from calib.certify.calibration_evidence import calibration_evidence
-    from calib.drift import change_sentences, visit_history
-    from calib.drift.visit_history import History, add_visit
+    from calib.api.watch import watch
+    from calib.drift import visit_history
+    from calib.drift.visit_history import History
     from calib.files import calibration_file
-    from calib.report.verification_and_visit_pages import (
-        Visit,
-        change_alarm_sentence,
-        first_visit_sentence,
-        last_visit_verdict,
-        write_visits_page,
-    )
-    from calib.samples.confounded_conditions import confounds_of_recordings
     from rig.recording import recording_folder as recordings
 
     progress = Progress()
@@ -106,96 +89,26 @@ def _watch(arguments: Namespace) -> int:
     known = arguments.history is not None and arguments.history.exists()
     history = visit_history.read_history(arguments.history, own) if known else History(own)
     loaded = [recordings.load_recording(path, arguments.skip_unreadable) for path in arguments.visits]
-    told: list[dict] = []
-    shown: list[str] = []
-    seen: list[Visit] = []
-    for k, recording in enumerate(loaded):
-        progress("visits", k, len(loaded))
-        scale = history.scale()
-        history, verdict = add_visit(history, recording, calibration)
-        progress.close()
-        assert history.reference is not None
-        confounds = confounds_of_recordings([recording])
-        found = _verified(calibration, recording, verdict)
-        claim = None if found is None else {"kept": not found.refutes, "of_limit": found.of_limit}
-        told.append(_tree(verdict, history, scale) | {"claim": claim, "confounds": confounds and confounds.tree()})
-        seen.append(Visit(history.visits[-1].name, verdict, (), scale, found))
-        lines = change_sentences.change_verdict_lines(
-            verdict, seen[-1].name, _names(history), history.reference, scale, seen[-1].allowed
-        )
-        seen[-1] = replace(seen[-1], lines=lines)
-        shown += [*lines, *([] if confounds is None else [f"  {confounds.line()}"])]
-    judgement = last_visit_verdict(
-        seen, calibration_evidence(calibration, calibration_and_effect_files.read_refutations(arguments.calibration))
-    )
+    refuted = refutations_of_file(arguments.calibration)
+    result = watch(calibration, loaded, history, refuted, progress)
+    progress.close()
+    calibration_and_effect_files.print_refutations(arguments.calibration, refuted)
     if kept is not None:
-        visit_history.write_history(kept, history)
+        visit_history.write_history(kept, result.history)
     if page is not None:
-        write_visits_page(page, arguments.calibration.name, seen, judgement, page_links(arguments, arguments.page))
-    last = seen[-1].evidence
-    if seen[-1].allowed:
+        result.write_page(page, arguments.calibration.name, page_links(arguments, arguments.page))
+    if result.refutation is not None:
+        state, sentence = result.refutation
         calibration_and_effect_files.write_refutation(
-            arguments, arguments.calibration, seen[-1].name, first_visit_sentence(seen[-1]), State.CHECK
+            arguments, arguments.calibration, result.visits[-1].name, sentence, state
         )
-    elif last.alarm and (last.named is None or last.named.kind not in MEASURING):
-        calibration_and_effect_files.write_refutation(
-            arguments, arguments.calibration, seen[-1].name, change_alarm_sentence(last)
-        )
-    if not arguments.json:
-        print("\n".join([judgement.line, *shown]))
     if arguments.json:
-        print_json({"schema": "verdict/1", "verdict": judgement.tree(), "visits": told})
-    elif kept is not None:
-        print(f"{history.number} visits in {arguments.history}")
-    return exit_status(judgement)
-
-
-def _verified(calibration: Calibration, recording: Recording, verdict: Verdict) -> Verification | None:
-    """The claim held against a first visit that disagrees with the calibration, as `rig verify` holds it; None of other
-    visits.
-    """
-    import numpy as np
-
-    from calib.certify.calibration_evidence import verify_claim_on_samples
-    from calib.samples.recording_samples import sample_recording
-
-    if not verdict.alarm or verdict.chance is None:
-        return None
-    return verify_claim_on_samples(
-        calibration,
-        calibration.with_physics(recording, sample_recording(recording).samples),
-        np.random.default_rng(SEED),
-    )
-
-
-def _names(history: History) -> list[str]:
-    """The name of each visit, the oldest ones' by what they are kept as."""
-    return [visit.name for visit in history.visits for _ in range(visit.visits)]
-
-
-def _tree(verdict: Verdict, history: History, scale: float) -> dict:
-    """What JSON holds of a visit's verdict."""
-    named = verdict.named
-    return {
-        "visit": history.visits[-1].name,
-        "number": history.number,
-        "changed": verdict.alarm,
-        "log_sum": verdict.log_sum,
-        "misfit": {"square": verdict.square, "count": verdict.count, "repeats": scale},
-        "named": None if named is None or not verdict.alarm else named.name,
-        "suspects": [
-            {
-                "kind": one.kind,
-                "name": one.name,
-                "since": one.since + 1,
-                "odds": one.odds,
-                "value": one.value.tolist(),
-                "sigma": one.sigma.tolist(),
-            }
-            for one in verdict.suspects
-            if one.odds > 1e-6
-        ],
-    }
+        print_json(result.tree())
+    else:
+        print("\n".join([result.verdict.line, *result.lines()]))
+        if kept is not None:
+            print(f"{result.history.number} visits in {arguments.history}")
+    return exit_status(result.verdict)
 
 
 def _plan(arguments: Namespace) -> None:

@@ -126,6 +126,19 @@ def covariance_from_triangle(triangle: ArrayLike) -> np.ndarray:
     return out
 
 
+def rms_uncertainty(covariance: np.ndarray) -> tuple[float, float]:
+    """(m, rad) RMS standard uncertainty of the length of position and rotation, of covariances (n, 6, 6), of what was
+    measured; else infinite.
+    """
+    variances = np.einsum("nii->ni", covariance)
+    known = np.where(np.isinf(variances), 0.0, variances)
+    position, rotation = (
+        float(np.sqrt(known[:, part].sum(axis=1).mean())) if np.isfinite(variances[:, part]).any() else np.inf
+        for part in (slice(0, 3), slice(3, 6))
+    )
+    return position, rotation
+
+
 def displace_selected_poses(
     poses: RigidTransform, selected: np.ndarray, motion: Callable[[RigidTransform], RigidTransform]
 ) -> RigidTransform:

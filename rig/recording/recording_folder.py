@@ -151,7 +151,7 @@ def load_recording(folder: str | Path, skip_unreadable: bool = False) -> Recordi
     Raises FileError naming file, line and column of the first thing that cannot be used; of images, all that cannot be
 
     >>> import rig
-    >>> recording = rig.load_recording("tests/data/bench/check")
+    >>> recording = rig.load("tests/data/bench/check")
     >>> recording.design.mechanism.kind, recording.commands.values.shape
     ('hexapod', (14, 6))
     """
@@ -217,8 +217,8 @@ class Wanted:
     origin : of the owner's clock, by which times are told"""
 
     poses: Poses
-    t: np.ndarray | None
-    origin: Origin
+    t: np.ndarray | None = None
+    origin: Origin = Origin()
 
 
 def load_wanted_poses(path: str | Path) -> Wanted:

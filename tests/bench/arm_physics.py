@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.diagnose.arm_findings_refit import refit_arm_with_findings
-from calib.diagnose.platform_findings_refit import findings_of_platform_diagnosis
+from calib.diagnose.platform_findings_refit import findings_of_diagnosis
 from calib.files.calibration_from_recording import calibration_with_provenance
 from calib.models.arm import error_model
 from calib.models.arm.certification import arm_workspace_claim, certify_arm
@@ -112,9 +112,7 @@ def _recorded(folder: Path, text: str, seed: int, effects: tuple[Effect, ...]) -
 def _driven(rec: Recording, secret: World, physics: bool) -> tuple[np.ndarray, np.ndarray]:
     """((2,) RMS error of driven poses, (2,) its stated standard uncertainty, NaN without physics), m and rad."""
     sampled, rng = sample_recording(rec), np.random.default_rng(0)
-    taken = (
-        refit_arm_with_findings(rec, sampled, findings_of_platform_diagnosis(diagnosis_of(rec))) if physics else None
-    )
+    taken = refit_arm_with_findings(rec, sampled, findings_of_diagnosis(diagnosis_of(rec))) if physics else None
     done = certify_arm(
         sampled.samples,
         rec.design.mechanism,

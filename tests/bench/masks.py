@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
+from calib.api.diagnose import diagnose
 from calib.diagnose.report.diagnosis_report import Report
-from calib.recording_calibration import diagnosed
 from docs.make.results import SCHEMA
 from rig.errors import RigError
 from rig.recording import frame_selection, recording_folder
@@ -128,7 +128,7 @@ def counted(found: dict[str, Any]) -> tuple[int, int]:
 def _diagnosed(rec: recording_folder.Recording) -> dict[str, Any]:
     """What a diagnosis says: names with places, what has no name, frames that were left out, or why there is none."""
     try:
-        told: Report = diagnosed(rec)
+        told: Report = diagnose(rec).report
     except RigError as refusal:
         return {"names": ["refused"], "left_out": [], "refused": str(refusal)}
     return {

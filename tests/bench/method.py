@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.certify.calibration import Calibration
 from calib.correct.summand_extension import base_geometry, correction_with_field, fit_summand_field, measured_summands
-from calib.diagnose.platform_findings_refit import findings_of_platform_diagnosis
+from calib.diagnose.platform_findings_refit import findings_of_diagnosis
 from calib.samples.recording_samples import sample_recording
 from rig.effects.texts.effect_text import parse_effect
 from rig.formats.rig_toml import design_file
@@ -52,7 +52,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
         floor = float(np.sqrt(np.trace(own[:, :3, :3], axis1=1, axis2=2).mean()))
         ways = {
             "physics": learnt(
-                recording, sampled, findings_of_platform_diagnosis(diagnosis_of(recording, only=ASKED, sampled=sampled))
+                recording, sampled, findings_of_diagnosis(diagnosis_of(recording, only=ASKED, sampled=sampled))
             ),
             "parameters alone": learnt(recording, sampled, None, "none"),
             "grid alone, 729 poses, n-linear": by_field(on_grid, design, "linear"),

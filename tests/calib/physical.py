@@ -9,7 +9,7 @@ import numpy as np
 from calib.certify.calibration import Calibration
 from calib.certify.platform_certification import Certified
 from calib.correct.correction import calibrate_correction
-from calib.diagnose.platform_findings_refit import findings_of_platform_diagnosis, refit_platform_with_findings
+from calib.diagnose.platform_findings_refit import findings_of_diagnosis, refit_platform_with_findings
 from calib.models.wanted_pose_commands import commands_along_route, route_pace
 from calib.samples.recording_samples import sample_recording
 from rig.effects.catalogue.effect_list import ALL
@@ -100,7 +100,7 @@ def three_ways(folder, design, text, seed, effect, route):
     """(Driven with physics, Driven plain, Driven of the same rig without the effect, calibrated plainly)."""
     rec, secret = write(folder / "with", design, text, seed, (effect,), route)
     sampled = sample_recording(rec)
-    known = learnt(rec, sampled, findings_of_platform_diagnosis(diagnosis_of(rec, only=ASKED, sampled=sampled)))
+    known = learnt(rec, sampled, findings_of_diagnosis(diagnosis_of(rec, only=ASKED, sampled=sampled)))
     plain = learnt(rec, sampled, None)
     bare, innocent = write(folder / "without", design, text, seed, (), route)
     without = learnt(bare, sample_recording(bare), None)

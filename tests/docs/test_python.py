@@ -12,12 +12,15 @@ import pytest
 
 import calib
 import rig
+import synthetic
 import vision
+from docs.make import api
 from rig.errors import FileError
+from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
 from rig.report.pages.html_elements import result_html
 from tests.docs.told import ROOT
 
-PACKAGES = (rig, vision, calib)
+PACKAGES = (rig, synthetic, vision, calib)
 BENCH = ROOT / "tests" / "data" / "bench" / "check"
 EXAMPLES = [
     ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
@@ -25,7 +28,7 @@ EXAMPLES = [
     for path in sorted((ROOT / package).rglob("*.py"))
     if ">>> " in path.read_text(encoding="utf-8")
 ]
-LONG = ("vision.recording_measurement",)  # measure images
+LONG = ("vision.api",)  # measure images
 
 
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.__name__)
@@ -45,7 +48,7 @@ def test_nothing_that_is_handed_on_hides_a_module():
 
 def test_importing_opens_nothing_that_takes_time():
     slow = ["numpy", "scipy", "cv2", "numba", "matplotlib"]
-    words = f"import sys, rig, vision, calib; print(sorted(set({slow}) & set(sys.modules)))"
+    words = f"import sys, rig, synthetic, vision, calib; print(sorted(set({slow}) & set(sys.modules)))"
     assert (
         subprocess.run([sys.executable, "-c", words], cwd=ROOT, capture_output=True, text=True).stdout.strip() == "[]"
     )
@@ -63,13 +66,24 @@ def test_there_are_examples():
 
 
 def test_a_recording_shows_itself():
-    text = rig.load_recording(BENCH)._repr_html_()
+    text = rig.load(BENCH)._repr_html_()
     assert "check: 6 frames" in text and "cam0 (" in text and "commands" in text
     with pytest.raises(rig.RigError) as refused:
-        rig.load_recording(BENCH / "images")
+        rig.load(BENCH / "images")
     assert isinstance(refused.value, FileError)
 
 
 def test_what_is_shown_is_text_and_nothing_else():
     made = result_html("<b>", ["a & b"], [("h<",), ("<script>",)])
     assert "<script>" not in made and "&lt;b&gt;" in made and "a &amp; b" in made and "<th>h&lt;</th>" in made
+
+
+@pytest.mark.slow
+def test_the_example_of_the_page_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "rig.toml").write_text(hexapod_layout_rig_toml(0.3, cameras=2, width=640, height=512, cubes=2))
+    names = {}
+    exec(compile(api.EXAMPLE, "example", "exec"), names)
+    assert capsys.readouterr().out.startswith(("good: ", "check: "))
+    assert (tmp_path / "calibration.json").exists() and names["commands"].shape == (1, 6)
+    assert all(f"    {line}".rstrip() in api.page() for line in api.EXAMPLE.splitlines())

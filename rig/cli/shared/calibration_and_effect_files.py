@@ -74,9 +74,14 @@ def read_refutations(path: Path) -> tuple[Refutation, ...]:
     from rig.report.refutations import refutations_of_file
 
     found = refutations_of_file(path)
+    print_refutations(path, found)
+    return found
+
+
+def print_refutations(path: Path, found: tuple[Refutation, ...]) -> None:
+    """Print on the error output what later recordings found against a calibration's file."""
     for one in found:
         print(f"warning: {path} was {one.line}", file=sys.stderr)
-    return found
 
 
 def write_refutation(arguments: Namespace, path: Path, recording: str, finding: str, state: State = State.BAD) -> None:

@@ -1,67 +1,105 @@
 """Summary of a calibration that `rig calibrate` prints: verdict, poses used, promise, workspace, physics."""
 
-from __future__ import annotations
-
-from argparse import Namespace
-from dataclasses import asdict
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from calib.certify.platform_certification import Certified as PlatformCertified
-    from calib.certify.workspace_claim import Claim
-    from calib.correct.physics_compensation import Physics
-    from calib.files.calibration_file import Calibration
-    from calib.models.arm.certification import Certified
-    from calib.models.chain.certification import Certified as ChainCertified
-    from calib.samples.recording_samples import Sampled
-    from rig.cli.shared.terminal_output import Progress
+from calib.api.calibrate import CalibrationResult
+from calib.api.correction_extension import Extended
+from calib.certify import platform_certification
+from calib.certify.calibration import claim_lines
+from calib.certify.workspace_claim import Claim
+from calib.correct.physics_compensation import Physics
+from calib.files.calibration_file import Calibration
+from calib.models.arm import certification as arm_certification
+from calib.models.chain import certification as chain_certification
+from calib.workspace.workspace_page import workspace_lines
+from rig.cli.shared.command_options import print_frames_without_pose, print_held_out_errors
+from rig.model import mechanisms
 
 MOST_NAMED = 10  # frames
 
 
-def draw_page_and_print_verdict(
-    page: Path | None, draw: Callable[[Path], None], calibration: Calibration, progress: Progress
-) -> None:
-    """Draw the page of a calibration, where one is requested, and print the verdict."""
-    from calib.certify.calibration import claim_lines
-    from calib.certify.calibration_evidence import calibration_verdict
-
-    if page:
-        progress("drawing the page", 0, 1)
-        draw(page)
-    progress.close()
-    judged = calibration_verdict(calibration)
+def print_verdict(result: CalibrationResult) -> None:
+    """Print the verdict, first of all, and what was found of one kind of machine."""
+    claim, done = result.calibration.claim, result.done
     print(
         "\n".join(
-            [
-                judged.line,
-                *judged.rests_on,
-                *(claim_lines(calibration.claim)[1:] if calibration.claim is not None else []),
-            ]
+            [result.verdict.line, *result.verdict.rests_on, *(claim_lines(claim)[1:] if claim is not None else [])]
         )
     )
+    if done.held_out:
+        print_held_out_errors(done.held_out, _held_out_title(result))
+    if result.extended is not None:
+        _print_extension(result.extended)
+    elif isinstance(done, arm_certification.Certified):
+        _print_joints(done, result.calibration.physics)
+        print("\n".join(done.found.rank.report()))
+    elif isinstance(done, chain_certification.Certified):
+        print("\n".join(done.found.report()))
+    else:
+        _print_struts(done, result.calibration.physics)
+    _print_pose_counts(result)
 
 
-def print_calibration_summary(arguments: Namespace, calibration: Calibration, pose_count: int) -> None:
-    """Print the summary of a calibration; its held-out errors and claim are left in arguments.result for --json."""
-    from calib.certify.calibration_evidence import calibration_verdict
-
-    held, claim = calibration.held_out, calibration.claim
-    arguments.result = {
-        "schema": "calibrated/1",
-        "held_out": held and asdict(held),
-        "claim": claim and asdict(claim),
-        "poses": pose_count,
-        "confounds": calibration.confounds and calibration.confounds.tree(),
-        "verdict": calibration_verdict(calibration).tree(),
-    }
+def print_calibration(result: CalibrationResult, promise: float | None) -> None:
+    """Print what a calibration confounds, whether it keeps a promise (m), what becomes of the workspace, and which
+    frames have no pose.
+    """
+    calibration = result.calibration
     if calibration.confounds is not None:
         print(calibration.confounds.line())
-    _print_promise(arguments.promise, claim)
-    _print_workspace_change(calibration)
+    _print_promise(promise, calibration.claim)
+    _print_workspace(calibration)
+    print_frames_without_pose(result.sampled.measurement)
+
+
+def _held_out_title(result: CalibrationResult) -> str:
+    """How poses were held out."""
+    if result.extended is not None:
+        return "held-out poses (whole levels of a grid, poses beside it, or whole stretches in turn)"
+    if isinstance(result.done, arm_certification.Certified):
+        return "held-out poses (a third at a time or less, whole stretches of configurations)"
+    return "held-out poses (whole stretches of configurations in turn)"
+
+
+def _print_struts(done: platform_certification.Certified, physics: Physics | None) -> None:
+    """Print what a platform's correction does beyond its geometry."""
+    struts = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
+    print(
+        "beyond the geometry: "
+        + (
+            f"struts {', '.join(map(str, struts))} corrected over the configuration space"
+            if struts
+            else "nothing that pays on held-out poses"
+            if done.held_out
+            else "not asked, for want of held-out poses"
+        )
+    )
+    _print_physics(physics)
+
+
+def _print_extension(found: Extended) -> None:
+    """Print what was tried and what was made of it."""
+    for one in found.tried:
+        words = f"not tried: {one.reason}" if one.reason else "not held out, for want of poses"
+        if one.held_out is not None:
+            turned = one.held_out.after.rotation[0]
+            words = f"held out {one.held_out.after.position[0] * 1e3:.4f} mm" + (
+                f", {turned * 1e3:.4f} mrad RMS" if turned == turned else " RMS"
+            )
+            words += f"; not taken: {one.reason}" if one.reason else ""
+        print(f"{'->' if one.chosen else '  '} {one.kind:10} {words}")
+    correction = found.done.correction
+    field = correction.extension
+    known = getattr(field, "values", None) if field is not None and field.exact else None
+    for held in correction.posed:
+        print(f"a map in pose space: {held.field.kind}")
+    print(
+        f"KSF over the whole configuration space: {'none' if field is None else field.kind}, on {found.base}"
+        + (f"; exact at its {len(known)} samples" if known is not None else "")
+    )
+    rms, most = (f"{value * 1e6:.3f} u{found.unit.replace(' or ', ' or u')}" for value in found.misses)
+    print(
+        f"the single step X + KSF(X) misses the fixed point, which `rig correct` solves for, by {rms} RMS, "
+        f"{most} at most"
+    )
 
 
 def _print_promise(promise: float | None, claim: Claim | None) -> None:
@@ -83,17 +121,14 @@ def _print_promise(promise: float | None, claim: Claim | None) -> None:
     )
 
 
-def _print_workspace_change(calibration: Calibration) -> None:
+def _print_workspace(calibration: Calibration) -> None:
     """Print what a calibration does to the workspace; nothing where that was not worked out."""
-    from calib.workspace.workspace_page import workspace_lines
-    from rig.model import mechanisms
-
     if calibration.workspace is not None:
         print(workspace_lines(calibration.workspace, mechanisms.travel_unit(calibration.correction.nominal))[0])
 
 
-def print_arm_correction(done: Certified, physics: Physics | None) -> None:
-    """Print what an arm's correction does beyond its geometry, and its held-out errors."""
+def _print_joints(done: arm_certification.Certified, physics: Physics | None) -> None:
+    """Print what an arm's correction does beyond its geometry, and what that is worth on the held-out poses."""
     if done.held_out and done.geometry and done.scattered:
         kept = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
         beyond = [
@@ -125,11 +160,11 @@ def print_arm_correction(done: Certified, physics: Physics | None) -> None:
             f"the same with single rows held out at random, which flatters: {mean * 1e3:.4f} {unit} mean, "
             f"{rms * 1e3:.4f} RMS"
         )
-    print_compensated_physics(physics)
+    _print_physics(physics)
 
 
-def print_compensated_physics(physics: Physics | None) -> None:
-    """Print which physics of a calibration the commands compensate; nothing where it has none."""
+def _print_physics(physics: Physics | None) -> None:
+    """Print which of the physics that a calibration knows its commands undo; nothing where it knows none."""
     if physics is None:
         return
     again, known = physics.compensable_effects(), [f"{e.label()} at {e.place}" for e in physics.compensable_effects()]
@@ -148,8 +183,11 @@ def print_compensated_physics(physics: Physics | None) -> None:
         )
 
 
-def print_pose_counts(sampled: Sampled, done: PlatformCertified | Certified | ChainCertified) -> None:
-    """Print the counts of poses and configurations, how many agree with one geometry, and the frames that do not."""
+def _print_pose_counts(result: CalibrationResult) -> None:
+    """Print how many poses of how many configurations there are, how many agree with one geometry, and which frames do
+    not.
+    """
+    sampled, done = result.sampled, result.done
     odd = [str(frame) for frame in sampled.samples.frame[~done.found.inliers]]
     named = (
         f"; not frame {', '.join(odd[:MOST_NAMED])}"

@@ -77,13 +77,12 @@ def _add_left_out(parser: ArgumentParser) -> None:
 
 def read_recording(arguments: Namespace, path: Path | None = None) -> Recording:
     """Read a recording, by default that of the arguments; omitted images are named on standard error."""
-    from rig.recording import recording_folder as recordings
-    from rig.recording.frame_selection import remove_frames
+    import rig
 
-    found = recordings.load_recording(path or arguments.recording, arguments.skip_unreadable)
+    found = rig.load(path or arguments.recording, arguments.skip_unreadable, arguments.mask)
     for image in found.skipped:
         print(f"left out, as asked: {image.path}: {image.problem}", file=sys.stderr)
-    return found if arguments.mask is None else remove_frames(found, arguments.mask)
+    return found
 
 
 def file_or_stdout(text: str) -> Path:

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.files import calibration_file
+from calib.online.limb_pose_source import write_withdrawal
 from calib.online.measuring_limb_poses import LiveLimbPoses
 from calib.online.run_learning import Learner
 from rig.cli.shared import poses_from_readings
@@ -228,7 +229,7 @@ def run_observer_of_arguments(
 
 
 def _withdraw(arguments: Namespace, source: LiveLimbPoses, frame: int, reason: str) -> None:
-    poses_from_readings.write_withdrawal(arguments.limbs, source.accepted, str(arguments.out), frame, reason)
+    write_withdrawal(arguments.limbs, source.accepted, str(arguments.out), frame, reason)
 
 
 @contextmanager

@@ -27,7 +27,7 @@ from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.layout import hexapod_and_two_strut_layout, shipped_arm_layout
 from rig.recording import recording_folder
 from rig.recording.corner_and_pose_tables import Poses
-from rig.recording.recording_folder import Sensors
+from rig.recording.recording_folder import Sensors, Wanted
 from rig.recording.recording_tables import write_poses
 from tests import chained
 from tests.cli import command
@@ -108,19 +108,21 @@ def test_the_library_commands_what_the_command_line_does_and_refuses_to_leave_ph
     command(capsys)("correct", tmp_path / "c.json", "--poses", tmp_path / "w.csv", "--out", tmp_path / "k.csv")
     given = csv_table.read(tmp_path / "k.csv", ("frame", *design.mechanism.axes)).matrix(design.mechanism.axes)
     again = calibration_file.load(tmp_path / "c.json")
-    done = calib.commanded(again, wanted)
+    done = calib.correct(again, wanted)
     np.testing.assert_allclose(done.values, given, atol=1e-9)
-    np.testing.assert_allclose(calib.commanded(again, wanted[0]).values, given[:1], atol=1e-9)
+    np.testing.assert_allclose(calib.correct(again, wanted[0]).values, given[:1], atol=1e-9)
     assert np.abs(again.correction.inverse_without_physics(wanted) - given).max() > 1e-5
     for one in (again.correction.inverse, again.correction.single_step):
-        with pytest.raises(RigError, match=r"physics that commands have to undo \(.*backlash at .*calib\.commanded"):
+        with pytest.raises(RigError, match=r"physics that commands have to undo \(.*backlash at .*calib\.correct"):
             one(wanted)
     sensors = Sensors(np.array([0.0]), {name: np.array([25.0]) for name in calibration.physics.channels})
     t = 100.0 * (1 + np.arange(len(wanted)))
-    timed = calib.commanded(again, wanted, t, sensors)
+    timed = calib.correct(
+        again, Wanted(Poses(np.arange(len(t)), wanted, None), t), calib.CorrectOptions(sensors)
+    ).commanded
     np.testing.assert_array_equal(timed.route.times, t)
-    with pytest.raises(Unreachable, match="pose 0"):
-        calib.commanded(again, RigidTransform.from_translation([9.0, 0, 0]) * wanted)
+    with pytest.raises(Unreachable, match="frame 0"):
+        calib.correct(again, RigidTransform.from_translation([9.0, 0, 0]) * wanted)
 
 
 @pytest.mark.parametrize("kind", ["hexapod", "planar2", "arm", "chain"])
@@ -138,7 +140,7 @@ def test_how_sure_each_pose_is_stands_beside_the_commands_of_every_machine(tmp_p
     said = command(capsys)("correct", tmp_path / "c.json", "--poses", tmp_path / "w.csv", "--out", tmp_path / "k.csv")
     assert "stated standard uncertainty of the poses: 0.0" in said
     stated = recording_folder.load_poses(tmp_path / "k.poses.csv", commanded=True)
-    done = calib.commanded(calibration, wanted)
+    done = calib.correct(calibration, wanted)
     np.testing.assert_allclose(
         stated.covariance, corrected_pose_covariance(calibration, wanted, done.values), rtol=1e-6, atol=1e-18
     )

@@ -1,0 +1,1 @@
+"""The entry points of calib, a file a verb: what the commands and a notebook call alike."""

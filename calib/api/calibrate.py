@@ -1,0 +1,258 @@
+"""Recordings of one rig to its calibration: geometry and corrections, what they leave out, what they are worth."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from calib.api.calibrate_options import SEARCHED, CalibrateOptions
+from calib.api.correction_extension import Extended, ExtendOptions, certify_correction_extension
+from calib.certify import platform_certification
+from calib.certify.calibration import Calibration
+from calib.certify.calibration_evidence import calibration_verdict
+from calib.certify.platform_certification import Progress, silent_progress
+from calib.checks.recording_preparation import prepare_recordings
+from calib.correct.correction_tables import strut_summands, summand_columns, summand_rows
+from calib.correct.joint_camera_fit import refine_correction_with_cameras
+from calib.diagnose import arm_findings_refit, platform_findings_refit
+from calib.diagnose.calibration_left_out_physics import mark_as_not_searched, search_left_out_physics
+from calib.diagnose.platform_findings_refit import Findings, findings_of_diagnosis, load_findings
+from calib.diagnose.recording_diagnosis import DiagnosisOptions, diagnose
+from calib.files.calibration_from_recording import SEED, calibration_with_provenance
+from calib.models.arm import calibration_page as arm_page
+from calib.models.arm import certification as arm_certification
+from calib.models.arm.extension_certification import stated_model_summands
+from calib.models.chain import calibration_page as chain_page
+from calib.models.chain import certification as chain_certification
+from calib.online.limb_pose_source import sample_by_limbs
+from calib.report import calibration_page as platform_page
+from calib.samples.pose_samples import Samples
+from calib.samples.recording_samples import Sampled, sample_recording
+from rig.effects.texts.effect_text import Kinds
+from rig.effects.texts.user_effect_files import catalogue_with_files
+from rig.errors import RigError
+from rig.model.design import Design
+from rig.model.mechanism_kinds import require_arm, require_chain, require_hexapod, require_struts
+from rig.recording.recording_folder import Recording
+from rig.recording.recording_tables import write_table
+from rig.report.pages.html_elements import result_html
+from rig.report.pages.page_and_svg_templates import Link
+from rig.report.verdict import Verdict
+from vision.checks.recording_refusal import Notice, ignore_notice
+
+AnyCertified = platform_certification.Certified | arm_certification.Certified | chain_certification.Certified
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationResult:
+    """A calibration with what it was made from. recording : one, of all; sampled : its poses; samples : Samples that
+    were fitted, with what physics says of their commands; done : what was fitted; extended : the extension, or None
+    """
+
+    calibration: Calibration
+    recording: Recording
+    sampled: Sampled
+    samples: Samples
+    done: AnyCertified
+    extended: Extended | None = None
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict on it."""
+        return calibration_verdict(self.calibration)
+
+    def __str__(self) -> str:
+        return self.verdict.line
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        return result_html(str(self), self.verdict.rests_on) + self.calibration._repr_html_()
+
+    def tree(self) -> dict[str, Any]:
+        """What `rig calibrate --json` prints."""
+        held, claim, confounds = self.calibration.held_out, self.calibration.claim, self.calibration.confounds
+        return {
+            "schema": "calibrated/1",
+            "held_out": held and asdict(held),
+            "claim": claim and asdict(claim),
+            "poses": len(self.sampled.samples),
+            "confounds": confounds and confounds.tree(),
+            "verdict": self.verdict.tree(),
+        }
+
+    def write_page(self, path: Path, links: Sequence[Link] = ()) -> None:
+        """Write the page of it."""
+        rest = (path, self.recording, self.calibration, self.samples)
+        if isinstance(self.done, arm_certification.Certified):
+            arm_page.write_arm_calibration_page(*rest, self.done, links)
+        elif isinstance(self.done, chain_certification.Certified):
+            chain_page.write_chain_calibration_page(*rest, self.done, links)
+        else:
+            platform_page.write_calibration_page(*rest, self.done.found, links)
+
+    def write_summands(self, path: Path) -> None:
+        """Write the correction values at the recorded configurations (ksf.csv). Raises RigError where there are none:
+        of an arm whose poses do not determine its joints
+        """
+        nominal, samples = self.calibration.correction.nominal, self.sampled.samples
+        if nominal.kind == "arm":
+            if samples.measured in arm_certification.UNPLACED:
+                raise RigError(arm_certification.UNPLACED[samples.measured])
+            found = stated_model_summands(samples, nominal)
+        else:
+            found = strut_summands(samples, nominal)
+        write_table(path, summand_columns(len(nominal.axes)), summand_rows(samples, found))
+
+
+def has_summands(design: Design) -> bool:
+    """Whether a calibration of a design's machine has correction values axis by axis (ksf.csv)."""
+    return design.mechanism.kind != "chain"
+
+
+def calibrate(
+    recordings: Recording | Sequence[Recording],
+    options: CalibrateOptions = SEARCHED,
+    progress: Progress | None = None,
+    notice: Notice = ignore_notice,
+) -> CalibrationResult:
+    """CalibrationResult of a recording, or of several of one rig together, as `rig calibrate` makes it.
+
+    progress : called with (label, done, of), or None; notice : called with lines on what is unlikely in the recording
+    Raises RigError without commands and for a recording whose results would mean nothing, NotEnoughData without poses,
+        NotConverged where no geometry agrees with them
+    """
+    prepared = prepare_recordings(recordings, options.anyway, notice, progress)
+    recording, call = prepared.recording, progress or silent_progress
+    if prepared.joined and options.limbs is not None:
+        raise RigError("--limbs takes the poses of one recording from measuring limbs; name one")
+    options.refuse_unsuited(recording.design)
+    kinds = catalogue_with_files(options.effects)
+    findings = None if options.diagnosis is None else load_findings(options.diagnosis, recording, kinds)
+    with threadpool_limits(1):  # sums of products are rounded by how many threads share them
+        if options.limbs is not None:
+            sampled = sample_by_limbs(recording, options.limbs, progress, notice)
+        else:
+            sampled = sample_recording(recording, progress=progress, on_corners=prepared.look)
+        sampled = replace(sampled, files=(*sampled.files, *(plugin.path for plugin in options.effects)))
+        return _calibrated(recording, sampled, findings, kinds, options, call)
+
+
+def _calibrated(
+    recording: Recording,
+    sampled: Sampled,
+    findings: Findings | None,
+    kinds: Kinds,
+    options: CalibrateOptions,
+    progress: Progress,
+) -> CalibrationResult:
+    """CalibrationResult of a recording's poses. findings : of a diagnosis that is named, or None"""
+    rng = np.random.default_rng(SEED)
+    if options.extend is not None:
+        return _extended(recording, sampled, options, options.extend, rng, progress)
+    if recording.design.mechanism.kind == "chain":
+        done = chain_certification.certify_chain(
+            sampled.samples, require_chain(recording.design.mechanism), rng, progress
+        )
+        claim = chain_certification.chain_workspace_claim(sampled.samples, done, rng)
+        made = calibration_with_provenance(recording, sampled, done, claim, options.arguments)
+        return CalibrationResult(
+            _searched(made, recording, sampled, options, progress), recording, sampled, sampled.samples, done
+        )
+    if recording.design.mechanism.kind == "arm":
+        return _arm(recording, sampled, findings, kinds, options, rng, progress)
+    return _platform(recording, sampled, findings, kinds, options, rng, progress)
+
+
+def _platform(
+    recording: Recording,
+    sampled: Sampled,
+    findings: Findings | None,
+    kinds: Kinds,
+    options: CalibrateOptions,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> CalibrationResult:
+    """CalibrationResult of a platform on struts."""
+    refit = None
+    if options.with_findings:
+        if findings is None:
+            asked = DiagnosisOptions(sampled=sampled, kinds=tuple(kinds.values()))
+            findings = findings_of_diagnosis(diagnose(recording, asked, progress))
+        refit = platform_findings_refit.refit_platform_with_findings(recording, sampled, findings, progress)
+    if options.joint:
+        require_hexapod(recording.design.mechanism)
+    samples = sampled.samples if refit is None else refit.samples
+    done = platform_certification.certify_platform(samples, require_struts(recording.design.mechanism), rng, progress)
+    if options.joint:
+        progress("solving cameras and geometry together", 0, 1)
+        correction, found = refine_correction_with_cameras(sampled, recording.design, done.correction, done.found)
+        done = platform_certification.with_refitted_correction(done, correction, found)
+    if refit is not None:
+        done = refit.drawn(done, rng)
+    claim = platform_certification.platform_workspace_claim(samples, done, rng)
+    known = None if refit is None else refit.with_geometry(done)
+    made = calibration_with_provenance(recording, sampled, done, claim, options.arguments, known)
+    if refit is None:
+        made = _searched(made, recording, sampled, options, progress)
+    return CalibrationResult(made, recording, sampled, samples, done)
+
+
+def _arm(
+    recording: Recording,
+    sampled: Sampled,
+    findings: Findings | None,
+    kinds: Kinds,
+    options: CalibrateOptions,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> CalibrationResult:
+    """CalibrationResult of an arm."""
+    refit = None
+    if options.with_findings:
+        if findings is None:
+            asked = DiagnosisOptions(sampled=sampled, kinds=tuple(kinds.values()))
+            findings = findings_of_diagnosis(diagnose(recording, asked, progress))
+        refit = arm_findings_refit.refit_arm_with_findings(recording, sampled, findings, progress)
+    together = None if refit is None else refit.together
+    samples = sampled.samples if together is None else together.samples
+    arm = require_arm(recording.design.mechanism)
+    done = arm_certification.certify_arm(sampled.samples, arm, sampled.instrument, rng, progress, together)
+    claim = arm_certification.arm_workspace_claim(samples, done, rng)
+    known = None if refit is None else refit.with_geometry(done)
+    made = calibration_with_provenance(recording, sampled, done, claim, options.arguments, known)
+    if refit is None:
+        made = _searched(made, recording, sampled, options, progress)
+    return CalibrationResult(made, recording, sampled, samples, done)
+
+
+def _extended(
+    recording: Recording,
+    sampled: Sampled,
+    options: CalibrateOptions,
+    extend: ExtendOptions,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> CalibrationResult:
+    """CalibrationResult of corrections that are extended over a space."""
+    found = certify_correction_extension(extend, recording.design, sampled, rng, progress)
+    before = None if extend.onto is None else (extend.onto, found.provenance)
+    made = calibration_with_provenance(
+        recording, sampled, found.done, found.claim, options.arguments, previous_calibration=before
+    )
+    return CalibrationResult(made, recording, sampled, sampled.samples, found.done, found)
+
+
+def _searched(
+    calibration: Calibration, recording: Recording, sampled: Sampled, options: CalibrateOptions, progress: Progress
+) -> Calibration:
+    """The Calibration with what it leaves out, as far as that is to be searched for."""
+    if options.limbs is not None:
+        return calibration
+    return (
+        mark_as_not_searched(calibration)
+        if options.quick
+        else search_left_out_physics(calibration, recording, sampled, progress)
+    )

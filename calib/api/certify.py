@@ -1,0 +1,160 @@
+"""A calibration and recordings held out of it to a certificate: what is promised of all poses in a volume."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib.certificate import certificate_json, certificate_page, certificate_pdf, digital_certificate_xml
+from calib.certificate.certificate import Certificate, calibration_certificate, certificate_verdict
+from calib.certificate.certificate_contents import CertifyOptions
+from calib.certificate.digital_certificate_xml import Issuer
+from calib.certify.calibration import Calibration, refutation_sentence
+from calib.certify.calibration_evidence import (
+    AgainstClaim,
+    calibration_evidence,
+    check_claim_on_recording,
+    evidence_with_confounds,
+    evidence_with_verification,
+)
+from calib.certify.platform_certification import Progress
+from calib.files import calibration_file
+from calib.files.calibration_from_recording import SEED
+from calib.samples.confounded_conditions import confounds_of_recordings
+from calib.samples.recording_samples import Sampled, sample_recording
+from rig.errors import RigError
+from rig.formats.output_files import write_text
+from rig.recording.frame_content_hashes import content_hashes, frames_with_known_hashes, hashes_of_frames
+from rig.recording.recording_folder import Recording
+from rig.report.pages.page_and_svg_templates import Link
+from rig.report.refutations import Refutation
+from rig.report.verdict import Evidence, Verdict
+
+UNSTATED, STANDARD = Issuer(), CertifyOptions()  # nobody is named; 95 % of poses with 95 %
+KINDS = (".json", ".html", ".pdf", ".xml")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CertificationResult:
+    """A certificate and what it rests on. certificate; held_out : (Recording, Sampled) of each recording; refutations :
+    (recording's name, sentence) of each that refutes the calibration's claim
+    """
+
+    certificate: Certificate
+    held_out: tuple[tuple[Recording, Sampled], ...]
+    refutations: tuple[tuple[str, str], ...]
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict on the calibration."""
+        return certificate_verdict(self.certificate)
+
+    def __str__(self) -> str:
+        return self.verdict.line
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        return self.certificate._repr_html_()
+
+    def tree(self) -> dict[str, Any]:
+        """What certificate.json holds."""
+        return certificate_json.certificate_dict(self.certificate)
+
+    def write(self, path: Path, links: Sequence[Link] = (), issuer: Issuer = UNSTATED) -> None:
+        """Write the certificate, in the form that the path's suffix names, one of KINDS.
+
+        links : of the page; issuer : of the digital calibration certificate
+        """
+        if path.suffix == ".html":
+            certificate_page.write_certificate_page(path, self.certificate, links)
+        elif path.suffix == ".pdf":
+            certificate_pdf.write_certificate_pdf(path, self.certificate)
+        elif path.suffix == ".xml":
+            write_text(path, digital_certificate_xml.digital_certificate_xml(self.certificate, issuer))
+        else:
+            write_text(path, certificate_json.certificate_text(self.certificate))
+
+
+def certify(
+    calibration: Calibration,
+    recordings: Recording | Sequence[Recording],
+    options: CertifyOptions = STANDARD,
+    refutations: Sequence[Refutation] = (),
+    provenance: dict[str, Any] | None = None,
+    name: str = "the calibration",
+    progress: Progress | None = None,
+) -> CertificationResult:
+    """CertificationResult of a calibration by recordings that it was not made from, as `rig certify` states it.
+
+    options : what of, 95 % with 95 % by default; refutations : what later recordings found against the calibration;
+    provenance : of the certificate, None for the calibration's and the recordings' names; name : of the calibration,
+    in words; progress : called with (label, done, of), or None
+    Raises RigError for a recording that took part in fitting, NotEnoughData where these have too few configurations
+    """
+    every = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    held = _held_out_recordings(calibration, every, name, progress)
+    if progress is not None:
+        progress("certifying", 0, 1)
+    made = calibration.provenance
+    source = provenance or {
+        "calibration": {"recording": made.get("recording"), "created": made.get("created")},
+        "versions": calibration_file.package_versions(),
+        "seed": SEED,
+        "recordings": [recording.name for recording in every],
+    }
+    found = calibration_certificate(calibration, held, options, source, np.random.default_rng(SEED))
+    known, claims = _against_claim(calibration, held, refutations)
+    refuting = tuple((one.recording, refutation_sentence(one.found)) for one in claims if one.found.refutes)
+    return CertificationResult(replace(found, known=known, claims=claims), tuple(held), refuting)
+
+
+def _against_claim(
+    calibration: Calibration, held: Sequence[tuple[Recording, Sampled]], refutations: Sequence[Refutation]
+) -> tuple[Evidence, tuple[AgainstClaim, ...]]:
+    """(Evidence of a calibration with what held-out recordings say of its claim, AgainstClaim of each)."""
+    known, claims = calibration_evidence(calibration, refutations), []
+    known = evidence_with_confounds(
+        known, calibration, [confounds_of_recordings([recording for recording, _ in held])], "these recordings"
+    )
+    for recording, sampled in held:
+        samples = calibration.with_physics(recording, sampled.samples)
+        one = check_claim_on_recording(calibration, recording.name, samples, np.random.default_rng(SEED))
+        if one is not None:
+            claims.append(one)
+            known = evidence_with_verification(known, one.found, recording.name)
+    return known, tuple(claims)
+
+
+def _held_out_recordings(
+    calibration: Calibration, recordings: Sequence[Recording], name: str, progress: Progress | None
+) -> list[tuple[Recording, Sampled]]:
+    """[(Recording, Sampled)], none of whose data took part in fitting a calibration or is there twice. Raises RigError
+    naming what did
+    """
+    if not calibration.provenance.get("data"):
+        raise RigError(
+            f"{name} does not say which data it was made from, so nothing can be shown to be held out; calibrate again"
+        )
+    known: set[str] = set()
+    for recording in recordings:
+        path, frames = recording.folder, len(recording.exposures.times()[0])
+        same = calibration_file.frames_used_in_calibration(calibration, recording)
+        if same:
+            raise RigError(
+                f"{path}: {len(same)} of {frames} frames (the first: {same[0]}) took part in fitting {name}, "
+                "themselves or what was measured from them; a certificate takes poses that did not. Of a "
+                "recording alone, --mask keeps "
+                "some frames from rig calibrate, and then the others from rig certify"
+            )
+        calibration.refuse_kind(recording.design.mechanism.kind, str(path))
+        of = content_hashes(recording)
+        twice = frames_with_known_hashes(of, known)
+        if twice:
+            raise RigError(
+                f"{path}: {len(twice)} of {frames} frames are in another of the recordings; the same pose "
+                "does not count twice"
+            )
+        known |= set(hashes_of_frames(of))
+    return [(recording, sample_recording(recording, progress=progress)) for recording in recordings]

@@ -1,0 +1,260 @@
+"""Wanted poses to the commands that give them through a calibration."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.certify.calibration import Calibration
+from calib.correct.correction import require_reachable
+from calib.correct.physics_compensation import require_sensor_coverage
+from calib.correct.pose_route import HOLDING
+from calib.models.arm import certification as arm_certification
+from calib.models.arm.correction import ArmCorrection
+from calib.models.wanted_pose_commands import Commanded, commands_along_route, route_pace
+from rig.errors import RigError, Unreachable
+from rig.model import mechanisms
+from rig.model.pose import pose_difference
+from rig.recording.corner_and_pose_tables import Poses
+from rig.recording.recording_folder import Sensors, Wanted
+from rig.recording.recording_tables import write_table
+from rig.report.pages.html_elements import result_html
+
+APPROACHES = ("auto", "always", "never")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorrectOptions:
+    """sensors : Sensors over the poses' time, None for as when calibrated; start : (axes,) m or rad where the axes
+    stand at first, None for home; approach : one of APPROACHES, whether to come to a pose from one side, past what an
+    axis remembers: "auto" where that makes it surer
+    skip_unreachable : whether poses out of reach are left out, not refused
+    uncorrected : whether to command what the owner's model says; single_step : whether to command X + KSF(X), the
+    method's first step, not the fixed point that is exact
+    """
+
+    sensors: Sensors | None = None
+    start: np.ndarray | None = None
+    approach: str = "auto"
+    skip_unreachable: bool = False
+    uncorrected: bool = False
+    single_step: bool = False
+
+    def __post_init__(self) -> None:
+        if self.approach not in APPROACHES:
+            raise ValueError(f"approach takes {APPROACHES}, got {self.approach!r}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorrectionResult:
+    """Commands for wanted poses. calibration; wanted : Wanted; index : (n,) which of them are commanded; commanded :
+    Commanded of these; out_of_reach : (frame, why) of the others; single_step : whether these are the method's first
+    step; uncorrected : whether they are by the owner's model
+    """
+
+    calibration: Calibration
+    wanted: Wanted
+    index: np.ndarray
+    commanded: Commanded
+    out_of_reach: tuple[tuple[int, str], ...] = ()
+    single_step: bool = False
+    uncorrected: bool = False
+
+    @property
+    def frames(self) -> np.ndarray:
+        """(n,) frames of the poses that are commanded."""
+        return self.wanted.poses.frame[self.index]
+
+    @property
+    def values(self) -> np.ndarray:
+        """(n, axes) m or rad to command."""
+        return self.commanded.values
+
+    @property
+    def covariance(self) -> np.ndarray | None:
+        """(n, 6, 6) of the poses that come of them (m, rad, on the right), None where they are not corrected."""
+        return self.commanded.covariance
+
+    @property
+    def extrapolated(self) -> int:
+        """How many of the commands lie beyond the samples of an extended correction."""
+        field = self.calibration.correction.extension
+        return 0 if field is None else int((~field.inside(self.values)).sum())
+
+    @property
+    def single_step_miss(self) -> float:
+        """m or rad, the most by which the single step misses the fixed point."""
+        T = self.wanted.poses.T_base_platform[self.index]
+        return float(np.nanmax(np.abs(self.calibration.correction.missed(T, self.values))))
+
+    @property
+    def rest(self) -> np.ndarray | None:
+        """(n, 6) m and rad that an arm of fewer than six joints leaves to the wanted poses, None of other machines."""
+        correction = self.calibration.correction
+        if not isinstance(correction, ArmCorrection) or not correction.deficient:
+            return None
+        return pose_difference(self.commanded.T_base_platform, self.wanted.poses.T_base_platform[self.index])
+
+    @property
+    def poses(self) -> Poses | None:
+        """Poses that come of the commands, with covariance; None where they are those wanted and not corrected."""
+        covariance, T = self.commanded.covariance, self.commanded.T_base_platform
+        if covariance is None and self.rest is None:
+            return None
+        if covariance is None:
+            covariance = arm_certification.arm_pose_covariance(self.calibration, self.values)
+        return Poses(self.frames, T, covariance)
+
+    def __str__(self) -> str:
+        done = f"{len(self.index)} of {len(self.wanted.poses.frame)} poses"
+        covariance = self.covariance
+        if covariance is None:
+            return f"{done}, not corrected" if self.uncorrected else f"{done}, by the single step"
+        position, rotation = covariance_sizes(covariance)[0]
+        return f"{done}, standard uncertainty {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad RMS"
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        lines = [f"out of reach: frame {frame}, {why}" for frame, why in self.out_of_reach]
+        rows = [
+            (str(frame), *(f"{value:.6f}" for value in row)) for frame, row in zip(self.frames, self.values.tolist())
+        ]
+        return result_html(str(self), lines, [("frame", *self.calibration.correction.nominal.axes), *rows])
+
+    def tree(self) -> dict[str, Any]:
+        """What `rig correct --json` prints."""
+        return {
+            "schema": "corrected/1",
+            "wanted": len(self.wanted.poses.frame),
+            "written": len(self.index),
+            "out_of_reach": [{"frame": frame, "reason": why} for frame, why in sorted(self.out_of_reach)],
+            "commands": [
+                {"frame": int(frame), "values": values} for frame, values in zip(self.frames, self.values.tolist())
+            ],
+        }
+
+    def write(self, path: Path) -> None:
+        """Write the commands, in time with the rows on the way."""
+        axes, frames, wanted = self.calibration.correction.nominal.axes, self.frames, self.wanted
+        if wanted.t is None:
+            rows = [
+                ",".join([str(frame), *(f"{length:.10f}" for length in lengths)])
+                for frame, lengths in zip(frames, self.values)
+            ]
+            write_table(path, ("frame", *axes), rows)
+            return
+        route, rows = self.commanded.route, []
+        for t, pose, doing, lengths in zip(route.t.tolist(), route.pose, route.doing, route.values(self.values)):
+            held = doing == HOLDING
+            rows.append(
+                ",".join(
+                    [
+                        str(frames[pose]) if held else "",
+                        wanted.origin.text(t if held else round(t, 6)),
+                        *(f"{x:.10f}" for x in lengths),
+                    ]
+                )
+            )
+        write_table(path, ("frame", "t", *axes), rows)
+
+
+def correct(
+    calibration: Calibration, wanted: Wanted | RigidTransform, options: CorrectOptions = CorrectOptions()
+) -> CorrectionResult:
+    """CorrectionResult for wanted poses T_base_platform in their order, all that the calibration knows undone.
+
+    wanted : RigidTransform (n,) or (), each held until all has come to rest; or Wanted, with frames and with times
+    Raises Unreachable listing the poses that leave the axes' ranges or come too soon, NotConverged where no commands
+        are found, RigError for a log of sensors that does not cover the poses
+    """
+    if isinstance(wanted, RigidTransform):
+        T = RigidTransform.from_matrix(wanted.as_matrix().reshape(-1, 4, 4))
+        wanted = Wanted(Poses(np.arange(len(T)), T, None))
+    if options.single_step and calibration.physics is not None and not options.uncorrected:
+        raise RigError(
+            "--single-step is of corrections that depend on the configuration alone; this calibration knows "
+            "physics besides"
+        )
+    _require_log(options.sensors, wanted)
+    start = _start(options.start, calibration)
+    count = len(wanted.poses.frame)
+    keep, refused = np.arange(count), []
+    while len(keep):  # first what no command reaches, then what lies beyond the limits or comes too soon
+        try:
+            done = _commanded(calibration, wanted, keep, start, options)
+            break
+        except Unreachable as error:
+            refused += [
+                (int(wanted.poses.frame[keep[i]]), line.split(": ", 1)[1])
+                for i, line in zip(error.index, error.violations)
+            ]
+            keep = np.delete(keep, error.index)
+    if refused and (not options.skip_unreachable or not len(keep)):
+        raise unreachable(refused, count)
+    return CorrectionResult(calibration, wanted, keep, done, tuple(refused), options.single_step, options.uncorrected)
+
+
+def unreachable(refused: list[tuple[int, str]], count: int) -> Unreachable:
+    """The error that lists poses out of reach. refused : (frame, why) of each; count : of all poses wanted"""
+    return Unreachable(
+        f"{len(refused)} of {count} wanted poses cannot be reached:",
+        [frame for frame, _ in refused],
+        [f"frame {frame}: {line}" for frame, line in sorted(refused)],
+    )
+
+
+def covariance_sizes(covariance: np.ndarray) -> tuple[tuple[float, float], tuple[float, float]]:
+    """((m, rad) RMS, (m, rad) at the most) of the standard uncertainty of poses of covariance (n, 6, 6)."""
+    position, rotation = (
+        np.sqrt(np.trace(covariance[:, part, part], axis1=1, axis2=2)) for part in (slice(0, 3), slice(3, 6))
+    )
+    rms = float(np.sqrt(np.mean(position**2))), float(np.sqrt(np.mean(rotation**2)))
+    return rms, (float(np.max(position)), float(np.max(rotation)))
+
+
+def _commanded(
+    calibration: Calibration, wanted: Wanted, keep: np.ndarray, start: np.ndarray, options: CorrectOptions
+) -> Commanded:
+    """Commanded for the wanted poses to keep. Raises Unreachable for those that cannot be."""
+    T, correction = wanted.poses.T_base_platform[keep], calibration.correction
+    pace = None if wanted.t is None else route_pace(calibration, wanted.t[keep], options.sensors)
+    plain = None
+    if options.uncorrected:
+        plain = correction.uncorrected(T)
+    elif options.single_step:
+        plain = correction.single_step(T)
+    done = commands_along_route(calibration, T, start, pace, options.sensors, options.approach, plain)
+    require_reachable(done.values, correction.nominal, [f"pose {i}" for i in range(len(keep))])
+    return done
+
+
+def _require_log(sensors: Sensors | None, wanted: Wanted) -> None:
+    """Raise RigError for a log in time where the poses have no times, or that does not cover them."""
+    if sensors is None:
+        return
+    if wanted.t is not None:
+        require_sensor_coverage(sensors, wanted.t, wanted.origin.shown)
+    elif len(sensors.t) > 1:
+        raise RigError(
+            f"the sensors' log has {len(sensors.t)} rows, and the wanted poses have no times: say in a column t when "
+            "each is to be held, or give "
+            "one row that holds for all"
+        )
+
+
+def _start(values: np.ndarray | None, calibration: Calibration) -> np.ndarray:
+    """(axes,) m or rad where the axes stand at first. Raises RigError for what is no such place."""
+    nominal = calibration.correction.nominal
+    if values is None:
+        return mechanisms.kinematics_of(nominal).home(nominal)
+    values = np.asarray(values, float)
+    if values.shape != (len(nominal.axes),) or not np.isfinite(values).all():
+        shown = ",".join(f"{value:g}" for value in values.ravel())
+        raise RigError(f"--start takes home or {len(nominal.axes)} values joined by commas, m or rad, got {shown!r}")
+    try:
+        require_reachable(values[None], nominal, ["the start"])
+    except Unreachable as error:
+        raise RigError(f"--start cannot be: {error.violations[0]}") from None
+    return values

@@ -1,0 +1,196 @@
+"""Recordings of one rig to the physics that its model leaves out: where, which, how large, and the proof."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from calib.api.experiment_options import ExperimentOptions
+from calib.api.next_experiment import NextExperiment, next_experiment
+from calib.certify.calibration import Calibration
+from calib.certify.calibration_evidence import OfCalibrations
+from calib.certify.platform_certification import Progress, silent_progress
+from calib.checks.recording_preparation import prepare_recordings
+from calib.diagnose import recording_diagnosis
+from calib.diagnose.calibration_left_out_physics import (
+    Refutation,
+    refuted_calibrations,
+    unexplained_and_refuted_calibrations,
+)
+from calib.diagnose.engine.selection_inputs import StatedTerms
+from calib.diagnose.recording_diagnosis import Diagnosis, DiagnosisOptions
+from calib.diagnose.report.diagnosis_json import UNKNOWN
+from calib.diagnose.report.diagnosis_page import diagnosis_page, machine_view
+from calib.diagnose.report.diagnosis_report import Report
+from calib.diagnose.report.diagnosis_verdict import diagnosis_verdict
+from calib.diagnose.report.report_entries import diagnosis_report, write_diagnosis
+from calib.experiment.diagnosis_questions import diagnosis_questions
+from calib.files import calibration_file
+from calib.samples.recording_samples import Sampled, sample_recording
+from rig.effects.texts.effect_text import Kinds, parse_effect_and_place, require_known_effect
+from rig.effects.texts.user_effect_files import Plugin, catalogue_with_files
+from rig.errors import RigError
+from rig.formats import json_file
+from rig.recording.frame_content_hashes import content_hashes
+from rig.recording.recording_folder import Recording
+from rig.report.pages.html_elements import result_html
+from rig.report.pages.page_and_svg_templates import Link
+from rig.report.verdict import State, Verdict
+from vision.checks.recording_refusal import Notice, ignore_notice, sample_corners
+
+AN_HOUR = ExperimentOptions()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DiagnoseOptions:
+    """only : effects ("EFFECT" or "EFFECT PLACE") that alone are asked for, None for all; without : effects left out
+    assume : effects ("EFFECT PLACE") that are there, fitted from the start whatever the recording says of them
+    before : folder that another diagnosis wrote, whose findings stand at the beginning; effects : files of effects
+    besides the catalogue; calibration : of the same rig from another recording, whose joints count as known; name : of
+    that, in words
+    calibrations : files that may be calibrations made from this recording, against which findings are held
+    anyway : whether to go on though a mistake makes results meaningless; words : the operator's, as options
+    """
+
+    only: tuple[str, ...] | None = None
+    without: tuple[str, ...] = ()
+    assume: tuple[str, ...] = ()
+    before: Path | None = None
+    effects: tuple[Plugin, ...] = ()
+    calibration: Calibration | None = None
+    name: str = "the calibration"
+    calibrations: tuple[Path, ...] = ()
+    anyway: bool = False
+    words: tuple[str, ...] = ()
+
+    def stated_terms(self, recording: Recording, kinds: Kinds) -> StatedTerms:
+        """What the operator states beforehand. Raises RigError for what this rig cannot have, FileError for what is no
+        diagnosis
+        """
+        before = []
+        if self.before is not None:
+            path = self.before / "diagnosis.json"
+            table = json_file.load(path, "diagnosis", "diagnosis/1")
+            for finding in table.tables("findings"):
+                name, place = finding.text("effect"), finding.text("place")
+                if name not in (*kinds, UNKNOWN):
+                    raise RigError(
+                        f"{path} found {name}, and there is no such effect; of your own, name its file with --effects"
+                    )
+                if name in kinds and not kinds[name].discrete:
+                    try:
+                        before.append(parse_effect_and_place(f"{name} {place}", recording.design, kinds))
+                    except RigError as error:
+                        raise RigError(f"{path} is of another rig: {error}") from None
+        return StatedTerms(
+            tuple(parse_effect_and_place(text, recording.design, kinds) for text in self.assume), tuple(before)
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DiagnosisResult:
+    """A diagnosis. recording : one, of all; report : Report of it; found : the diagnosis itself; against : what it says
+    against calibrations made from the recording
+    """
+
+    recording: Recording
+    report: Report
+    found: Diagnosis
+    against: tuple[Refutation, ...] = ()
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict on the recording's model."""
+        return diagnosis_verdict(self.report)
+
+    def __str__(self) -> str:
+        return self.verdict.line
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        return result_html(str(self)) + self.report._repr_html_()
+
+    def write(self, folder: Path) -> None:
+        """Write diagnosis.json and what it takes to draw the recording anew."""
+        write_diagnosis(folder, self.found, self.recording, self.report)
+
+    def write_page(self, path: Path, links: Sequence[Link] = ()) -> None:
+        """Write the page of it."""
+        diagnosis_page(path, self.report, machine_view(self.found, self.recording, self.report), links)
+
+    def next_experiment(
+        self, options: ExperimentOptions = AN_HOUR, progress: Progress = silent_progress
+    ) -> NextExperiment:
+        """NextExperiment that would best tell apart what is still alike."""
+        return next_experiment(diagnosis_questions(self.found), self.recording.design, options, progress)
+
+
+def diagnose(
+    recordings: Recording | Sequence[Recording],
+    options: DiagnoseOptions = DiagnoseOptions(),
+    progress: Progress | None = None,
+    notice: Notice = ignore_notice,
+) -> DiagnosisResult:
+    """DiagnosisResult of a recording, or of several of one rig together, as `rig diagnose` makes it.
+
+    progress : called with (label, done, of), or None; notice : called with lines on what is unlikely in the recording
+    Raises RigError for a name that there is not and for a recording whose results would mean nothing, NotEnoughData
+        where the recording determines nothing
+    """
+    prepared = prepare_recordings(recordings, options.anyway, notice, progress)
+    recording = prepared.recording
+    corners = recording.corners if prepared.joined else sample_corners(recording)
+    if corners is not None:
+        prepared.look(corners)
+    kinds = catalogue_with_files(options.effects)
+    for text in (*(options.only or ()), *options.without):
+        require_known_effect(text, recording.design, kinds)
+    _refuse_same_data(options, recording)
+    found, report, sampled = _diagnosed(recording, options, options.stated_terms(recording, kinds), kinds, progress)
+    marks = content_hashes(recording)
+    against = refuted_calibrations(report, marks, options.calibrations, None if sampled is None else sampled.samples)
+    refuted = tuple(f"{one.path.name} is refuted: {one.finding}" for one in against if one.state == State.BAD)
+    left = unexplained_and_refuted_calibrations(marks, options.calibrations, False).unexplained
+    return DiagnosisResult(
+        recording, replace(report, calibrations=OfCalibrations(refuted, left)), found, tuple(against)
+    )
+
+
+def _refuse_same_data(options: DiagnoseOptions, recording: Recording) -> None:
+    """Raise RigError where a calibration was made from this very recording, which would count twice."""
+    if options.calibration is None:
+        return
+    same = calibration_file.frames_used_in_calibration(options.calibration, recording)
+    if same:
+        raise RigError(
+            f"{options.name} was made from {len(same)} of the frames of {recording.folder}, which would count twice; "
+            "diagnose without it, or "
+            "take another recording's"
+        )
+
+
+def _diagnosed(
+    recording: Recording, options: DiagnoseOptions, given: StatedTerms, kinds: Kinds, progress: Progress | None
+) -> tuple[Diagnosis, Report, Sampled | None]:
+    """(the diagnosis, its Report, Sampled or None where nothing was commanded) of a recording of any machine."""
+    mechanism = recording.design.mechanism
+    if options.calibration is not None and mechanism.axes and mechanism.strut_joints is None:
+        raise RigError(
+            "--calibration is for hexapods; the geometry of an arm or a chain is always fitted to the recording"
+        )
+    commanded = recording.commands is not None and bool(mechanism.axes)
+    sampled = sample_recording(recording, progress=progress) if commanded else None
+    found = recording_diagnosis.diagnose(
+        recording,
+        DiagnosisOptions(
+            options.only,
+            options.without,
+            given,
+            options.calibration,
+            sampled,
+            tuple(kinds.values()),
+            options.effects,
+            options.words,
+        ),
+        progress,
+    )
+    return found, diagnosis_report(found), sampled

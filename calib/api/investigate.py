@@ -1,0 +1,217 @@
+"""A rig finds out by itself: plan, recording, diagnosis, the experiment that tells most, and again, up to a
+certificate.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from calib.experiment.first_plans import FIRST, LOADED, STANDING
+from calib.experiment.investigation_certificate import certify_investigation
+from calib.experiment.investigation_folder import (
+    Look,
+    diagnosis_path,
+    plan_minutes,
+    plan_path,
+    read_looks,
+    recording_path,
+)
+from calib.experiment.investigation_machine import Command, InvestigatedRig, InvestigateOptions, Waiting
+from calib.experiment.investigation_report import (
+    investigation_verdict,
+    minutes_spent,
+    notebook_text,
+    write_investigation_page,
+)
+from rig.errors import RigError
+from rig.formats import json_file
+from rig.formats.output_files import write_bytes, write_text
+from rig.formats.rig_toml import design_file
+from rig.model.design import Design
+from rig.planning.plan import build_plan
+from rig.planning.plan_construction_and_table import write_plan_table
+from rig.report.pages.html_elements import result_html
+from rig.report.verdict import Verdict
+
+MOST = 8  # looks
+STATE = "investigation.json"
+AUTOMATIC = InvestigateOptions()
+
+
+@dataclass(frozen=True, slots=True)
+class InvestigationResult:
+    """What an investigation found. looks : after each recording; ended : why, "" while it goes on; after : what was
+    made at the end, in lines; waiting : for whom and what, None where for nobody
+    """
+
+    looks: tuple[Look, ...]
+    ended: str
+    after: tuple[str, ...] = ()
+    waiting: str | None = None
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """The verdict on the rig, None before the first look."""
+        return investigation_verdict(self.looks, self.ended) if self.looks else None
+
+    def __str__(self) -> str:
+        if self.waiting is not None:
+            return self.waiting
+        return self.verdict.line if self.verdict is not None else "check: nothing was recorded yet"
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        return result_html(str(self), [text for text in (self.ended, *self.after) if text])
+
+    def tree(self) -> dict[str, Any]:
+        """What `rig investigate --json` prints."""
+        return {
+            "schema": "investigated/1",
+            "verdict": self.verdict.tree() if self.verdict is not None else None,
+            "ended": self.ended,
+            "waiting": self.waiting,
+            "looks": [asdict(look) for look in self.looks],
+            "after": list(self.after),
+        }
+
+
+def investigate(
+    rig_toml: Path | str, out: Path | str, command: Command, options: InvestigateOptions = AUTOMATIC
+) -> InvestigationResult:
+    """InvestigationResult of a rig, as `rig investigate` makes it: plan, record, diagnose, and again, until nothing is
+    alike or the budget ends; then calibrate, verify and certify.
+
+    out : a new folder, or with options.resume one to go on with; command : carries out a command of rig and returns
+    its exit status, as `rig.cli.main` does
+    Raises RigError for a machine that cannot be investigated and where a command refuses
+    """
+    path, folder = Path(rig_toml), Path(out)
+    design = design_file.load_design(path)
+    _require_observed(design)
+    rig = InvestigatedRig(path, design, options, command)
+    _begin(folder, rig)
+    try:
+        before = read_looks(folder)
+        if (
+            before and before[-1].questions and not before[-1].proposed
+        ):  # there was no time, or something was not allowed: it is asked again
+            _diagnose(folder, rig, before[-1].number, before[:-1])
+        while True:
+            so_far = read_looks(folder)
+            _write_notebook(folder, rig, so_far, "")
+            ended = _ended(options, so_far)
+            if ended:
+                break
+            _look(folder, rig, len(so_far) + 1, so_far)
+        _write_notebook(folder, rig, so_far, ended)
+        after = certify_investigation(folder, rig, so_far)
+    except Waiting as waiting:
+        return InvestigationResult(tuple(read_looks(folder)), "", (), str(waiting))
+    _write_notebook(folder, rig, so_far, ended, after)
+    return InvestigationResult(tuple(so_far), ended, after)
+
+
+def _require_observed(design: Design) -> None:
+    """Raise RigError for a machine that cannot be investigated."""
+    if design.mechanism.kind not in ("hexapod", "planar2", "arm"):
+        raise RigError(
+            "an investigation is of a platform on struts or of an arm, not of a mechanism of kind "
+            f"{design.mechanism.kind!r}"
+        )
+    if design.mechanism.kind == "arm" and design.instrument is None and not (design.cameras and design.targets):
+        raise RigError(
+            "an investigation of an arm takes an [instrument] that measures its poses, or cameras and "
+            "targets that show them"
+        )
+
+
+def _begin(out: Path, rig: InvestigatedRig) -> None:
+    """Make the folder, or see that it is of this rig. Raises RigError otherwise."""
+    options = rig.options
+    own = {"schema": "investigation/1", "rig": rig.digest, "by": rig.by, "seed": options.seed}
+    if options.resume:
+        kept = json_file.load(out / STATE, "investigation", "investigation/1")
+        for name, value in own.items():
+            if kept.tree.get(name) != value:
+                kept.fail(f"is of another {name}: {kept.tree.get(name)!r}, not {value!r}", name)
+        return
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise RigError(
+            f"{out} is there already"
+            + ("; --resume goes on with it" if (out / STATE).exists() else "; name a new folder")
+        )
+    plan = build_plan(rig.design, options.plan or _first(rig), options.seed)
+    rig.refuse(plan)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RigError(f"{out} cannot be made: {error.strerror}") from None
+    write_bytes(out / "rig.toml", rig.path.read_bytes())
+    write_plan_table(plan_path(out, 1), plan, rig.design.mechanism.axes)
+    write_text(out / STATE, json.dumps(own, indent=1) + "\n")
+
+
+def _first(rig: InvestigatedRig) -> str:
+    """The text of the first plan, where nobody states one."""
+    if not rig.moving:
+        return STANDING
+    return f"{FIRST},{LOADED}" if "payload" in rig.design.experiment.may else FIRST
+
+
+def _look(out: Path, rig: InvestigatedRig, number: int, so_far: Sequence[Look]) -> None:
+    """Record the plan of a look, and diagnose all recordings together."""
+    rig.record(plan_path(out, number), recording_path(out, number), rig.options.seed + number)
+    _diagnose(out, rig, number, so_far)
+
+
+def _diagnose(out: Path, rig: InvestigatedRig, number: int, so_far: Sequence[Look]) -> None:
+    """Diagnose the recordings up to a number together; the next plan is written with it. so_far : the looks before"""
+    taken = minutes_spent(so_far) + plan_minutes(plan_path(out, number))
+    left = max(rig.options.budget - taken, 0.1)
+    words = [
+        "diagnose",
+        *(str(recording_path(out, k + 1)) for k in range(number)),
+        "--out",
+        str(diagnosis_path(out, number)),
+        "--next",
+        str(plan_path(out, number + 1)),
+        "--minutes",
+        f"{left:.3f}",
+        *([] if rig.moving else ["--standing"]),
+        *(word for may in rig.design.experiment.may for word in ("--may", may)),
+    ]
+    rig.call(*words)
+
+
+def _ended(options: InvestigateOptions, so_far: Sequence[Look]) -> str:
+    """Why the investigation ends, "" while it goes on."""
+    if not so_far:
+        return ""
+    last = so_far[-1]
+    if not last.questions:
+        return (
+            "nothing is alike any more"
+            if last.findings
+            else ("what is there has no name" if last.unknown else "nothing is left out")
+        )
+    if not last.proposed:
+        late = minutes_spent(so_far) > options.budget / 2
+        return (
+            f"the budget of {options.budget:.0f} min leaves no time for an experiment that would tell more"
+            if late
+            else "no plan that is allowed tells what is left apart"
+        )
+    return f"{MOST} recordings did not tell it apart" if last.number >= MOST else ""
+
+
+def _write_notebook(
+    out: Path, rig: InvestigatedRig, so_far: Sequence[Look], ended: str, after: tuple[str, ...] = ()
+) -> None:
+    """Write the notebook and its page as they are now."""
+    if so_far:
+        name = rig.path.resolve().parent.name if rig.path.name == "rig.toml" else rig.path.stem
+        budget = rig.options.budget
+        write_text(out / "notebook.md", notebook_text(name, so_far, budget, ended, after))
+        write_investigation_page(out / "notebook.html", name, so_far, budget, ended, after)

@@ -1,0 +1,194 @@
+"""The entry points of rig: a recording loaded and saved, configurations planned, mistakes that its files show."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.checks.user_mistake import Mistake, sort_mistakes
+from rig.errors import FileError, RigError
+from rig.formats.input_files import read_bytes
+from rig.formats.output_files import Outputs, write_bytes
+from rig.model import mechanisms
+from rig.model.design import Design
+from rig.model.pose import pose_difference
+from rig.recording import recording_folder
+from rig.recording.recording_folder import Recording
+from rig.report.pages.html_elements import result_html
+
+CERTAIN = 0.7  # proof of a mistake in the files, from which nothing is learnt by looking farther
+
+
+def load(path: Path | str, skip_unreadable: bool = False, mask: str | None = None) -> Recording:
+    """Recording of a folder, checked.
+
+    skip_unreadable : whether images that cannot be used are left out (see Recording.skipped), not refused
+    mask : frames to leave out, as "3,7-9"
+    Raises FileError that names file, line and column; RigError that names the likeliest mistake first, where the files
+        show which it is
+
+    >>> import rig
+    >>> len(rig.load("tests/data/bench/check", mask="0-1").exposures.times()[0])
+    4
+    """
+    from rig.checks.unreadable_recording import unreadable_recording_mistakes
+    from rig.recording.frame_selection import remove_frames
+
+    path = Path(path)
+    try:
+        found = recording_folder.load_recording(path, skip_unreadable)
+    except FileError as error:
+        causes = unreadable_recording_mistakes(path, error)
+        if not causes:
+            raise
+        raise RigError("\n".join([*map(str, causes), str(error)])) from None
+    return found if mask is None else remove_frames(found, mask)
+
+
+def save(recording: Recording, folder: Path | str, overwrite: bool = False) -> None:
+    """Write a recording to a folder: its rig.toml and tables, and the images of its frames.
+
+    overwrite : whether to write over what this function did not make
+    Raises RigError for several recordings joined to one, and where the folder holds something else
+    """
+    from rig.recording.recording_tables import copy_frames_commands_and_sensors, write_corners, write_poses, write_table
+
+    if recording.parts:
+        raise RigError(f"{recording.name}: several recordings as one have no folder; save each by itself")
+    with Outputs("save", (str(recording.folder),), [recording.folder], overwrite) as outputs:
+        out = outputs.folder(Path(folder))
+        write_bytes(out / "rig.toml", read_bytes(recording.folder / "rig.toml"))
+        copy_frames_commands_and_sensors(recording.folder, out, recording.exposures, recording.origin)
+        exposed = recording.exposures
+        rows = [
+            f"{frame},{recording.origin.text(t)},{camera},{image}"
+            for frame, t, camera, image in zip(exposed.frame, exposed.t, exposed.camera, exposed.image)
+        ]
+        write_table(out / "frames.csv", ("frame", "t", "camera", "image"), rows)
+        for image in filter(None, exposed.image):
+            (out / image).parent.mkdir(parents=True, exist_ok=True)
+            write_bytes(out / image, read_bytes(recording.folder / image))
+        if recording.corners is not None:
+            write_corners(out / "corners.csv", recording.corners)
+        for name, poses in {
+            "poses.csv": recording.poses,
+            **{f"poses_stage{number}.csv": stage for number, stage in recording.stages.items()},
+        }.items():
+            if poses is not None:
+                write_poses(out / name, poses)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedConfigurations:
+    """Configurations that the parts of a plan visit. design; parts : their text; values : (n, axes) m or rad, in the
+    order of visits; span : (2, 6) m and rad, least and greatest of the platform's move from home, None but of a hexapod
+    """
+
+    design: Design
+    parts: str
+    values: np.ndarray
+    span: np.ndarray | None
+
+    def __str__(self) -> str:
+        return f"{len(self.values)} configurations of {self.parts}"
+
+    def lines(self) -> list[str]:
+        """How many there are and how far they go, in mm and mrad."""
+        if self.span is None:
+            return [str(self)]
+        names = zip(("x", "y", "z", "rx", "ry", "rz"), ("mm",) * 3 + ("mrad",) * 3, *(self.span * 1e3))
+        moves = ", ".join(f"{name} {low:+.1f} .. {high:+.1f} {unit}" for name, unit, low, high in names)
+        return [str(self), f"from home, in the platform's axes: {moves}"]
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        first, *rest = self.lines()
+        return result_html(first, rest)
+
+
+def plan(design: Design, parts: str = "standard", seed: int = 0) -> PlannedConfigurations:
+    """PlannedConfigurations of a plan's parts, at whose exposures the axes stand.
+
+    parts : as of rig.planning.plan.build_plan, for example "axes:5,combined:4"
+    Raises RigError for a part that is not known, and for exposures on the way
+
+    >>> import rig
+    >>> design = rig.load_design("tests/data/bench/check/rig.toml")
+    >>> print(rig.plan(design, "sobol:3"))
+    3 configurations of sobol:3
+    """
+    from rig.driving.run_steps_and_progress import steps_of_plan
+    from rig.planning.plan import build_plan
+
+    mechanism = design.mechanism
+    goals = np.array([step.goal for step in steps_of_plan(build_plan(design, parts, seed)) for _ in range(step.frames)])
+    span = None
+    if mechanism.kind == "hexapod":
+        moved = pose_difference(mechanism.home, mechanisms.kinematics_of(mechanism).forward(goals, mechanism))
+        span = np.array([moved.min(axis=0), moved.max(axis=0)])
+    return PlannedConfigurations(design, parts, goals, span)
+
+
+@dataclass(frozen=True, slots=True)
+class CheckResult:
+    """What is wrong or unlikely with a recording. found : most likely cause first; remarks : what could be better"""
+
+    found: tuple[Mistake, ...]
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def usable(self) -> bool:
+        """Whether results of the recording would mean something."""
+        return not any(one.spoils for one in self.found)
+
+    def lines(self) -> list[str]:
+        """What was found, a line each."""
+        lines = [f"{'wrong' if one.spoils else 'to look at'}: {one}" for one in self.found]
+        return [*(lines or ["nothing wrong or unlikely was found"]), *(f"remark: {text}" for text in self.remarks)]
+
+    def tree(self) -> dict[str, Any]:
+        """What `rig check --json` prints."""
+        return {
+            "schema": "check/1",
+            "usable": self.usable,
+            "found": [asdict(one) for one in self.found],
+            "remarks": list(self.remarks),
+        }
+
+    def __str__(self) -> str:
+        wrong = sum(one.spoils for one in self.found)
+        if wrong:
+            return f"bad: {wrong} mistake{'s' * (wrong > 1)} that make{'s' * (wrong == 1)} results meaningless"
+        return f"check: {len(self.found)} to look at" if self.found else "good: nothing wrong or unlikely was found"
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        return result_html(str(self), self.lines())
+
+
+def check(path: Path | str) -> CheckResult:
+    """CheckResult of a recording's files alone; `calib.check` looks at corners, images and poses as well.
+
+    >>> import rig
+    >>> rig.check("tests/data/bench/check").usable
+    True
+    """
+    return check_files(Path(path))[1]
+
+
+def check_files(path: Path) -> tuple[Recording | None, CheckResult]:
+    """(Recording, CheckResult of its files) of a folder; None where the files show that no more can be learnt."""
+    from rig.checks.recording_files import recording_file_mistakes
+    from rig.checks.unreadable_recording import unreadable_recording_mistakes
+
+    try:
+        recording = recording_folder.load_recording(path)
+    except FileError as error:
+        first = Mistake(str(error), "Mend this first: nothing else could be looked at")
+        return None, CheckResult((*unreadable_recording_mistakes(path, error), first))
+    found = recording_file_mistakes(recording)
+    if any(one.spoils and one.proof >= CERTAIN for one in found):
+        rest = Mistake("corners and poses were not looked at", "Mend what is wrong first and check again", False, 0.0)
+        return None, CheckResult(sort_mistakes([*found, rest]))
+    return recording, CheckResult(found)

@@ -1,0 +1,161 @@
+"""The result of a measurement: poses with covariance, how they hold on frames held out, what to look at, and its
+verdict.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rig.formats.input_files import read_text
+from rig.formats.rig_toml.design_text_edits import replace_cameras, replace_target_markers
+from rig.model.pose import pose_to_vector, rms_uncertainty
+from rig.recording import recording_tables
+from rig.recording.corner_and_pose_tables import Poses
+from rig.recording.recording_folder import Recording
+from rig.report.pages.html_elements import result_html
+from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge_evidence
+from vision.bundle.adjustment_validation import DeterminedUnknowns, HeldOut, NotHeldOut
+from vision.bundle.marker_displacements import Places, adjusted_markers
+from vision.reading.marker_identity import Suspect
+from vision.reading.recording_corners import Collected
+from vision.recording_adjustment import Measurement
+
+SOLVED = 0.5  # of the frames, below which a measurement is bad
+TWICE = 2.0  # of the squares that the covariance predicts, from which it is not to be believed
+NAMED = 5  # frames without a pose that a notebook shows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasurementResult:
+    """What there is to say of a measurement. collected : what its images gave, or None; held : of frames held out;
+    places : vision Places where markers' places were adjusted, else None; statement : lines on what the recording
+    determines; suspects : markers that are not what rig.toml says; determination : the combinations of unknowns that
+    the recording determines, or None"""
+
+    recording: Recording
+    measurement: Measurement
+    held: HeldOut | NotHeldOut
+    collected: Collected | None = None
+    places: Places | None = None
+    statement: Sequence[str] = ()
+    suspects: Sequence[Suspect] = ()
+    determination: DeterminedUnknowns | None = None
+
+    @property
+    def uncertainty(self) -> tuple[float, float]:
+        """(m, rad) RMS standard uncertainty of the poses."""
+        return rms_uncertainty(self.measurement.covariance)
+
+    @property
+    def frame_count(self) -> int:
+        """How many frames the recording has."""
+        return len(self.recording.exposures.times()[0])
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict on it."""
+        return measurement_verdict(self)
+
+    def __str__(self) -> str:
+        return self.verdict.line
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        m = self.measurement
+        missed = [f"frame {frame} has no pose: {reason}" for frame, reason in list(m.unsolved.items())[:NAMED]]
+        used = f"corners scatter by {m.noise:.4f} px; {m.inliers.sum()} of {len(m.inliers)} used"
+        return result_html(str(self), [used, *map(str, self.suspects), *missed])
+
+    def write(self, folder: Path) -> None:
+        """Write it as a recording into a folder: rig.toml with cameras as adjusted, poses.csv, rpy.csv, corners.csv and
+        the tables of times.
+        """
+        m, recording = self.measurement, self.recording
+        text = replace_cameras(read_text(recording.folder / "rig.toml"), m.design.cameras)
+        recording_tables.write_text(
+            folder / "rig.toml", replace_target_markers(text, adjusted_markers(m)) if self.places is not None else text
+        )
+        poses = Poses(m.frames, m.T_base_platform, m.covariance)
+        recording_tables.write_poses(folder / "poses.csv", poses)
+        recording_tables.write_poses_as_roll_pitch_yaw(folder / "rpy.csv", poses)
+        recording_tables.write_corners(folder / "corners.csv", m.corners())
+        recording_tables.copy_frames_commands_and_sensors(
+            recording.folder, folder, recording.exposures, recording.origin
+        )
+        for number, stage in m.stages.items():
+            recording_tables.write_poses(
+                folder / f"poses_stage{number}.csv", Poses(stage.frames, stage.T_base_platform, stage.covariance)
+            )
+
+    def tree(self) -> dict[str, Any]:
+        """What `rig measure --json` prints."""
+        m, stated = self.measurement, self.recording.design.cameras
+        cameras = [
+            {
+                "name": camera.name,
+                "matrix": camera.matrix.tolist(),
+                "distortion": camera.distortion.tolist(),
+                "moved": pose_to_vector(before.pose.inv() * camera.pose).tolist(),
+            }
+            for before, camera in zip(stated, m.design.cameras)
+        ]
+        return {
+            "schema": "measured/1",
+            "frames": self.frame_count,
+            "solved": len(m.frames),
+            "unsolved": {str(frame): reason for frame, reason in m.unsolved.items()},
+            "position_m": self.uncertainty[0],
+            "rotation_rad": self.uncertainty[1],
+            "corner_px": float(m.noise),
+            "corners": len(m.inliers),
+            "used": int(m.inliers.sum()),
+            "held_out": {"ratio": self.held.ratio, "rms_px": self.held.rms}
+            if not isinstance(self.held, NotHeldOut)
+            else None,
+            "cameras": cameras,
+            "verdict": self.verdict.tree(),
+        }
+
+
+def measurement_verdict(result: MeasurementResult) -> Verdict:
+    """The verdict on a measurement."""
+    m, total, (position, rotation) = result.measurement, result.frame_count, result.uncertainty
+    size = f"poses to {position * 1e6:.1f} µm and {rotation * 1e6:.1f} µrad (standard uncertainty, RMS)"
+    why = f"{len(m.frames)} of {total} frames solved, {size}"
+    missing, unexplained = [], []
+    if len(m.frames) < total:
+        missing.append(Missing(f"{total - len(m.frames)} frames have no pose"))
+    if result.suspects:
+        missing.append(
+            Missing(
+                f"{len(result.suspects)} marker{'s are' if len(result.suspects) > 1 else ' is'} not what rig.toml says"
+            )
+        )
+    if isinstance(result.held, NotHeldOut):
+        missing.append(Missing("no frame could be held out to check the uncertainties"))
+    elif abs(result.held.ratio - 1) > 2 * result.held.scatter:
+        if result.held.ratio > AGREES**2:
+            unexplained.append(
+                f"frames held out miss by {result.held.ratio:.1f} times the squares predicted: the "
+                "uncertainties are not to be believed"
+            )
+        elif result.held.ratio < 1 / AGREES**2:
+            missing.append(
+                Missing(
+                    f"frames held out miss by {result.held.ratio:.2f} of the squares predicted: the noise of "
+                    "corners, and with it every "
+                    "uncertainty, is less than stated"
+                )
+            )
+    beyond = (
+        not isinstance(result.held, NotHeldOut)
+        and result.held.ratio > TWICE
+        and abs(result.held.ratio - 1) > 2 * result.held.scatter
+    )
+    refuted = [*unexplained] if beyond else []
+    if len(m.frames) < SOLVED * total:
+        refuted.append("fewer than half of the frames have a pose")
+    return judge_evidence(
+        Evidence(why, unexplained=() if beyond else tuple(unexplained), missing=tuple(missing), refuted=tuple(refuted))
+    )
