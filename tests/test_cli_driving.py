@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.certify.calibration import Calibration
-from calib.correct.correction import Correction
+from calib.certification.calibration import Calibration
+from calib.correction.correction import Correction
 from calib.files.calibration_file import save
 from rig.cli.command_line import main
 from rig.driving.clock import SystemClock

@@ -7,8 +7,8 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from calib.certify.calibration import Calibration
-from calib.correct.correction import Correction
+from calib.certification.calibration import Calibration
+from calib.correction.correction import Correction
 from calib.files import calibration_file
 from calib.models.corrected_pose_covariance import calibration_with_workspace
 from calib.models.platform.identification import identify_platform

@@ -11,7 +11,7 @@ from tests.conftest import ROOT
 NAME = re.compile(rf"(?<![\w-])({'|'.join(BY_NAME)})(?![\w-])")
 ROOMS = ("rig", "vision", "calib", "synthetic")
 CATALOGUE, LIST = "rig.effects.catalogue", "effect_list"  # the list of all effects names none
-DIAGNOSIS, MOST = "calib/diagnose", 15  # imports of effects by the diagnosis: this may only fall
+DIAGNOSIS, MOST = "calib/diagnosis", 15  # imports of effects by the diagnosis: this may only fall
 
 
 def named(path):

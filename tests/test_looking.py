@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.certify import measuring_limbs
+from calib.certification import measuring_limbs
 from calib.online.measuring_limb_poses import LiveLimbPoses
 from calib.online.measuring_limbs_file import Accepted
 from calib.online.run_learning import Learner

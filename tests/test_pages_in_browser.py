@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.certify.measuring_limbs import Agreement
+from calib.certification.measuring_limbs import Agreement
 from calib.experiment.investigation_folder import Hypothesis, Look
 from calib.experiment.investigation_report import write_investigation_page
 from calib.report.online_and_limb_pages import write_measuring_limbs_page

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.diagnose import platform_findings_refit
+from calib.diagnosis import platform_findings_refit
 from calib.drift import visit_history
 from calib.experiment import investigation_folder
 from calib.files import calibration_file

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from calib.certify.claim_verification import Part, Verification
+from calib.certification.claim_verification import Part, Verification
 from calib.drift.change_evidence import ALARM, SOMETHING, Suspect, Verdict
 from calib.files import calibration_file
 from calib.report.verification_and_visit_pages import Visit, last_visit_verdict

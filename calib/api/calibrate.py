@@ -10,17 +10,17 @@ from threadpoolctl import threadpool_limits
 
 from calib.api.calibrate_options import SEARCHED, CalibrateOptions
 from calib.api.correction_extension import Extended, ExtendOptions, certify_correction_extension
-from calib.certify import platform_certification
-from calib.certify.calibration import Calibration
-from calib.certify.calibration_evidence import calibration_verdict
-from calib.certify.platform_certification import Progress, silent_progress
+from calib.certification import platform_certification
+from calib.certification.calibration import Calibration
+from calib.certification.calibration_evidence import calibration_verdict
+from calib.certification.platform_certification import Progress, silent_progress
 from calib.checks.recording_preparation import prepare_recordings
-from calib.correct.correction_tables import strut_summands, summand_columns, summand_rows
-from calib.correct.joint_camera_fit import refine_correction_with_cameras
-from calib.diagnose import arm_findings_refit, platform_findings_refit
-from calib.diagnose.calibration_left_out_physics import mark_as_not_searched, search_left_out_physics
-from calib.diagnose.platform_findings_refit import Findings, findings_of_diagnosis, load_findings
-from calib.diagnose.recording_diagnosis import DiagnosisOptions, diagnose
+from calib.correction.correction_tables import strut_summands, summand_columns, summand_rows
+from calib.correction.joint_camera_fit import refine_correction_with_cameras
+from calib.diagnosis import arm_findings_refit, platform_findings_refit
+from calib.diagnosis.calibration_left_out_physics import mark_as_not_searched, search_left_out_physics
+from calib.diagnosis.platform_findings_refit import Findings, findings_of_diagnosis, load_findings
+from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.files.calibration_from_recording import SEED, calibration_with_provenance
 from calib.models.arm import calibration_page as arm_page
 from calib.models.arm import certification as arm_certification

@@ -11,15 +11,15 @@ from calib.certificate import certificate_json, certificate_page, certificate_pd
 from calib.certificate.certificate import Certificate, calibration_certificate, certificate_verdict
 from calib.certificate.certificate_contents import CertifyOptions
 from calib.certificate.digital_certificate_xml import Issuer
-from calib.certify.calibration import Calibration, refutation_sentence
-from calib.certify.calibration_evidence import (
+from calib.certification.calibration import Calibration, refutation_sentence
+from calib.certification.calibration_evidence import (
     AgainstClaim,
     calibration_evidence,
     check_claim_on_recording,
     evidence_with_confounds,
     evidence_with_verification,
 )
-from calib.certify.platform_certification import Progress
+from calib.certification.platform_certification import Progress
 from calib.files import calibration_file
 from calib.files.calibration_from_recording import SEED
 from calib.samples.confounded_conditions import confounds_of_recordings

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify.calibration import Calibration
-from calib.correct.correction import require_reachable
-from calib.correct.physics_compensation import require_sensor_coverage
-from calib.correct.pose_route import HOLDING
+from calib.certification.calibration import Calibration
+from calib.correction.correction import require_reachable
+from calib.correction.physics_compensation import require_sensor_coverage
+from calib.correction.pose_route import HOLDING
 from calib.models.arm import certification as arm_certification
 from calib.models.arm.correction import ArmCorrection
 from calib.models.wanted_pose_commands import Commanded, commands_along_route, route_pace

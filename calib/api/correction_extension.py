@@ -5,14 +5,19 @@ from typing import Any
 
 import numpy as np
 
-from calib.certify.additional_pass import CONFIGURATION, POSE, Pass, certify_additional_pass
-from calib.certify.calibration import Calibration
-from calib.certify.extension_certification import Asked, Tried, certify_extended_correction, claim_without_geometry
-from calib.certify.platform_certification import Certified, Progress, platform_workspace_claim
-from calib.certify.workspace_claim import Claim
-from calib.correct.interpolation.field_combinations import SpacePart
-from calib.correct.pose_space_map import NAMES
-from calib.correct.summand_extension import pose_coordinate_indices, single_step_errors
+from calib.certification.additional_pass import CONFIGURATION, POSE, Pass, certify_additional_pass
+from calib.certification.calibration import Calibration
+from calib.certification.extension_certification import (
+    Asked,
+    Tried,
+    certify_extended_correction,
+    claim_without_geometry,
+)
+from calib.certification.platform_certification import Certified, Progress, platform_workspace_claim
+from calib.certification.workspace_claim import Claim
+from calib.correction.interpolation.field_combinations import SpacePart
+from calib.correction.pose_space_map import NAMES
+from calib.correction.summand_extension import pose_coordinate_indices, single_step_errors
 from calib.files import calibration_file
 from calib.models.arm import certification as arm_certification
 from calib.models.arm import extension_certification as arm_extension

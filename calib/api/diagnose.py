@@ -6,23 +6,23 @@ from pathlib import Path
 
 from calib.api.experiment_options import ExperimentOptions
 from calib.api.next_experiment import NextExperiment, next_experiment
-from calib.certify.calibration import Calibration
-from calib.certify.calibration_evidence import OfCalibrations
-from calib.certify.platform_certification import Progress, silent_progress
+from calib.certification.calibration import Calibration
+from calib.certification.calibration_evidence import OfCalibrations
+from calib.certification.platform_certification import Progress, silent_progress
 from calib.checks.recording_preparation import prepare_recordings
-from calib.diagnose import recording_diagnosis
-from calib.diagnose.calibration_left_out_physics import (
+from calib.diagnosis import recording_diagnosis
+from calib.diagnosis.calibration_left_out_physics import (
     Refutation,
     refuted_calibrations,
     unexplained_and_refuted_calibrations,
 )
-from calib.diagnose.engine.selection_inputs import StatedTerms
-from calib.diagnose.recording_diagnosis import Diagnosis, DiagnosisOptions
-from calib.diagnose.report.diagnosis_json import UNKNOWN
-from calib.diagnose.report.diagnosis_page import diagnosis_page, machine_view
-from calib.diagnose.report.diagnosis_report import Report
-from calib.diagnose.report.diagnosis_verdict import diagnosis_verdict
-from calib.diagnose.report.report_entries import diagnosis_report, write_diagnosis
+from calib.diagnosis.engine.selection_inputs import StatedTerms
+from calib.diagnosis.recording_diagnosis import Diagnosis, DiagnosisOptions
+from calib.diagnosis.report.diagnosis_json import UNKNOWN
+from calib.diagnosis.report.diagnosis_page import diagnosis_page, machine_view
+from calib.diagnosis.report.diagnosis_report import Report
+from calib.diagnosis.report.diagnosis_verdict import diagnosis_verdict
+from calib.diagnosis.report.report_entries import diagnosis_report, write_diagnosis
 from calib.experiment.diagnosis_questions import diagnosis_questions
 from calib.files import calibration_file
 from calib.samples.recording_samples import Sampled, sample_recording

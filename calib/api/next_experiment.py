@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.api.experiment_options import ExperimentOptions
-from calib.certify.platform_certification import Progress
+from calib.certification.platform_certification import Progress
 from calib.experiment.experiment_choice import Experiment, available_plans, choose_experiment
 from calib.experiment.experiment_information import camera_information_shares
 from calib.experiment.experiment_question import Question

@@ -3,7 +3,7 @@
 from functools import partial
 
 from calib.api.plan_result import SEED, SHOWN, PlanOptions, PlanResult, planned_geometry
-from calib.certify.platform_certification import Progress
+from calib.certification.platform_certification import Progress
 from calib.experiment.informative_configurations import FEWEST, informative_configurations
 from calib.models.platform.optimal_configurations import choose_d_optimal_configurations
 from calib.models.platform.parameter_accuracy import PLAUSIBLE, parameter_combinations, standard_error_along

@@ -6,10 +6,10 @@ import numpy as np
 
 from calib.api.parameter_plan import plan_for_parameters
 from calib.api.plan_result import FOR_PARAMETERS, LEAST, MOVES, SEED, SHOWN, PlanOptions, PlanResult, planned_geometry
-from calib.certify.platform_certification import Progress, silent_progress
-from calib.diagnose.engine.hypothesis_separation import Separation
-from calib.diagnose.problems.arm.effect_separation import arm_effect_separation as arm_effect_separation
-from calib.diagnose.problems.platform.effect_separation import platform_effect_separation as platform_effect_separation
+from calib.certification.platform_certification import Progress, silent_progress
+from calib.diagnosis.engine.hypothesis_separation import Separation
+from calib.diagnosis.problems.arm.effect_separation import arm_effect_separation as arm_effect_separation
+from calib.diagnosis.problems.platform.effect_separation import platform_effect_separation as platform_effect_separation
 from calib.models.platform.optimal_configurations import fewest_configurations
 from calib.samples.confounded_conditions import confounds_of_configurations
 from rig import api

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from calib.certify.calibration import Calibration
-from calib.certify.calibration_evidence import confound_sentences
+from calib.certification.calibration import Calibration
+from calib.certification.calibration_evidence import confound_sentences
 from calib.models.platform.optimal_configurations import Avoided
 from calib.report.recording_and_plan_pages import write_plan_page
 from calib.samples.confounded_conditions import Confounds

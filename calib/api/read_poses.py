@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certify.calibration import Calibration
+from calib.certification.calibration import Calibration
 from calib.models.corrected_pose_covariance import corrected_pose_covariance
 from rig.formats.csv_table import Table
 from rig.model import mechanisms

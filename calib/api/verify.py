@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from calib.certify.calibration import Calibration, refutation_sentence
-from calib.certify.calibration_evidence import verify_claim_on_samples
-from calib.certify.distinct_configurations import axis_ranges, configuration_numbers
-from calib.certify.held_out_errors import (
+from calib.certification.calibration import Calibration, refutation_sentence
+from calib.certification.calibration_evidence import verify_claim_on_samples
+from calib.certification.distinct_configurations import axis_ranges, configuration_numbers
+from calib.certification.held_out_errors import (
     Figures,
     compare_errors,
     error_statistics,
     errors_before_and_after_correction,
     pose_errors,
 )
-from calib.certify.platform_certification import Progress
+from calib.certification.platform_certification import Progress
 from calib.files import calibration_file
 from calib.files.calibration_from_recording import SEED
 from calib.models.corrected_pose_covariance import corrected_pose_covariance

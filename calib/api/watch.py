@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from calib.certify.calibration import Calibration
-from calib.certify.calibration_evidence import calibration_evidence, verify_claim_on_samples
-from calib.certify.claim_verification import Verification
-from calib.certify.platform_certification import Progress, silent_progress
+from calib.certification.calibration import Calibration
+from calib.certification.calibration_evidence import calibration_evidence, verify_claim_on_samples
+from calib.certification.claim_verification import Verification
+from calib.certification.platform_certification import Progress, silent_progress
 from calib.drift import change_sentences
 from calib.drift.change_evidence import Verdict as ChangeVerdict
 from calib.drift.visit_history import History, add_visit

@@ -12,14 +12,14 @@ import numpy as np
 
 from calib.certificate import certificate_sentences
 from calib.certificate.certificate_contents import CertifyOptions, Contents, measured_volume, measuring_conditions
-from calib.certify import promise_and_conformity, tolerance_limits
-from calib.certify.calibration import Calibration
-from calib.certify.calibration_evidence import confound_sentences
-from calib.certify.held_out_errors import error_statistics, errors_before_and_after_correction
-from calib.certify.held_out_poses import HeldPoses, held_out_poses, pose_repeatability
-from calib.certify.iso230_axis_errors import iso230_axis_tests
-from calib.certify.iso9283 import iso9283_accuracy_and_repeatability, test_duty
-from calib.certify.promise_and_conformity import (
+from calib.certification import promise_and_conformity, tolerance_limits
+from calib.certification.calibration import Calibration
+from calib.certification.calibration_evidence import confound_sentences
+from calib.certification.held_out_errors import error_statistics, errors_before_and_after_correction
+from calib.certification.held_out_poses import HeldPoses, held_out_poses, pose_repeatability
+from calib.certification.iso230_axis_errors import iso230_axis_tests
+from calib.certification.iso9283 import iso9283_accuracy_and_repeatability, test_duty
+from calib.certification.promise_and_conformity import (
     CONFORMS,
     FAILS,
     POSITION,
@@ -30,7 +30,7 @@ from calib.certify.promise_and_conformity import (
     pose_error_promise,
     promise_by_cell,
 )
-from calib.certify.uncertainty_budget import rms_length_uncertainty, thermometer_covariance, uncertainty_budget
+from calib.certification.uncertainty_budget import rms_length_uncertainty, thermometer_covariance, uncertainty_budget
 from calib.files import calibration_file
 from calib.models.corrected_pose_covariance import corrected_pose_covariance
 from calib.samples.confounded_conditions import confounds_of_recordings

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from calib.certify.calibration_evidence import AgainstClaim
-from calib.certify.held_out_errors import Figures
-from calib.certify.held_out_poses import REST, HeldPoses, Repeatability
-from calib.certify.iso230_axis_errors import AxisTest
-from calib.certify.iso9283 import Iso9283
-from calib.certify.promise_and_conformity import Cell, Conformity, Promise
-from calib.certify.uncertainty_budget import Budget
+from calib.certification.calibration_evidence import AgainstClaim
+from calib.certification.held_out_errors import Figures
+from calib.certification.held_out_poses import REST, HeldPoses, Repeatability
+from calib.certification.iso230_axis_errors import AxisTest
+from calib.certification.iso9283 import Iso9283
+from calib.certification.promise_and_conformity import Cell, Conformity, Promise
+from calib.certification.uncertainty_budget import Budget
 from calib.samples.confounded_conditions import Confounds
 from rig.model.design import Arm, Hexapod
 from rig.recording.recording_folder import LIMB, PAYLOAD, Recording

@@ -7,10 +7,10 @@ from typing import Any
 
 from calib.certificate import certificate_sentences
 from calib.certificate.certificate import Certificate, certificate_verdict
-from calib.certify.calibration_evidence import AgainstClaim
-from calib.certify.held_out_errors import Figures
-from calib.certify.promise_and_conformity import Promise
-from calib.certify.uncertainty_budget import COVERAGE, Budget
+from calib.certification.calibration_evidence import AgainstClaim
+from calib.certification.held_out_errors import Figures
+from calib.certification.promise_and_conformity import Promise
+from calib.certification.uncertainty_budget import COVERAGE, Budget
 from rig.formats.json_file import nan_to_null
 
 SCHEMA = "certificate/1"

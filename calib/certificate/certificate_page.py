@@ -8,7 +8,7 @@ import numpy as np
 from calib.certificate import certificate_sentences
 from calib.certificate.certificate import Certificate, certificate_verdict
 from calib.certificate.certificate_sentences import micrometre_text
-from calib.certify.iso9283 import FEWEST
+from calib.certification.iso9283 import FEWEST
 from calib.report.calibration_page import flattened_rows
 from rig.report.pages.html_elements import folding_section, heading, note, paragraph, table
 from rig.report.pages.page_and_svg_templates import Link, Page, write_page

@@ -1,12 +1,12 @@
 """Sentences of a certificate: scale, promise, volume, basis, conformity, ISO figures and uncertainties."""
 
 from calib.certificate.certificate_contents import Contents
-from calib.certify.calibration import claim_status_text, explaining_rigid_motion_text
-from calib.certify.calibration_evidence import AgainstClaim
-from calib.certify.iso230_axis_errors import AxisTest
-from calib.certify.iso9283 import POSES, VISITS
-from calib.certify.promise_and_conformity import CONFORMS, FAILS
-from calib.certify.uncertainty_budget import Contribution, Expanded
+from calib.certification.calibration import claim_status_text, explaining_rigid_motion_text
+from calib.certification.calibration_evidence import AgainstClaim
+from calib.certification.iso230_axis_errors import AxisTest
+from calib.certification.iso9283 import POSES, VISITS
+from calib.certification.promise_and_conformity import CONFORMS, FAILS
+from calib.certification.uncertainty_budget import Contribution, Expanded
 
 
 def micrometre_text(value: float) -> str:

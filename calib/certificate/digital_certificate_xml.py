@@ -26,9 +26,9 @@ from calib.certificate.digital_si_values import (
     Uncertainty,
     si_element,
 )
-from calib.certify import uncertainty_budget
-from calib.certify.promise_and_conformity import CONFORMS, OPEN, Promise
-from calib.certify.uncertainty_budget import COVERAGE
+from calib.certification import uncertainty_budget
+from calib.certification.promise_and_conformity import CONFORMS, OPEN, Promise
+from calib.certification.uncertainty_budget import COVERAGE
 
 VERSION = "3.3.0"
 DCC = "https://ptb.de/dcc"

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.certify.calibration import Calibration
+from calib.certification.calibration import Calibration
 from calib.drift.visit_equations import (
     AT_ORIGIN,
     GAP,

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify.calibration import Calibration
+from calib.certification.calibration import Calibration
 from calib.drift.first_visit_reference import Reference
 from calib.models.platform.identification import inverse_strut_length_jacobian, pose_parameter_jacobian
 from calib.samples.pose_samples import Samples

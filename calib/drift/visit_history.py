@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certify.calibration import Calibration
+from calib.certification.calibration import Calibration
 from calib.drift.change_evidence import (
     Verdict,
     change_hypotheses,

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.diagnose.problems.arm.arm_problem import ArmProblem
-from calib.diagnose.problems.arm.joint_candidates import joint_candidate
-from calib.diagnose.problems.arm.linearised_poses import Arms, Geometry, linearise_planned_poses
-from calib.diagnose.problems.arm.nonlinear_parameters import has_continuous_parameters, optimise_nonlinear_parameters
-from calib.diagnose.problems.arm.pose_fit import Fit, Term
-from calib.diagnose.problems.arm.whitened_columns import Columns, Part
-from calib.diagnose.problems.platform.temperature_alternatives import WARM
-from calib.diagnose.recording_diagnosis import Diagnosis
+from calib.diagnosis.problems.arm.arm_problem import ArmProblem
+from calib.diagnosis.problems.arm.joint_candidates import joint_candidate
+from calib.diagnosis.problems.arm.linearised_poses import Arms, Geometry, linearise_planned_poses
+from calib.diagnosis.problems.arm.nonlinear_parameters import has_continuous_parameters, optimise_nonlinear_parameters
+from calib.diagnosis.problems.arm.pose_fit import Fit, Term
+from calib.diagnosis.problems.arm.whitened_columns import Columns, Part
+from calib.diagnosis.problems.platform.temperature_alternatives import WARM
+from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.experiment.experiment_question import (
     PerFrame,
     Prediction,

@@ -4,7 +4,7 @@ imported.
 
 from collections.abc import Sequence
 
-from calib.diagnose.recording_diagnosis import Diagnosis
+from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.experiment.experiment_question import Question
 
 

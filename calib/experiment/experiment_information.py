@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from calib.diagnose.engine.selection_inputs import PLATFORM
+from calib.diagnosis.engine.selection_inputs import PLATFORM
 from calib.experiment.experiment_question import PerFrame, Prediction, Question
 from rig.errors import RigError
 from rig.model.design import Design

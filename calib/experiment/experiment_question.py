@@ -6,10 +6,10 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from calib.diagnose.engine.candidate_score import Alternative
-from calib.diagnose.engine.finding_confirmation import Finding
-from calib.diagnose.engine.selection_inputs import PLATFORM
-from calib.diagnose.report.diagnosis_json import UNKNOWN
+from calib.diagnosis.engine.candidate_score import Alternative
+from calib.diagnosis.engine.finding_confirmation import Finding
+from calib.diagnosis.engine.selection_inputs import PLATFORM
+from calib.diagnosis.report.diagnosis_json import UNKNOWN
 from rig.planning.plan import Plan
 
 FOREIGN = 0.05  # of all odds, for what is in no catalogue

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correct.correction import filter_closed_commands
+from calib.correction.correction import filter_closed_commands
 from calib.models.geometric_parameters import geometric_parameters
 from calib.models.platform.optimal_configurations import exchange_configurations, total_information
 from rig.errors import RigError

@@ -8,7 +8,7 @@ what is there.
 from dataclasses import dataclass
 from pathlib import Path
 
-from calib.diagnose.report.diagnosis_json import SCHEMA, UNKNOWN
+from calib.diagnosis.report.diagnosis_json import SCHEMA, UNKNOWN
 from rig.formats import csv_table, json_file
 from rig.formats.checked_entries import Entries
 from rig.report.verdict import State

@@ -2,9 +2,9 @@
 is free, and their odds.
 """
 
-from calib.diagnose.problems.platform.platform_problem import PlatformProblem
-from calib.diagnose.problems.platform.simultaneous_refinement import Refined
-from calib.diagnose.recording_diagnosis import Diagnosis
+from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
+from calib.diagnosis.problems.platform.simultaneous_refinement import Refined
+from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.experiment.experiment_question import Rival, data_log_odds, is_ruled_out, rival_hypotheses
 from calib.experiment.platform_outcome_prediction import PlatformQuestion
 from rig.errors import RigError

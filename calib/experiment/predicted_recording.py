@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.diagnose.problems.platform.operating_point import OperatingPoint, cube_seats, group_sightings
-from calib.diagnose.problems.platform.simultaneous_refinement import Refined
+from calib.diagnosis.problems.platform.operating_point import OperatingPoint, cube_seats, group_sightings
+from calib.diagnosis.problems.platform.simultaneous_refinement import Refined
 from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Design

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from calib.certify.calibration import Calibration
-from calib.certify.held_out_errors import Figures, HeldOut
-from calib.certify.workspace_claim import Claim
-from calib.correct.interpolation.gaussian_process import Radial
-from calib.correct.interpolation.interpolation_methods import field_from_entries, field_to_dict
-from calib.correct.pose_space_map_json import pose_map_dict
+from calib.certification.calibration import Calibration
+from calib.certification.held_out_errors import Figures, HeldOut
+from calib.certification.workspace_claim import Claim
+from calib.correction.interpolation.gaussian_process import Radial
+from calib.correction.interpolation.interpolation_methods import field_from_entries, field_to_dict
+from calib.correction.pose_space_map_json import pose_map_dict
 from calib.files.calibration_file_entries import (
     mechanism_dict,
     mechanism_from_entries,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.correct.physics_compensation import Physics, Unknown
+from calib.correction.physics_compensation import Physics, Unknown
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text import Kinds, effect_from_dict, effect_to_dict, require_existing_place

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from calib.certify.calibration import Calibration
-from calib.certify.platform_certification import Certified
-from calib.certify.workspace_claim import Claim
-from calib.correct.physics_compensation import Physics
+from calib.certification.calibration import Calibration
+from calib.certification.platform_certification import Certified
+from calib.certification.workspace_claim import Claim
+from calib.correction.physics_compensation import Physics
 from calib.files import calibration_file
 from calib.models.arm.certification import Certified as ArmCertified
 from calib.models.chain.certification import Certified as ChainCertified

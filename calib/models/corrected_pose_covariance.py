@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify.calibration import Calibration
+from calib.certification.calibration import Calibration
 from calib.models.machine_models import model_of
 from calib.workspace.workspace_cells import map_workspace
 

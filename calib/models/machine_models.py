@@ -6,14 +6,14 @@ from typing import Any, Protocol
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify import platform_certification
-from calib.certify.calibration import Calibration
-from calib.certify.platform_certification import Progress
-from calib.certify.workspace_claim import Claim
-from calib.correct.correction import Correction
-from calib.correct.interpolation.field import Field
-from calib.correct.interpolation.interpolation_methods import gaussian_process_from_entries
-from calib.correct.pose_space_map_json import pose_map_from_entries
+from calib.certification import platform_certification
+from calib.certification.calibration import Calibration
+from calib.certification.platform_certification import Progress
+from calib.certification.workspace_claim import Claim
+from calib.correction.correction import Correction
+from calib.correction.interpolation.field import Field
+from calib.correction.interpolation.interpolation_methods import gaussian_process_from_entries
+from calib.correction.pose_space_map_json import pose_map_from_entries
 from calib.models.arm import certification as arm_certification
 from calib.models.arm import error_model as arm_errors
 from calib.models.arm.correction import ArmCorrection

@@ -7,16 +7,16 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify.calibration import Calibration
-from calib.correct.correction import Responses
-from calib.correct.physics_compensation import (
+from calib.certification.calibration import Calibration
+from calib.correction.correction import Responses
+from calib.correction.physics_compensation import (
     Machine,
     Physics,
     commands_at_poses,
     path_memory_length,
     unknown_history_uncertainty,
 )
-from calib.correct.pose_route import Pace, Route, timed_route, untimed_route
+from calib.correction.pose_route import Pace, Route, timed_route, untimed_route
 from calib.models.corrected_pose_covariance import corrected_pose_covariance
 from rig.effects.framework.effect import Effect
 from rig.errors import NotConverged, Unreachable

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify import measuring_limb_checks, measuring_limbs
-from calib.certify.measuring_limb_checks import Limbs
+from calib.certification import measuring_limb_checks, measuring_limbs
+from calib.certification.measuring_limb_checks import Limbs
 from calib.online.change_detection import Change
 from calib.online.information_filter import Online
 from calib.online.measuring_limbs_file import Accepted

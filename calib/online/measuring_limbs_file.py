@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from calib.certify.measuring_limb_checks import Checks, Limbs
-from calib.certify.measuring_limbs import Agreement, limb_hexapod, stated_limbs
+from calib.certification.measuring_limb_checks import Checks, Limbs
+from calib.certification.measuring_limbs import Agreement, limb_hexapod, stated_limbs
 from calib.files.calibration_file import covariance_from_entries
 from calib.files.calibration_file_entries import mechanism_dict, mechanism_from_entries
 from rig.errors import FileError, RigError

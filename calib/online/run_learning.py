@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify import measuring_limb_checks, measuring_limbs
-from calib.certify.calibration import Calibration
-from calib.correct.correction import Correction
+from calib.certification import measuring_limb_checks, measuring_limbs
+from calib.certification.calibration import Calibration
+from calib.correction.correction import Correction
 from calib.online.change_detection import Change
 from calib.online.information_filter import Online
 from calib.samples.pose_samples import Samples

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from calib.certify.calibration import Calibration, claim_lines
-from calib.certify.calibration_evidence import calibration_verdict
-from calib.certify.held_out_errors import Figures, HeldOut, errors_before_and_after_correction
-from calib.correct.correction import Correction
-from calib.correct.interpolation.gaussian_process import Radial
+from calib.certification.calibration import Calibration, claim_lines
+from calib.certification.calibration_evidence import calibration_verdict
+from calib.certification.held_out_errors import Figures, HeldOut, errors_before_and_after_correction
+from calib.correction.correction import Correction
+from calib.correction.interpolation.gaussian_process import Radial
 from calib.models.platform.identification import Identified
 from calib.models.platform.parameter_accuracy import parameter_combinations
 from calib.report.pose_figures import correction_error_figures, pose_coverage_figures, rig_scene

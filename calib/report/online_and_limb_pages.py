@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certify.calibration_evidence import ALONE, OfCalibrations, confound_sentences
-from calib.certify.measuring_limbs import AXES, MOVES, Agreement
+from calib.certification.calibration_evidence import ALONE, OfCalibrations, confound_sentences
+from calib.certification.measuring_limbs import AXES, MOVES, Agreement
 from calib.samples.confounded_conditions import Confounds
 from rig.report.pages.html_elements import heading, list_html, note, paragraph, table
 from rig.report.pages.page_and_svg_templates import Link, Page, write_page

@@ -7,10 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certify.calibration import Calibration, refutation_sentence, verification_line
-from calib.certify.calibration_evidence import calibration_evidence, evidence_with_confounds, evidence_with_verification
-from calib.certify.claim_verification import Verification
-from calib.certify.held_out_errors import Figures, HeldOut
+from calib.certification.calibration import Calibration, refutation_sentence, verification_line
+from calib.certification.calibration_evidence import (
+    calibration_evidence,
+    evidence_with_confounds,
+    evidence_with_verification,
+)
+from calib.certification.claim_verification import Verification
+from calib.certification.held_out_errors import Figures, HeldOut
 from calib.drift.change_evidence import ALARM
 from calib.drift.change_evidence import Verdict as Changes
 from calib.report.pose_figures import correction_error_figures, pose_coverage_figures, rig_scene

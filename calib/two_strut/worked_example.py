@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correct.correction import Correction
-from calib.correct.summand_extension import fit_summand_field, measured_summands
+from calib.correction.correction import Correction
+from calib.correction.summand_extension import fit_summand_field, measured_summands
 from calib.samples.pose_samples import Samples
 from rig.model.design import Planar2
 from rig.model.mechanisms import two_strut_plane

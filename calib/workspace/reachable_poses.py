@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correct.correction import Correction, commands_with_pose, filter_closed_commands
+from calib.correction.correction import Correction, commands_with_pose, filter_closed_commands
 from rig.errors import NotConverged
 from rig.model import mechanisms
 from rig.model.pose import pose_difference

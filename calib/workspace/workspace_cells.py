@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correct.correction import Correction
-from calib.correct.summand_extension import home_pose
+from calib.correction.correction import Correction
+from calib.correction.summand_extension import home_pose
 from calib.workspace.reachable_poses import Side, reachable_side, uncorrected_machine
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms

@@ -92,7 +92,7 @@ def _legs(arguments: Namespace, recording: Recording) -> tuple[Legs, np.ndarray,
     """(Legs of struts and limbs, frames (n,), lengths (n, legs) m as commanded and read)."""
     import numpy as np
 
-    from calib.certify import measuring_limb_checks, measuring_limbs
+    from calib.certification import measuring_limb_checks, measuring_limbs
     from calib.files import calibration_file
     from calib.online import measuring_limbs_file
     from rig.model.mechanism_kinds import require_hexapod

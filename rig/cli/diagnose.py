@@ -18,7 +18,7 @@ from rig.cli.shared.command_options import (
 
 if TYPE_CHECKING:
     from calib.api.diagnose import DiagnoseOptions
-    from calib.diagnose.report.diagnosis_report import Report
+    from calib.diagnosis.report.diagnosis_report import Report
     from rig.recording.recording_folder import Recording
 
 MENTIONED = 4  # remarks, and rows that were left out, in the terminal
@@ -134,7 +134,7 @@ def _words(arguments: Namespace) -> tuple[str, ...]:
 
 def _print_report(report: Report) -> None:
     """Print what was found, the biggest first, and what was held out."""
-    from calib.diagnose.report.report_sentences import (
+    from calib.diagnosis.report.report_sentences import (
         excluded_row_texts,
         finding_line,
         formula_suggestion_sentences,

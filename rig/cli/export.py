@@ -161,7 +161,7 @@ def _tables(arguments: Namespace) -> None:
     """Write corrections as tables, and say what they leave out."""
     import numpy as np
 
-    from calib.correct.correction_tables import axis_correction_tables, grid_correction_table
+    from calib.correction.correction_tables import axis_correction_tables, grid_correction_table
     from calib.files import calibration_file
     from rig.formats.exporters import linuxcnc_and_compensation_tables
     from rig.formats.output_files import write_text

@@ -53,7 +53,7 @@ def run(arguments: Namespace) -> None:
     """Go to a pose: the corrected lengths, checked, commanded and read back."""
     import numpy as np
 
-    from calib.correct.correction import require_reachable
+    from calib.correction.correction import require_reachable
     from rig.cli.shared.controller_session import design_with_controller, lengths_text, open_driver, print_status
     from rig.model import mechanisms
     from rig.model.mechanism_kinds import require_hexapod

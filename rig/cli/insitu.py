@@ -24,8 +24,8 @@ from rig.formats.number_parsing_and_rounding import parse_number
 if TYPE_CHECKING:
     import numpy as np
 
-    from calib.certify.measuring_limb_checks import Limbs
-    from calib.certify.measuring_limbs import Agreement
+    from calib.certification.measuring_limb_checks import Limbs
+    from calib.certification.measuring_limbs import Agreement
     from calib.online.measuring_limbs_file import Accepted
     from calib.samples.recording_samples import Sampled
     from rig.recording.recording_folder import Recording
@@ -73,7 +73,7 @@ def run(arguments: Namespace) -> int:
         raise RigError("--tolerance takes two positive numbers, m and rad")
     recording = read_recording(arguments)
 
-    from calib.certify import measuring_limbs
+    from calib.certification import measuring_limbs
     from calib.online import measuring_limb_poses, measuring_limbs_file
     from calib.samples.recording_samples import sample_recording
 
@@ -135,7 +135,7 @@ def _held(
     asked : (6,) numbers of those that tell poses, or None"""
     import numpy as np
 
-    from calib.certify import measuring_limb_checks, measuring_limbs
+    from calib.certification import measuring_limb_checks, measuring_limbs
     from calib.files.calibration_file import calibration_provenance
     from calib.online import measuring_limbs_file
 
@@ -215,7 +215,7 @@ def _result(accepted: Accepted, channels: tuple[str, ...], error: np.ndarray, si
 
 
 def _print(found: Agreement, source: str) -> None:
-    from calib.certify.measuring_limbs import AXES, MOVES
+    from calib.certification.measuring_limbs import AXES, MOVES
 
     print(
         f"measuring limbs less vision ({source}), {found.n} poses, each by limbs fitted to other stretches; "

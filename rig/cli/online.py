@@ -26,7 +26,7 @@ from rig.errors import RigError
 if TYPE_CHECKING:
     import numpy as np
 
-    from calib.certify.calibration_evidence import OfCalibrations
+    from calib.certification.calibration_evidence import OfCalibrations
     from calib.files.calibration_file import Calibration
     from calib.online.change_detection import Change
     from calib.online.information_filter import Online, Update
@@ -118,8 +118,8 @@ def _of_calibrations(arguments: Namespace, recording: Recording, calibration: Ca
     """OfCalibrations made from a recording that are beside it; and what the one that learning starts from leaves
     unexplained.
     """
-    from calib.certify.calibration_evidence import calibration_evidence
-    from calib.diagnose.calibration_left_out_physics import unexplained_and_refuted_calibrations
+    from calib.certification.calibration_evidence import calibration_evidence
+    from calib.diagnosis.calibration_left_out_physics import unexplained_and_refuted_calibrations
     from rig.recording.frame_content_hashes import content_hashes
 
     beside = unexplained_and_refuted_calibrations(
@@ -161,7 +161,7 @@ def learn_recording(
     """
     import numpy as np
 
-    from calib.certify.calibration_evidence import ALONE
+    from calib.certification.calibration_evidence import ALONE
     from calib.models.platform.identification import geometric_parameters
     from calib.online.information_filter import Online
     from calib.report.online_and_limb_pages import online_verdict

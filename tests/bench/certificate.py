@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certify.promise_and_conformity import CONFORMS, FAILS
+from calib.certification.promise_and_conformity import CONFORMS, FAILS
 from rig.formats.rig_toml import design_file
 from rig.planning.layout import hexapod_and_two_strut_layout
 from tests.calib.certificate.trials import share_kept, trial, wrong_decisions

@@ -9,8 +9,8 @@ import interpn
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from calib.correct.correction import Correction, require_reachable
-from calib.correct.interpolation.grid import Simplex
+from calib.correction.correction import Correction, require_reachable
+from calib.correction.interpolation.grid import Simplex
 from rig.model.mechanisms import hexapod
 from tests.bench.forward import mechanism_of_bench
 

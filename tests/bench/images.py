@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.diagnose.problems.platform.effect_strength import platform_effect_strengths
-from calib.diagnose.report.report_entries import diagnosis_report, write_diagnosis
+from calib.diagnosis.problems.platform.effect_strength import platform_effect_strengths
+from calib.diagnosis.report.report_entries import diagnosis_report, write_diagnosis
 from calib.samples.recording_samples import Sampled, sample_recording
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.diagnose.recording_diagnosis import Diagnosis
+from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.experiment.experiment_choice import Experiment, available_plans, choose_experiment, evaluate_experiment
 from calib.experiment.experiment_information import NAME
 from calib.experiment.platform_questions import platform_questions as questions

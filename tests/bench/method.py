@@ -11,9 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certify.calibration import Calibration
-from calib.correct.summand_extension import base_geometry, correction_with_field, fit_summand_field, measured_summands
-from calib.diagnose.platform_findings_refit import findings_of_diagnosis
+from calib.certification.calibration import Calibration
+from calib.correction.summand_extension import (
+    base_geometry,
+    correction_with_field,
+    fit_summand_field,
+    measured_summands,
+)
+from calib.diagnosis.platform_findings_refit import findings_of_diagnosis
 from calib.samples.recording_samples import sample_recording
 from rig.effects.texts.effect_text import parse_effect
 from rig.formats.rig_toml import design_file

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from calib.certify import measuring_limbs
-from calib.correct import joint_camera_fit
+from calib.certification import measuring_limbs
+from calib.correction import joint_camera_fit
 from calib.models.platform.identification import (
     PRIOR,
     geometric_parameters,

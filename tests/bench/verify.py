@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 from scipy.stats import beta
 
-from calib.certify.claim_verification import Verification, verify_claim
-from calib.certify.workspace_claim import Claim
+from calib.certification.claim_verification import Verification, verify_claim
+from calib.certification.workspace_claim import Claim
 from calib.samples.pose_samples import Samples
 from rig.model.pose import exp
 

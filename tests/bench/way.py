@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify.held_out_errors import compare_errors, errors_before_and_after_correction
-from calib.correct.correction import calibrate_correction
+from calib.certification.held_out_errors import compare_errors, errors_before_and_after_correction
+from calib.correction.correction import calibrate_correction
 from calib.models.platform.identification import pose_parameter_jacobian
 from calib.samples.recording_samples import sample_recording
 from rig.model.mechanisms import hexapod

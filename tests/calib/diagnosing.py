@@ -1,8 +1,8 @@
 """Diagnoses for tests: of a recording, with its report and its page."""
 
-from calib.diagnose.recording_diagnosis import DiagnosisOptions, diagnose
-from calib.diagnose.report.diagnosis_page import diagnosis_page, machine_view
-from calib.diagnose.report.report_entries import diagnosis_report
+from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
+from calib.diagnosis.report.diagnosis_page import diagnosis_page, machine_view
+from calib.diagnosis.report.report_entries import diagnosis_report
 
 
 def diagnosis_of(recording, only=None, without=(), **options):

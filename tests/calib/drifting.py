@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.certify.calibration import Calibration
-from calib.correct.correction import calibrate_correction
+from calib.certification.calibration import Calibration
+from calib.correction.correction import calibrate_correction
 from calib.drift.visit_configurations import choose_visit_configurations
 from calib.samples.recording_samples import sample_recording
 from rig.effects.texts.effect_text import parse_effect

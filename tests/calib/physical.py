@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.certify.calibration import Calibration
-from calib.certify.platform_certification import Certified
-from calib.correct.correction import calibrate_correction
-from calib.diagnose.platform_findings_refit import findings_of_diagnosis, refit_platform_with_findings
+from calib.certification.calibration import Calibration
+from calib.certification.platform_certification import Certified
+from calib.correction.correction import calibrate_correction
+from calib.diagnosis.platform_findings_refit import findings_of_diagnosis, refit_platform_with_findings
 from calib.models.wanted_pose_commands import commands_along_route, route_pace
 from calib.samples.recording_samples import sample_recording
 from rig.effects.catalogue.effect_list import ALL

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scipy.special import chdtri
 
-from calib.diagnose.engine.candidate_score import Score, score_with_likelihood_ratio
-from calib.diagnose.engine.chance_probability import residual_dispersion, scan_p_value
-from calib.diagnose.engine.cross_validation import frame_folds
-from calib.diagnose.engine.frame_inner_products import FrameProducts, normal_of_common_weights, solve_normal_equations
-from calib.diagnose.engine.linear_model import Block, Column, LinearModel
-from calib.diagnose.engine.selection_inputs import PLATFORM, Candidate
-from calib.diagnose.engine.term_selection import _hidden
-from calib.diagnose.problems.platform.held_out_validation import sides_of_sudden_changes
-from calib.diagnose.report.report_entries import diagnosis_report
+from calib.diagnosis.engine.candidate_score import Score, score_with_likelihood_ratio
+from calib.diagnosis.engine.chance_probability import residual_dispersion, scan_p_value
+from calib.diagnosis.engine.cross_validation import frame_folds
+from calib.diagnosis.engine.frame_inner_products import FrameProducts, normal_of_common_weights, solve_normal_equations
+from calib.diagnosis.engine.linear_model import Block, Column, LinearModel
+from calib.diagnosis.engine.selection_inputs import PLATFORM, Candidate
+from calib.diagnosis.engine.term_selection import _hidden
+from calib.diagnosis.problems.platform.held_out_validation import sides_of_sudden_changes
+from calib.diagnosis.report.report_entries import diagnosis_report
 from rig.effects.catalogue.camera_bump import CameraBump
 from rig.effects.catalogue.missed_steps import MissedSteps
 from tests.calib.diagnosing import diagnosis_of

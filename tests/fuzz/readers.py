@@ -10,9 +10,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from calib.certify.calibration import Calibration
-from calib.certify.held_out_errors import Figures, HeldOut
-from calib.correct.correction import Correction
+from calib.certification.calibration import Calibration
+from calib.certification.held_out_errors import Figures, HeldOut
+from calib.correction.correction import Correction
 from calib.files import calibration_file
 from calib.online.information_filter import Online
 from rig.cli import blind

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certify.calibration import Calibration
-from calib.certify.calibration_evidence import calibration_verdict
-from calib.certify.held_out_errors import Figures, errors_before_and_after_correction
+from calib.certification.calibration import Calibration
+from calib.certification.calibration_evidence import calibration_verdict
+from calib.certification.held_out_errors import Figures, errors_before_and_after_correction
 from calib.models.arm import error_model
 from calib.models.arm.certification import Certified
 from calib.report.calibration_page import evidence_html, provenance_html, view_3d_html

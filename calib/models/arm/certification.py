@@ -5,23 +5,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.certify.calibration import Calibration
-from calib.certify.distinct_configurations import (
+from calib.certification.calibration import Calibration
+from calib.certification.distinct_configurations import (
     LEAST,
     axis_ranges,
     configuration_folds,
     configuration_numbers,
     mean_sample_per_configuration,
 )
-from calib.certify.held_out_error_statistics import HeldErrors, held_out_error_statistics
-from calib.certify.held_out_errors import (
+from calib.certification.held_out_error_statistics import HeldErrors, held_out_error_statistics
+from calib.certification.held_out_errors import (
     HeldOut,
     compare_errors,
     errors_before_and_after_correction,
     is_significant_gain,
 )
-from calib.certify.platform_certification import Progress, silent_progress
-from calib.certify.workspace_claim import (
+from calib.certification.platform_certification import Progress, silent_progress
+from calib.certification.workspace_claim import (
     DRAWS,
     PLACES,
     Claim,

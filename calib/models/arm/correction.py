@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correct.correction import Correction, Responses
+from calib.correction.correction import Correction, Responses
 from calib.models.arm import error_model
 from calib.models.arm.joint_profiles import Profile
 from rig.errors import Unreachable

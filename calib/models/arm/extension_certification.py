@@ -10,13 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.certify.distinct_configurations import (
+from calib.certification.distinct_configurations import (
     axis_ranges,
     configuration_folds,
     configuration_numbers,
     mean_sample_per_configuration,
 )
-from calib.certify.extension_certification import (
+from calib.certification.extension_certification import (
     NONE,
     Asked,
     Stand,
@@ -24,9 +24,9 @@ from calib.certify.extension_certification import (
     certify_interpolation_method,
     claim_without_held_out_data,
 )
-from calib.certify.held_out_error_statistics import draw_common_error_squares
-from calib.certify.platform_certification import FOLDS, Progress, silent_progress
-from calib.certify.workspace_claim import (
+from calib.certification.held_out_error_statistics import draw_common_error_squares
+from calib.certification.platform_certification import FOLDS, Progress, silent_progress
+from calib.certification.workspace_claim import (
     DRAWS,
     LEAST,
     Claim,
@@ -36,8 +36,8 @@ from calib.certify.workspace_claim import (
     claim_of_too_few_configurations,
     extension_error_squares,
 )
-from calib.correct.correction_tables import Summands
-from calib.correct.interpolation.field import Field, Known
+from calib.correction.correction_tables import Summands
+from calib.correction.interpolation.field import Field, Known
 from calib.models.arm import error_model
 from calib.models.arm.certification import UNPLACED, Certified, calibrate_arm, placed_nominal_arm, start_arm
 from calib.models.arm.correction import ArmCorrection

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.certify.held_out_error_statistics import (
+from calib.certification.held_out_error_statistics import (
     HeldErrors,
     held_out_error_statistics,
     held_out_parameter_error_squares,

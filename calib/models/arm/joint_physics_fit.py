@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calib.correct.physics_compensation import samples_with_effects
+from calib.correction.physics_compensation import samples_with_effects
 from calib.identify.least_squares import bounded_least_squares_step
 from calib.models.arm import error_model
 from calib.models.arm.identification import Identified, identify_arm, independent_arm_parameters

@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.certify.calibration import Calibration
-from calib.certify.distinct_configurations import LEAST, configuration_numbers, mean_sample_per_configuration
-from calib.certify.held_out_error_statistics import HeldErrors, held_out_error_statistics, standardised_residuals
-from calib.certify.held_out_errors import HeldOut, compare_errors, errors_before_and_after_correction
-from calib.certify.platform_certification import Progress, held_out_errors_by_fold, silent_progress
-from calib.certify.workspace_claim import (
+from calib.certification.calibration import Calibration
+from calib.certification.distinct_configurations import LEAST, configuration_numbers, mean_sample_per_configuration
+from calib.certification.held_out_error_statistics import HeldErrors, held_out_error_statistics, standardised_residuals
+from calib.certification.held_out_errors import HeldOut, compare_errors, errors_before_and_after_correction
+from calib.certification.platform_certification import Progress, held_out_errors_by_fold, silent_progress
+from calib.certification.workspace_claim import (
     DRAWS,
     PLACES,
     Claim,
@@ -18,7 +18,7 @@ from calib.certify.workspace_claim import (
     claim_of_drawn_machines,
     claim_of_too_few_configurations,
 )
-from calib.correct.correction import Correction, commands_with_pose
+from calib.correction.correction import Correction, commands_with_pose
 from calib.models.arm.held_out_scatter import unexplained_scatter_sentences
 from calib.models.chain import error_model
 from calib.models.chain.identification import Identified, identify_chain

@@ -41,7 +41,7 @@ def draw_blind_case(out: Path, index: int, settings: dict) -> None:
 
 def _drawn_case(index: int, settings: dict, folder: Path) -> tuple[Callable[..., None], np.ndarray]:
     """(what writes the truth of a hexapod's case, its effects' strengths), its recording written."""
-    from calib.diagnose.problems.platform.effect_strength import platform_effect_strengths
+    from calib.diagnosis.problems.platform.effect_strength import platform_effect_strengths
     from rig.recording import recording_folder
     from synthetic import blind_cases as blind
 
@@ -65,7 +65,7 @@ def _drawn_case(index: int, settings: dict, folder: Path) -> tuple[Callable[...,
 
 def _drawn_arm_case(index: int, settings: dict, folder: Path) -> tuple[Callable[..., None], np.ndarray]:
     """The same of an arm's case."""
-    from calib.diagnose.problems.arm.effect_strength import arm_effect_strengths
+    from calib.diagnosis.problems.arm.effect_strength import arm_effect_strengths
     from synthetic import blind_arm_cases as blind_arm
 
     case = blind_arm.draw_arm_case(settings["seed"], index, settings["frames"], settings["hide"], settings["effects"])

@@ -14,7 +14,7 @@ from rig.formats.number_parsing_and_rounding import parse_number
 from rig.formats.output_files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
-    from calib.certify.platform_certification import HeldOut
+    from calib.certification.platform_certification import HeldOut
     from rig.recording.recording_folder import Recording
     from rig.report.pages.page_and_svg_templates import Link
     from vision.recording_adjustment import Measurement
@@ -184,7 +184,7 @@ def add_port_options(parser: ArgumentParser) -> None:
 
 def print_held_out_errors(held_out: HeldOut, title: str) -> None:
     """Print held-out errors before and after correction as a table in mm and mrad."""
-    from calib.certify.calibration import ratio_interval_text
+    from calib.certification.calibration import ratio_interval_text
 
     names = ("mean", "RMS", "95 %", "max")
     print(f"{title}, N = {held_out.after.n}, {held_out.configurations} distinct configurations:")

@@ -55,7 +55,7 @@ def limb_source(arguments: Namespace) -> LimbSource | None:
 
 def accepted_limbs_for_run(arguments: Namespace, design: Design) -> Accepted:
     """Accepted limbs for a run, in place of vision. Raises RigError where nothing reads them or vision cannot check."""
-    from calib.certify import measuring_limbs
+    from calib.certification import measuring_limbs
     from calib.online import measuring_limbs_file
 
     if arguments.no_measure:

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify.measuring_limb_checks import has_six_measuring_limbs
+from calib.certification.measuring_limb_checks import has_six_measuring_limbs
 from calib.online.measuring_limb_poses import Disagreement, LiveLimbPoses
 from calib.online.run_learning import Learner, Learnt, LimbWatch
 from rig.cli.online import change_sentence

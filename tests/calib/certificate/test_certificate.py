@@ -19,10 +19,10 @@ import pytest
 
 from calib.certificate import certificate_json
 from calib.certificate.certificate import combined_held_out_poses
-from calib.certify.promise_and_conformity import OPEN, pose_error_promise
-from calib.certify.uncertainty_budget import rms_length_uncertainty, thermometer_covariance
-from calib.correct.correction import calibrate_correction
-from calib.correct.physics_compensation import Physics
+from calib.certification.promise_and_conformity import OPEN, pose_error_promise
+from calib.certification.uncertainty_budget import rms_length_uncertainty, thermometer_covariance
+from calib.correction.correction import calibrate_correction
+from calib.correction.physics_compensation import Physics
 from calib.files import calibration_file
 from calib.samples.recording_samples import sample_recording
 from rig.cli.command_line import main

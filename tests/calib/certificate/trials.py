@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.certify.held_out_errors import errors_before_and_after_correction
-from calib.certify.held_out_poses import held_out_poses
-from calib.certify.promise_and_conformity import (
+from calib.certification.held_out_errors import errors_before_and_after_correction
+from calib.certification.held_out_poses import held_out_poses
+from calib.certification.promise_and_conformity import (
     CONFORMS,
     FAILS,
     GUARD,
@@ -23,8 +23,8 @@ from calib.certify.promise_and_conformity import (
     pose_error_promise,
     tolerance_conformity,
 )
-from calib.certify.tolerance_limits import least_sample_size
-from calib.correct.correction import calibrate_correction
+from calib.certification.tolerance_limits import least_sample_size
+from calib.correction.correction import calibrate_correction
 from calib.samples.pose_samples import Samples
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.parameter import Drawing

@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from calib.diagnose.problems.arm.joint_candidates import joint_candidate
-from calib.diagnose.problems.arm.linearised_poses import linearise_planned_poses
+from calib.diagnosis.problems.arm.joint_candidates import joint_candidate
+from calib.diagnosis.problems.arm.linearised_poses import linearise_planned_poses
 from calib.experiment.arm_questions import arm_questions
 from calib.experiment.experiment_choice import evaluate_experiment
 from rig.cli.command_line import main

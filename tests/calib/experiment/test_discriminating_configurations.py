@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
-from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
-from calib.diagnose.problems.platform.simultaneous_refinement import refine
+from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
+from calib.diagnosis.problems.platform.simultaneous_refinement import refine
 from calib.experiment.experiment_choice import CHOSEN, available_plans
 from calib.experiment.experiment_information import (
     camera_information_shares,

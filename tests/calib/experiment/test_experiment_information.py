@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from calib.diagnose.engine.selection_inputs import PLATFORM
+from calib.diagnosis.engine.selection_inputs import PLATFORM
 from calib.experiment.experiment_choice import Experiment, available_plans, rank_experiments
 from calib.experiment.experiment_information import experiment_information
 from calib.experiment.experiment_question import Prediction

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnose.problems.platform.linearised_corners import SEAT_LABELS, corner_rows
-from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
+from calib.diagnosis.problems.platform.linearised_corners import SEAT_LABELS, corner_rows
+from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
 from rig.cli.command_line import main
 from rig.model.cube_remounting import quarter_turns
 from rig.planning.layout import hexapod_and_two_strut_layout

@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certify.calibration import Calibration
-from calib.certify.platform_certification import certify_platform, platform_workspace_claim
+from calib.certification.calibration import Calibration
+from calib.certification.platform_certification import certify_platform, platform_workspace_claim
 from calib.files import calibration_file
 from calib.models import machine_models
 from rig.errors import FileError
 from rig.formats.json_file import Places, first_repeated_key
 from rig.model.mechanisms import hexapod
-from tests.calib.correct.test_correction import wavy
+from tests.calib.correction.test_correction import wavy
 from tests.calib.worlds import sampled, workspace
 
 

@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 import calib
-from calib.certify.calibration import Calibration
-from calib.correct.correction import Correction
-from calib.correct.physics_compensation import Physics
+from calib.certification.calibration import Calibration
+from calib.correction.correction import Correction
+from calib.correction.physics_compensation import Physics
 from calib.files import calibration_file
 from calib.models.arm.correction import ArmCorrection
 from calib.models.chain import error_model as chains

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calib.certify import measuring_limbs
-from calib.certify.measuring_limb_checks import Limbs
+from calib.certification import measuring_limbs
+from calib.certification.measuring_limb_checks import Limbs
 from calib.models.platform.identification import pose_parameter_jacobian
 from calib.online import measuring_limb_poses, measuring_limbs_file
 from calib.online.information_filter import Online

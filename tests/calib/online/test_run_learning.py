@@ -5,8 +5,8 @@ go astray too.
 import numpy as np
 import pytest
 
-from calib.certify.calibration import Calibration
-from calib.correct.correction import Correction
+from calib.certification.calibration import Calibration
+from calib.correction.correction import Correction
 from calib.online.run_learning import Learner, LimbWatch
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms

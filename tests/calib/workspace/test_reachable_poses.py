@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.correct.correction import Correction, require_reachable
+from calib.correction.correction import Correction, require_reachable
 from calib.models.arm.correction import ArmCorrection
 from calib.workspace.reachable_poses import is_pose_lost, reachable_side, uncorrected_machine
 from rig.errors import Unreachable

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certify.calibration import Calibration
-from calib.certify.platform_certification import platform_pose_covariance
-from calib.correct.correction import Correction, calibrate_correction
+from calib.certification.calibration import Calibration
+from calib.certification.platform_certification import platform_pose_covariance
+from calib.correction.correction import Correction, calibrate_correction
 from calib.files import calibration_file
 from calib.models.arm.correction import ArmCorrection
 from calib.models.corrected_pose_covariance import calibration_with_workspace

@@ -5,12 +5,12 @@ import os
 import numpy as np
 import pytest
 
-from calib.diagnose.problems.platform.candidate_search import search_candidates
-from calib.diagnose.problems.platform.effect_candidates import platform_candidates
-from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
-from calib.diagnose.problems.platform.linearised_residuals import linearise
-from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
-from calib.diagnose.problems.requested_effects import RequestedEffects
+from calib.diagnosis.problems.platform.candidate_search import search_candidates
+from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
+from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform.linearised_residuals import linearise
+from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
+from calib.diagnosis.problems.requested_effects import RequestedEffects
 from rig.compute import parallel_map
 from rig.compute.worker_processes import MOST, split_for_workers
 from tests.calib.recorded import recorded

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certify.calibration import Calibration
+from calib.certification.calibration import Calibration
 from calib.files import calibration_file
 from calib.models.arm import certification as certifying
 from calib.models.arm import error_model

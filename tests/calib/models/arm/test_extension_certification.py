@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certify.calibration import Calibration
-from calib.certify.extension_certification import Asked
-from calib.correct.interpolation.interpolation_methods import field_from_entries, field_to_dict
+from calib.certification.calibration import Calibration
+from calib.certification.extension_certification import Asked
+from calib.correction.interpolation.interpolation_methods import field_from_entries, field_to_dict
 from calib.files import calibration_file
 from calib.models.arm import error_model
 from calib.models.arm.certification import arm_pose_covariance

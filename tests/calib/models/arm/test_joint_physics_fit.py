@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify.calibration import Calibration
-from calib.correct.physics_compensation import Physics
-from calib.correct.pose_route import Pace
+from calib.certification.calibration import Calibration
+from calib.correction.physics_compensation import Physics
+from calib.correction.pose_route import Pace
 from calib.files import calibration_file
 from calib.models.arm import error_model
 from calib.models.arm.certification import start_arm

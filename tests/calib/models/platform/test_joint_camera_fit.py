@@ -5,8 +5,8 @@ without.
 import numpy as np
 import pytest
 
-from calib.correct import joint_camera_fit
-from calib.correct.joint_camera_fit import refine_correction_with_cameras
+from calib.correction import joint_camera_fit
+from calib.correction.joint_camera_fit import refine_correction_with_cameras
 from calib.models.platform.identification import geometric_parameters, identify_platform
 from calib.samples.recording_samples import sample_recording
 from rig.errors import RigError
@@ -62,7 +62,7 @@ def test_moving_cameras_and_missing_base_targets_are_refused(solved):
 def test_a_calibration_is_refined_or_the_reason_said(solved, design):
     from dataclasses import replace
 
-    from calib.correct.correction import calibrate_correction
+    from calib.correction.correction import calibrate_correction
 
     _, read, sampled, found, _ = solved
     correction, two = calibrate_correction(sampled.samples, read.design.mechanism)

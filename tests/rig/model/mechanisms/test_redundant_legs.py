@@ -8,10 +8,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from calib.certify import measuring_limbs
-from calib.certify.calibration import Calibration
-from calib.certify.measuring_limb_checks import Limbs
-from calib.correct.correction import Correction
+from calib.certification import measuring_limbs
+from calib.certification.calibration import Calibration
+from calib.certification.measuring_limb_checks import Limbs
+from calib.correction.correction import Correction
 from calib.files import calibration_file
 from calib.online import measuring_limbs_file
 from rig.cli.command_line import main

@@ -1,0 +1,219 @@
+"""Evidence for and against a calibration, its verdict, and the check of its claim on a held-out recording."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.certification.calibration import WHERE, Calibration, claim_lines, refutation_sentence
+from calib.certification.claim_verification import Part, Verification, verify_claim
+from calib.certification.distinct_configurations import axis_ranges, configuration_numbers
+from calib.certification.held_out_errors import HeldOut, pose_errors
+from calib.certification.workspace_claim import Claim
+from calib.samples.confounded_conditions import Confounds
+from calib.samples.pose_samples import Samples
+from rig.report.refutations import Refutation
+from rig.report.verdict import LOOK, Evidence, Missing, State, Verdict, judge_evidence
+
+MORE = (
+    "Record more distinct configurations: `rig plan RIG.toml --for parameters --out plan.csv` chooses those that "
+    "tell most"
+)
+ONWARD = (
+    "Take another recording and hold the calibration against it: `rig certify calibration.json OTHER-REC "
+    "--out certificate.html`",
+    "Compute commands that bring the poses you want: `rig correct calibration.json --poses wanted.csv --out "
+    "commands.csv`",
+)
+TAKE_IN = (
+    "Determine what is left out: `rig diagnose REC --out found`; take it in: `rig calibrate REC --diagnosis "
+    "found --out calibration.json`"
+)
+
+
+class OfCalibrations(NamedTuple):
+    """What is known of calibrations made from a recording, which holds for all else that is learnt from it.
+    refuted : which are, and by what, and
+    unexplained : what they leave so, a sentence each"""
+
+    refuted: tuple[str, ...] = ()
+    unexplained: tuple[str, ...] = ()
+
+
+ALONE = OfCalibrations()  # of a recording from which none was made
+
+
+def calibration_verdict(calibration: Calibration, refutations: Sequence[Refutation] = ()) -> Verdict:
+    """The Verdict on a calibration. refutations : of its file, by later recordings"""
+    return judge_evidence(calibration_evidence(calibration, refutations))
+
+
+def calibration_evidence(
+    calibration: Calibration,
+    refutations: Sequence[Refutation] = (),
+    statement: str | None = None,
+    steps: Sequence[str] = ONWARD,
+) -> Evidence:
+    """Evidence for a calibration. refutations : of its file, by later recordings; statement : in place of its own;
+    steps : where it is good
+    """
+    claim = calibration.claim
+    said = "this calibration claims nothing" if claim is None else claim_lines(claim)[0]
+    missing, refuted = list(_missing(calibration)), [one.line for one in refutations if one.state == State.BAD]
+    if claim is not None and claim.ratio is not None:
+        if claim.ratio[2] < 1:
+            refuted.append("the owner's own model does better")
+        elif claim.ratio[1] <= 1:
+            missing.append(Missing("it is not shown to be better than the owner's own model", MORE))
+    unexplained = () if claim is None else claim.unexplained
+    if calibration.physics is not None:
+        nameless = [u.place for u in calibration.physics.unknown if not u.corrected]
+        unexplained = (*unexplained, *(f"nothing in the catalogue explains what is at {place}" for place in nameless))
+    doubted = tuple(one.line for one in refutations if one.state != State.BAD)
+    return Evidence(
+        said if statement is None else statement,
+        tuple(steps),
+        _error_to_claim_ratio(calibration.held_out, claim),
+        (*unexplained, *doubted),
+        confound_sentences(calibration.confounds),
+        tuple(missing),
+        tuple(refuted),
+        LOOK if calibration.correction.nominal.bodies else TAKE_IN,
+    )
+
+
+def evidence_with_verification(
+    evidence: Evidence, verification: Verification | None, recording_name: str = "", next_step: str | None = None
+) -> Evidence:
+    """Evidence with the verification of the claim on a held-out recording added.
+    verification : Verification, None where no factor is claimed
+
+    recording_name : the recording, where the sentence names it; next_step : the step where the claim is refuted, that
+        of known by default
+    """
+    if verification is None:
+        return evidence
+    if verification.offset is not None and verification.offset.kept:
+        moved = Missing(
+            f"the {WHERE[verification.offset.of]} stands elsewhere",
+            "Seat targets and instrument anew, or state where they stand in rig.toml",
+        )
+        return replace(evidence, missing=(*evidence.missing, moved))
+    if verification.refutes:
+        said = f"the claim is NOT kept{recording_name and f' by {recording_name}'}: {refutation_sentence(verification)}"
+        return replace(
+            evidence, refuted=(said, *evidence.refuted), look=evidence.look if next_step is None else next_step
+        )
+    ratios = [part.of_allowed for part in verification.parts.values()] + (
+        [] if evidence.held_out is None else [evidence.held_out]
+    )
+    return replace(evidence, held_out=max(ratios, default=None))
+
+
+def verify_claim_on_samples(
+    calibration: Calibration, samples: Samples, rng: np.random.Generator
+) -> Verification | None:
+    """Verification of a calibration's claim on samples, None where no factor is claimed."""
+    if calibration.claim is None or calibration.claim.after is None:
+        return None
+    label = configuration_numbers(samples.commanded, axis_ranges(calibration.correction.nominal))
+    return verify_claim(calibration.correction.predict(samples.effective), samples, label, calibration.claim, rng)
+
+
+def evidence_with_confounds(
+    evidence: Evidence, calibration: Calibration, confounds: Sequence[Confounds | None], recording_names: str
+) -> Evidence:
+    """Evidence with what the designs of held-out recordings confound, where its own recording's is not known.
+
+    Only what that does not separate can have gone into the correction. recording_names : the recordings, in words
+    """
+    if calibration.confounds is not None:
+        return evidence
+    return replace(
+        evidence,
+        confounds=tuple(
+            dict.fromkeys(
+                [
+                    *evidence.confounds,
+                    *(f"{recording_names}: {said}" for one in confounds for said in confound_sentences(one)),
+                ]
+            )
+        ),
+    )
+
+
+def _error_to_claim_ratio(held: HeldOut | None, claim: Claim | None) -> float | None:
+    """Held-out RMS error over what claim and noise allow, the greater of position's and rotation's; None where nothing
+    was held out or claimed.
+    """
+    if held is None or claim is None or claim.after is None:
+        return None
+    found = []
+    for size, three, floor in zip((held.after.position[0], held.after.rotation[0]), claim.after, held.floor):
+        allowed = math.hypot(three[2], floor)
+        if math.isfinite(size) and math.isfinite(allowed) and three[2] > 0:
+            found.append(size / allowed)
+    return max(found, default=None)
+
+
+def confound_sentences(confounds: Confounds | None) -> tuple[str, ...]:
+    """Sentence on the confounds of a recording's design, as a list; empty where there are none."""
+    return (confounds.line().split("; record the same")[0],) if confounds is not None and confounds.serious else ()
+
+
+def _missing(calibration: Calibration) -> list[Missing]:
+    claim = calibration.claim
+    if claim is None:
+        return [Missing("nothing is claimed", MORE)]
+    if claim.ratio is None:
+        return [Missing("it is not known how the correction does at other configurations", MORE)]
+    return []
+
+
+@dataclass(frozen=True, slots=True)
+class AgainstClaim:
+    """Of a recording's n poses. found : Verification; beyond : (m, rad), RMS errors beyond what measuring adds, 0 where
+    that explains all, None where not judged
+    claimed : ((median, low, high), ..) m and rad, the claim's 95 % intervals of them"""
+
+    recording: str
+    found: Verification
+    beyond: tuple[float | None, float | None]
+    claimed: tuple[tuple[float, ...], ...]
+
+    @property
+    def parts(self) -> dict[str, tuple[Part, float, tuple[float, ...]]]:
+        """{"position" | "rotation": (Part, RMS beyond noise, (median, low, high) claimed)} of what was judged; m and
+        rad.
+        """
+        rows = zip(("position", "rotation"), (self.found.position, self.found.rotation), self.beyond, self.claimed)
+        return {
+            name: (part, beyond, claimed)
+            for name, part, beyond, claimed in rows
+            if part is not None and beyond is not None
+        }
+
+
+def check_claim_on_recording(
+    calibration: Calibration, recording: str, samples: Samples, rng: np.random.Generator
+) -> AgainstClaim | None:
+    """Check of a calibration's claim on a recording's samples, None where no factor is claimed. recording : its name"""
+    found = verify_claim_on_samples(calibration, samples, rng)
+    if found is None or calibration.claim is None or calibration.claim.after is None:
+        return None
+    errors, covariance = (
+        pose_errors(calibration.correction.predict(samples.effective), samples),
+        samples.total_covariance(),
+    )
+
+    def beyond(part: slice) -> float:
+        square = (errors[:, part] ** 2).sum(axis=1) - np.trace(covariance[:, part, part], axis1=1, axis2=2)
+        return float(np.sqrt(max(square.mean(), 0.0)))
+
+    sizes = [
+        None if judged is None else beyond(part)
+        for judged, part in ((found.position, slice(0, 3)), (found.rotation, slice(3, 6)))
+    ]
+    return AgainstClaim(recording, found, (sizes[0], sizes[1]), calibration.claim.after)

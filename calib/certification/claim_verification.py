@@ -1,0 +1,247 @@
+"""Verification of a calibration's claim: whether the errors of a recording's poses lie within what is claimed.
+
+Of n poses the machine's error may be as large as the claim's upper end, the instrument's own errors are drawn anew in
+every pose and so average out, its shared errors are drawn once. The squares are whitened by all three together, so that
+a shared error costs its own few degrees of freedom and widens nothing else. Their distribution, the machine's error
+being the same in each visit of one configuration, is drawn.
+A base (or an instrument) that stands elsewhere moves all poses by one rigid motion: it is estimated, and the claim
+tested without it.
+Source: docs/mathematics.md (21); Rao, Linear Statistical Inference, 2nd ed., 3b (quadratic forms); 4a (generalised
+    least squares)
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.certification.held_out_errors import pose_errors
+from calib.certification.workspace_claim import Claim
+from calib.samples.pose_samples import Samples
+from rig.model.pose import adjoint, exp
+from rig.report.verdict import REFUTES
+
+LEVEL = 0.995  # of each part's quantile: one claim in a hundred that is kept is taken for one that is not
+DRAWS, FEWEST_DRAWS, MOST = 2000, 400, 200_000  # of squares: as many as times the poses make MOST
+NOTICED = 0.975  # chance with which an error of the size that is stated would have been noticed
+FEWEST = 8  # poses from which a rigid motion is estimated
+STEPS = 6  # of Gauss and Newton: motions of a metre and a radian converge in five
+TINY = 1e-9  # m or rad, claims below which weigh as this
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Position or rotation. rms : m or rad as measured; claimed : upper end of the claim; of_allowed : RMS of the
+    whitened squares, 1 where the error is what claim and noise allow; limit : up to which chance goes; noticed : m or
+    rad, an error of the machine that would have passed it"""
+
+    rms: float
+    claimed: float
+    of_allowed: float
+    limit: float
+    noticed: float
+
+    @property
+    def kept(self) -> bool:
+        """Whether the claim is kept."""
+        return self.of_allowed <= self.limit
+
+
+@dataclass(frozen=True, slots=True)
+class Offset:
+    """A rigid motion common to all poses. of : "base" or "platform", which of the two stands elsewhere; position : m;
+    rotation : rad, its lengths
+    kept : whether the claim is kept without it"""
+
+    of: str
+    position: float
+    rotation: float
+    kept: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """A claim held against n poses. position, rotation : Part, None where it was not measured or nothing is claimed of
+    it
+    offset : Offset that explains why the claim is not kept, None where it is kept or no such motion explains it
+    unexplained : whether the claim names something that it leaves so"""
+
+    n: int
+    position: Part | None
+    rotation: Part | None
+    offset: Offset | None = None
+    unexplained: bool = False
+
+    @property
+    def parts(self) -> dict[str, Part]:
+        """{"position" | "rotation": Part} of what was judged."""
+        return {
+            name: part for name, part in (("position", self.position), ("rotation", self.rotation)) if part is not None
+        }
+
+    @property
+    def kept(self) -> bool:
+        """Whether all that was judged is kept. Of nothing judged nothing is."""
+        return bool(self.parts) and all(part.kept for part in self.parts.values())
+
+    @property
+    def refutes(self) -> bool:
+        """Whether the claim is not kept, and no rigid motion of all poses explains it.
+
+        What a claim names as unexplained differs with the day and the plan: it is refuted by more than REFUTES times
+        what it and noise allow.
+        """
+        if self.kept or not self.parts or (self.offset is not None and self.offset.kept):
+            return False
+        return not self.unexplained or max(part.of_allowed for part in self.parts.values()) > REFUTES
+
+    @property
+    def of_limit(self) -> float:
+        """Greatest of the whitened RMS errors over its limit, 1 where the claim is just kept."""
+        return max((part.of_allowed / part.limit for part in self.parts.values()), default=math.nan)
+
+
+def verify_claim(
+    predicted: RigidTransform, samples: Samples, label: np.ndarray, claim: Claim, rng: np.random.Generator
+) -> Verification:
+    """Verification of a Claim by predicted poses (n,) and measured samples.
+
+    samples : Samples, the poses as measured; label : (n,) configuration of each pose; rng : numpy Generator
+    Raises ValueError for a Claim without a factor
+    """
+    if claim.after is None:
+        raise ValueError("no factor is claimed, so there is nothing to verify")
+    found = replace(
+        _verified(pose_errors(predicted, samples), samples, label, claim, rng), unexplained=bool(claim.unexplained)
+    )
+    return (
+        found
+        if found.kept or not found.parts
+        else replace(found, offset=_offset(predicted, samples, label, claim, found.of_limit, rng))
+    )
+
+
+def _verified(
+    errors: np.ndarray, samples: Samples, label: np.ndarray, claim: Claim, rng: np.random.Generator
+) -> Verification:
+    """Verification by errors (n, 6), without a rigid motion."""
+    assert claim.after is not None
+    parts = [
+        _part(errors, samples.covariance, samples.common, label, rows, three[2], rng)
+        for rows, three in zip(_parts(errors, claim), claim.after)
+    ]
+    return Verification(len(errors), parts[0], parts[1])
+
+
+def _parts(errors: np.ndarray, claim: Claim) -> list[list[int]]:
+    """Rows of the tangent that are judged, of position and of rotation."""
+    assert claim.after is not None
+    return [
+        [i for i in part if np.isfinite(errors[:, i]).all() and np.abs(errors[:, i]).any()] if three[2] > 0 else []
+        for part, three in zip((range(3), range(3, 6)), claim.after)
+    ]
+
+
+def _part(
+    errors: np.ndarray,
+    own: np.ndarray,
+    common: np.ndarray,
+    label: np.ndarray,
+    rows: list[int],
+    claimed: float,
+    rng: np.random.Generator,
+) -> Part | None:
+    """Part of rows of the tangent; None of no rows."""
+    if not rows:
+        return None
+    e, C, B = errors[:, rows], own[:, rows][:, :, rows], common[:, rows]
+    whiten = _Whitener(C + claimed**2 / len(rows) * np.eye(len(rows)), B)
+    n, d = e.shape
+    draws = int(np.clip(MOST // n, FEWEST_DRAWS, DRAWS))
+    root = np.linalg.cholesky(C + TINY**2 * np.eye(d))
+    machine = rng.normal(size=(draws, int(label.max()) + 1, d))[:, label] * (claimed / math.sqrt(d))
+    noise = np.einsum("nij,qnj->qni", root, rng.normal(size=(draws, n, d)))
+    noise = noise + np.einsum("nik,qk->qni", B, rng.normal(size=(draws, B.shape[2])))
+    alone, crossed, own_squares = (
+        whiten.squares(machine, machine),
+        whiten.squares(machine, noise),
+        whiten.squares(noise, noise),
+    )
+
+    def squares(times: float) -> np.ndarray:
+        return times**2 * alone + 2 * times * crossed + own_squares
+
+    limit = float(np.quantile(squares(1.0), LEVEL))
+    found = math.sqrt(float(whiten.squares(e[None], e[None])[0]) / (n * d))
+    times = _root(lambda size: float(np.quantile(squares(size), 1 - NOTICED)) - limit)
+    return Part(float(np.sqrt((e**2).sum(axis=1).mean())), claimed, found, math.sqrt(limit / (n * d)), claimed * times)
+
+
+def _root(rising: Callable[[float], float], most: float = 1e3) -> float:
+    """Where a rising function passes 0, to a part in a hundred; infinite beyond the most."""
+    low, high = 0.0, most
+    if rising(high) < 0:
+        return math.inf
+    while high - low > 0.01 * high:
+        middle = (low + high) / 2
+        low, high = (low, middle) if rising(middle) > 0 else (middle, high)
+    return high
+
+
+class _Whitener:
+    """Products a' (diag(C) + B B')^-1 b of errors. C : (n, d, d); B : (n, d, k), by Woodbury's identity."""
+
+    def __init__(self, C: np.ndarray, B: np.ndarray) -> None:
+        self.inverse = np.linalg.inv(C)
+        self.B = B
+        self.weighted = self.inverse @ B
+        self.core = np.linalg.inv(np.eye(B.shape[2]) + np.einsum("nik,nil->kl", B, self.weighted))
+
+    def squares(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """(q,) of a and b (q, n, d)."""
+        alone = ((a[:, :, None] @ self.inverse)[:, :, 0] * b).sum(axis=(1, 2))
+        z, w = (np.tensordot(one, self.weighted, axes=((1, 2), (0, 1))) for one in (a, b))
+        return np.asarray(alone - ((z @ self.core) * w).sum(axis=1))
+
+
+def _offset(
+    predicted: RigidTransform, samples: Samples, label: np.ndarray, claim: Claim, whole: float, rng: np.random.Generator
+) -> Offset | None:
+    """The rigid motion, of the base or of what is measured on the platform, that explains why a claim is not kept:
+    without it the claim is kept, or less than half of what was beyond it is left. None where neither does.
+    whole : `Verification.of_limit` with it"""
+    if samples.measured not in ("pose", "position") or len(samples) < FEWEST:
+        return None
+    found: list[tuple[float, Offset]] = []
+    for of in ("base", "platform"):
+        motion, without = _without(of, predicted, samples, claim)
+        left = _verified(pose_errors(predicted, without), samples, label, claim, rng)
+        sizes = float(np.linalg.norm(motion.translation)), float(motion.rotation.magnitude())
+        found.append((left.of_limit, Offset(of, *sizes, left.kept)))
+    least, best = min(found, key=lambda one: one[0])
+    return best if best.kept or least < whole / 2 else None
+
+
+def _without(of: str, predicted: RigidTransform, samples: Samples, claim: Claim) -> tuple[RigidTransform, Samples]:
+    """(rigid motion that fits best, Samples without it), by generalised least squares on SE(3)."""
+    assert claim.after is not None
+    motion, moved = RigidTransform.identity(), samples
+    sizes = np.repeat([three[2] / math.sqrt(3) for three in claim.after], 3)
+    for _ in range(STEPS):
+        e = pose_errors(predicted, moved)
+        rows = np.flatnonzero(np.isfinite(e).all(axis=0))
+        weight = np.linalg.inv(
+            samples.total_covariance()[:, rows][:, :, rows] + np.diag(np.maximum(sizes[rows], TINY) ** 2)
+        )
+        A = (adjoint(predicted.inv()) if of == "base" else np.broadcast_to(np.eye(6), (len(e), 6, 6)))[:, rows]
+        information, right = (
+            np.einsum("nia,nij,njb->ab", A, weight, A),
+            np.einsum("nia,nij,nj->a", A, weight, e[:, rows]),
+        )
+        step = exp(np.linalg.lstsq(information, right, rcond=1e-10)[0])
+        T = samples.T_base_platform
+        motion = step * motion if of == "base" else motion * step
+        moved = replace(samples, T_base_platform=motion.inv() * T if of == "base" else T * motion.inv())
+    return motion, moved

@@ -1,0 +1,237 @@
+"""Certification of a platform's calibration by held-out poses and by machine draws."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.certification.calibration import Calibration
+from calib.certification.distinct_configurations import (
+    LEAST,
+    axis_ranges,
+    configuration_folds,
+    configuration_numbers,
+    mean_sample_per_configuration,
+)
+from calib.certification.held_out_error_statistics import HeldErrors
+from calib.certification.held_out_errors import (
+    HeldOut,
+    compare_errors,
+    errors_before_and_after_correction,
+    is_significant_gain,
+)
+from calib.certification.machine_draws import COUNT, Sizes, draw_possible_machines, strut_deviation_sizes
+from calib.certification.possible_machines import Machines
+from calib.certification.workspace_claim import Claim, draw_fit_variance_ratio, sample_workspace, workspace_claim
+from calib.correction.correction import Correction, calibrate_correction, identify_geometry
+from calib.correction.interpolation.gaussian_process import Radial
+from calib.models.platform.identification import (
+    Identified,
+    geometric_parameters,
+    identify_platform,
+    inverse_strut_length_jacobian,
+    loop_closure_jacobian,
+    pose_parameter_jacobian,
+)
+from calib.models.platform.parameter_accuracy import stated_geometry_accuracy
+from calib.samples.pose_samples import Samples, inverse_covariance
+from rig.compute.parallel_map import parallel_map
+from rig.model.mechanism_kinds import Struts
+
+Progress = Callable[[str, int, int], None]  # called with (label, done, of) as work goes on
+
+FOLDS = 5
+SURELY = 0.9  # probability of a function of place beside everything else from which a remainder may stand
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Certified:
+    """correction : Correction of all samples; found : Identified, its geometry; label : (n,) configuration of each
+    sample
+    held_out : HeldOut, whole stretches of configurations in turn, wild poses left out, or None for fewer than
+        configurations.LEAST of them
+    machines : Machines that the samples leave possible, or None where none were drawn; covariance : (p, p) m^2 of their
+        parameters and
+    strut_covariance : (axes, axes) m^2 of what their struts do besides, both about the correction; left : HeldErrors of
+    what an extension leaves at configurations held out, None where nothing was extended"""
+
+    correction: Correction[Struts, Radial]
+    found: Identified
+    label: np.ndarray
+    held_out: HeldOut | None
+    machines: Machines | None = None
+    covariance: np.ndarray | None = None
+    strut_covariance: np.ndarray | None = None
+    left: HeldErrors | None = None
+
+
+def platform_pose_covariance(calibration: Calibration, T_base_platform: RigidTransform) -> np.ndarray:
+    """Covariance (n, 6, 6) of the corrected platform's pose at poses (n,): parameters and strut deviations.
+
+    docs/mathematics.md (21)
+
+    calibration : Calibration of a machine on struts
+    """
+    fitted = calibration.correction.fitted
+    J = pose_parameter_jacobian(T_base_platform, fitted)
+    back = inverse_strut_length_jacobian(T_base_platform, fitted)
+    own = np.diag(calibration.scatter**2) if calibration.strut_covariance is None else calibration.strut_covariance
+    if calibration.correction.extension is not None:
+        error = calibration.correction.extension.error(calibration.correction.inverse_without_physics(T_base_platform))
+        own = own + error[:, :, None] ** 2 * np.eye(len(fitted.axes))
+    covariance = J @ calibration.covariance @ np.swapaxes(J, 1, 2) + back @ own @ np.swapaxes(back, 1, 2)
+    return covariance + calibration.correction.posed_error(T_base_platform)[..., None] ** 2 * np.eye(6)
+
+
+def certify_platform(
+    samples: Samples, nominal: Struts, rng: np.random.Generator, progress: Progress | None = None
+) -> Certified:
+    """Certified platform: calibrated on all samples, with errors at configurations held out in turn.
+
+    The remainder is kept only where it is a significant gain on the held-out stretches; its size and smoothness, and
+    how good the owner's figures are, are those found on the whole recording. rng : numpy Generator, for the bootstrap
+    progress : called with (label, done, of), or None
+    """
+    label = configuration_numbers(samples.commanded, axis_ranges(nominal))
+    said = progress or silent_progress
+    said("fitting the geometry", 0, 1)
+    alone = identify_geometry(samples, nominal)
+    first = uncertified_geometry(nominal, alone, label)
+    if label.max() + 1 < LEAST:  # nothing says whether a remainder pays
+        said("fitting the geometry", 1, 1)
+        return first
+    sizes = strut_deviation_sizes_of_samples(samples, first, rng)
+    correction, found = calibrate_correction(samples, nominal, geometry=alone, only=sizes.of_place() > SURELY)
+    said("fitting the geometry", 1, 1)
+    like, good = correction.remainder, sizes.inliers
+    covariance = samples.total_covariance()[good]
+
+    def corrections(some: Samples) -> list[Correction[Struts, Radial]]:
+        known = identify_geometry(some, nominal, alone)
+        return [
+            calibrate_correction(some, nominal, how, geometry=known)[0]
+            for how in (("none", like) if any(like) else ("none",))
+        ]
+
+    before, after, *more = [errors[good] for errors in held_out_errors_by_fold(samples, label, corrections, said)]
+    done = replace(first, held_out=compare_errors(before, after, covariance, rng, label[good]))
+    if more:
+        weight = inverse_covariance(covariance)
+        loss = [np.einsum("ni,nij,nj->n", e, weight, e) for e in (np.nan_to_num(after), np.nan_to_num(more[0]))]
+        if is_significant_gain(loss[0] - loss[1]):
+            done = Certified(correction, found, label, compare_errors(before, more[0], covariance, rng, label[good]))
+    return draw_and_add_machines(samples, done, sizes, rng)
+
+
+def uncertified_geometry(nominal: Struts, identified: Identified, label: np.ndarray) -> Certified:
+    """Certified of a geometry alone, uncertified: nothing was held out. label : (n,) configuration of each sample"""
+    plain: Correction[Struts, Radial] = Correction(nominal, identified.mechanism, (None,) * len(nominal.axes))
+    return Certified(plain, identified, label, None)
+
+
+def silent_progress(label: str, done: int, of: int) -> None:
+    """Progress that reports nothing."""
+
+
+def held_out_errors_by_fold(
+    samples: Samples,
+    label: np.ndarray,
+    correct: Callable[[Samples], Sequence[Correction[Any, Any]]],
+    progress: Progress,
+) -> list[np.ndarray]:
+    """Held-out errors before and after each correction, (n, 6) m and rad, fold by fold, on all cores.
+
+    label : (n,) configuration of each sample; correct : Corrections by some samples, as many each time
+    """
+    fold = configuration_folds(label, min(FOLDS, label.max() + 1))
+
+    def errors(k: int) -> list[np.ndarray]:
+        rest = samples.take(fold == k)
+        each = [errors_before_and_after_correction(correction, rest) for correction in correct(samples.take(fold != k))]
+        return [each[0][0], *(after for _, after in each)]
+
+    names = np.unique(fold).tolist()
+    progress("holding configurations out", 0, len(names))
+    found = parallel_map(
+        errors, names, lambda done, of: progress("holding configurations out", done, of), items_per_process=1
+    )
+    out = [np.empty((len(samples), 6)) for _ in found[0]]
+    for k, parts in zip(names, found):
+        for whole, part in zip(out, parts):
+            whole[fold == k] = part
+    return out
+
+
+def strut_deviation_sizes_of_samples(samples: Samples, geometry: Certified, rng: np.random.Generator) -> Sizes:
+    """Sizes of strut deviations of samples beyond a geometry alone, each visit a sample."""
+    nominal = geometry.correction.nominal
+    return strut_deviation_sizes(
+        geometry.found,
+        stated_geometry_accuracy(_each_configuration(samples, geometry)[1], nominal),
+        samples,
+        geometry.label,
+        nominal,
+        rng,
+    )
+
+
+def draw_and_add_machines(samples: Samples, certified: Certified, sizes: Sizes, rng: np.random.Generator) -> Certified:
+    """Certified with machines drawn from its samples and added."""
+    correction, found = certified.correction, _each_configuration(samples, certified)[1]
+    noise = draw_fit_variance_ratio(found, correction.nominal, COUNT, rng)
+    known = stated_geometry_accuracy(found, correction.nominal)
+    return add_machine_draws(
+        certified,
+        draw_possible_machines(
+            certified.found, known, samples, sizes, correction.nominal, sample_workspace(correction)[0], noise, rng
+        ),
+    )
+
+
+def add_machine_draws(certified: Certified, machines: Machines) -> Certified:
+    """Certified with machine draws about its correction added."""
+    places, T = sample_workspace(certified.correction)
+    covariance, struts = machines.second_moments(
+        loop_closure_jacobian(T, certified.correction.fitted), certified.correction.rho(places)
+    )
+    return replace(certified, machines=machines, covariance=covariance, strut_covariance=struts)
+
+
+def with_refitted_correction(
+    certified: Certified, correction: Correction[Struts, Radial], identified: Identified
+) -> Certified:
+    """Certified with a refitted correction and its Identified, of the same samples."""
+    moved = replace(certified, correction=correction, found=identified)
+    if certified.machines is None:
+        return moved
+    return add_machine_draws(
+        moved,
+        certified.machines.moved(
+            geometric_parameters(correction.fitted) - geometric_parameters(certified.correction.fitted)
+        ),
+    )
+
+
+def _each_configuration(samples: Samples, done: Certified) -> tuple[Samples, Identified]:
+    """(Samples, Identified) with one row for each configuration that was visited, however often."""
+    nominal, good = done.correction.nominal, done.found.inliers
+    label = np.unique(done.label[good], return_inverse=True)[1]
+    agreed = samples.take(good)
+    each = mean_sample_per_configuration(agreed, label, inverse_strut_length_jacobian(agreed.T_base_platform, nominal))
+    return each, identify_platform(each, nominal, done.correction.rho(each.effective), done.found.prior, done.found)
+
+
+def platform_workspace_claim(samples: Samples, certified: Certified, rng: np.random.Generator) -> Claim:
+    """Claim of a certified platform over its workspace: each configuration counts once."""
+    each, found = _each_configuration(samples, certified)
+    return workspace_claim(
+        found,
+        stated_geometry_accuracy(found, certified.correction.nominal),
+        certified.correction,
+        each,
+        rng,
+        certified.machines,
+        certified.left,
+    )

@@ -1,0 +1,259 @@
+"""Promise of a pose error bound from held-out poses, whole and by cell, and conformity with tolerances."""
+
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+
+import numpy as np
+
+from calib.certification import noise_free_errors, tolerance_limits
+from calib.certification.held_out_poses import HeldPoses
+
+DRAWS = 400  # of the shared errors
+POSITION, ROTATION = slice(0, 3), slice(3, 6)
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """Of one length (position m, or rotation rad) or of depth: estimate of the `coverage` quantile of true errors,
+    one-sided limits (lower, upper), the upper one being the promise; measured : the upper limit of the errors as
+    measured, noise and all; shared, scale : margins of what poses share. Where a Promise has two, these are of position
+    and rotation at once."""
+
+    estimate: float
+    lower: float
+    upper: float
+    measured: float
+    shared: float
+    scale: float
+
+    def times(self, unit: float) -> "Bound":
+        """The Bound of depth as one of a length, in m or rad."""
+        return Bound(*(unit * value for value in astuple(self)))
+
+
+@dataclass(frozen=True, slots=True)
+class Promise:
+    """position, rotation : Bound, rotation None where none was measured; n : configurations that it rests on
+    The share `coverage` of poses lies within position.upper and rotation.upper both."""
+
+    position: Bound
+    rotation: Bound | None
+    coverage: float
+    confidence: float
+    n: int
+
+    @property
+    def turned(self) -> float | None:
+        """rad, the promise of rotations, None where none was measured."""
+        return None if self.rotation is None else self.rotation.upper
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """A box of the volume: low, high (3,) m of the platform's position, and the Promise of it."""
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    promise: Promise
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """of : POSITION or ROTATION; size : m or rad, in which a pose's length counts for its depth, fixed before the poses
+    were measured.
+    """
+
+    of: slice
+    size: float
+
+
+def pose_error_promise(
+    poses: HeldPoses,
+    coverage: float,
+    confidence: float,
+    scale: float,
+    units: tuple[float, float],
+    rng: np.random.Generator,
+    pose_indices: np.ndarray | None = None,
+) -> Promise:
+    """Promise of pose errors from held-out poses. scale : relative standard uncertainty of the length scale
+
+    units : (m, rad) whose ratio is that of the promised position to the promised rotation; whatever they are, the
+    promise is valid as long as the poses had no part in their choice
+    rng : numpy Generator, for the draws of shared errors. Raises NotEnoughData for fewer configurations than it takes
+    """
+    at = poses.first if pose_indices is None else pose_indices
+    parts = (Unit(POSITION, units[0]), Unit(ROTATION, units[1]))[: 2 if poses.rotations else 1]
+    depth = pose_error_depth_bound(poses, at, parts, (coverage, confidence), scale, rng)
+    return Promise(
+        depth.times(units[0]), depth.times(units[1]) if poses.rotations else None, coverage, confidence, len(at)
+    )
+
+
+def pose_error_depth_bound(
+    poses: HeldPoses,
+    at: np.ndarray,
+    units: tuple[Unit, ...],
+    level: tuple[float, float],
+    scale: float,
+    rng: np.random.Generator,
+) -> Bound:
+    """Bound of the depth of pose errors: the greater of position and rotation in their units.
+
+    at : (c,) indices of poses; level : (coverage, confidence); scale, rng : as `pose_error_promise`
+    Raises NotEnoughData for fewer poses than it takes
+    """
+    coverage, confidence = level
+    tolerance_limits.require_sample_size(len(at), coverage, confidence)
+    errors = _in_units(poses.errors[at], units)
+    lengths = np.linalg.norm(errors, axis=2)
+    own = noise_free_errors.true_depth_limits(
+        lengths, np.stack([poses.sigma(unit.of)[at] / unit.size for unit in units], axis=1), coverage, confidence
+    )
+    drawn = [
+        _in_units(np.einsum("nik,dk->dni", factor[at], rng.normal(size=(DRAWS, factor.shape[2]))), units)
+        for factor in poses.common
+    ]
+    shared = _margins(errors, np.sum(drawn, axis=0), coverage, confidence) if any(map(np.any, drawn)) else np.zeros(2)
+    stretched = np.zeros(2)
+    if scale:
+        T = poses.T_base_platform[at]
+        moved = np.concatenate([T.rotation.inv().apply(T.translation), np.zeros((len(at), 3))], axis=1)
+        stretched = _margins(
+            errors, _in_units(scale * rng.normal(size=(DRAWS, 1, 1)) * moved, units), coverage, confidence
+        )
+    down, up = np.sqrt(np.array([own.estimate - own.lower, own.upper - own.estimate]) ** 2 + shared**2 + stretched**2)
+    return Bound(
+        own.estimate,
+        max(0.0, own.estimate - float(down)),
+        own.estimate + float(up),
+        tolerance_limits.upper_tolerance_limit(lengths.max(axis=1), coverage, confidence),
+        float(shared[1]),
+        float(stretched[1]),
+    )
+
+
+def _in_units(errors: np.ndarray, units: tuple[Unit, ...]) -> np.ndarray:
+    """(.., d, 3) of errors (.., 6), each of d parts in its unit."""
+    return np.stack([errors[..., unit.of] / unit.size for unit in units], axis=-2)
+
+
+def _greatest_error_lengths(errors: np.ndarray) -> np.ndarray:
+    """(..,) greatest length of the parts of errors (.., d, 3)."""
+    found: np.ndarray = np.linalg.norm(errors, axis=-1).max(axis=-1)
+    return found
+
+
+def _margins(errors: np.ndarray, drawn: np.ndarray, coverage: float, confidence: float) -> np.ndarray:
+    """(2,) by how much the quantile of the depth of errors (n, d, 3) may lie lower and higher for what is drawn (k, n,
+    d, 3), one draw for all.
+
+    Higher: the quantile with it taken off. Lower: its own size, as it may be all that is seen, which draws apart from
+    the errors do not show
+    """
+    quantiles = np.quantile(_greatest_error_lengths(errors - drawn), coverage, axis=1)
+    at = np.quantile(_greatest_error_lengths(errors), coverage)
+    own = np.sqrt((drawn**2).sum(axis=3).mean(axis=1)).max(axis=1)
+    return np.array([np.quantile(own, confidence), max(float(np.quantile(quantiles, confidence) - at), 0.0)])
+
+
+def promise_by_cell(
+    poses: HeldPoses,
+    coverage: float,
+    confidence: float,
+    scale: float,
+    units: tuple[float, float],
+    rng: np.random.Generator,
+) -> tuple[Cell, ...]:
+    """Promises by cell of the volume, halved along its longest side while both halves have poses enough.
+
+    Each cell's promise has the confidence by itself. The arguments are those of `pose_error_promise`
+    """
+    least = tolerance_limits.least_sample_size(coverage, confidence)
+    places = poses.T_base_platform.translation
+    boxes = _halved(places, poses.first, places[poses.first].min(axis=0), places[poses.first].max(axis=0), least)
+    return (
+        tuple(
+            Cell(
+                tuple(low.tolist()),
+                tuple(high.tolist()),
+                pose_error_promise(poses, coverage, confidence, scale, units, rng, at),
+            )
+            for at, low, high in boxes
+        )
+        if len(boxes) > 1
+        else ()
+    )
+
+
+def _halved(
+    places: np.ndarray, at: np.ndarray, low: np.ndarray, high: np.ndarray, least: int
+) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """[(indices, low, high)] of boxes."""
+    if len(at) < 2 * least:
+        return [(at, low, high)]
+    axis = int(np.argmax(high - low))
+    order = at[np.argsort(places[at, axis], kind="stable")]
+    half = len(order) // 2
+    cut = (places[order[half - 1], axis] + places[order[half], axis]) / 2
+    middle_high, middle_low = high.copy(), low.copy()
+    middle_high[axis] = middle_low[axis] = cut
+    return _halved(places, order[:half], low, middle_high, least) + _halved(
+        places, order[half:], middle_low, high, least
+    )
+
+
+GUARD = 0.975
+CONFORMS, FAILS, OPEN = "conforms", "does not conform", "cannot be said"
+
+
+@dataclass(frozen=True, slots=True)
+class Conformity:
+    """Of one tolerance. quantity : "position" or "rotation"; tolerance, lower, upper, estimate : m or rad, of all
+    quantities at once
+    verdict : one of the three, the same for all tolerances; guard : between the tolerance and what may be accepted, m
+        or rad
+    given_scale : the verdict if the targets' scale is exact, which differs from `verdict` where a position would
+        conform and nobody certified it
+    beyond : how many of the held-out poses lie beyond this tolerance, as measured."""
+
+    quantity: str
+    tolerance: float
+    estimate: float
+    lower: float
+    upper: float
+    guard: float
+    verdict: str
+    given_scale: str
+    beyond: int
+
+
+def tolerance_conformity(
+    tolerances: Sequence[tuple[str, float]], depth: Bound | None, scale_certified: bool, beyond: Sequence[int]
+) -> tuple[Conformity, ...]:
+    """Conformity with each tolerance, of position (m) or of rotation (rad).
+
+    depth : Bound of the depth in units of the tolerances, its limits of the confidence GUARD; None where there are too
+        few poses for one
+    beyond : of each tolerance
+    """
+    if depth is None:
+        depth = Bound(float("nan"), 0.0, float("inf"), float("nan"), 0.0, 0.0)
+    given = CONFORMS if depth.upper <= 1 else FAILS if depth.lower > 1 else OPEN
+    resting = not scale_certified and any(quantity == "position" for quantity, _ in tolerances)
+    verdict = OPEN if given == CONFORMS and resting else given
+    guard = depth.upper if depth.estimate != depth.estimate else depth.upper - depth.estimate
+    return tuple(
+        Conformity(
+            quantity,
+            size,
+            size * depth.estimate,
+            size * depth.lower,
+            size * depth.upper,
+            size * guard,
+            verdict,
+            given,
+            count,
+        )
+        for (quantity, size), count in zip(tolerances, beyond)
+    )

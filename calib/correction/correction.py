@@ -1,0 +1,371 @@
+"""Correction of a machine over its configuration space: geometry fit, remainder, and commands for poses.
+
+KSF(x) = x - IK(GDK(x)): x commanded, GDK the pose it really gives, IK the inverse kinematics as the owner believes it.
+It is kept as a fitted geometry (its smooth part) and a remainder rho(x) = x - IK_fitted(GDK(x)). To get a wanted pose,
+the command x' is found that solves x' = x + KSF(x') with x = IK(wanted): the fixed point, not only its first step x +
+KSF(x).
+Source: configuration-space patent, [0024]-[0031], [0130]-[0137].
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.correction.interpolation import gaussian_process
+from calib.correction.interpolation.field import Field
+from calib.correction.interpolation.field_combinations import RestrictedMap
+from calib.correction.interpolation.gaussian_process import Radial
+from calib.correction.interpolation.grid import Simplex
+from calib.correction.pose_space_map import PoseMap
+from calib.models.platform.identification import (
+    Identified,
+    identify_platform,
+    inverse_strut_length_jacobian,
+    pose_parameter_jacobian,
+    strut_length_jacobian,
+)
+from calib.models.platform.parameter_accuracy import stated_geometry_accuracy
+from calib.samples.pose_samples import Samples
+from rig.compute.parallel_map import parallel_map
+from rig.effects.framework.diagnosis_interface import PLOT_UNITS
+from rig.errors import NotConverged, RigError, Unreachable
+from rig.model import mechanisms
+from rig.model.design import Arm, Chain, Hexapod, Planar2
+from rig.model.mechanism_kinds import Struts, require_struts
+
+ITERATIONS = 100
+TOLERANCE = 1e-12  # m
+ROUNDS = 2  # of fitting the geometry and the remainder in turn
+
+
+M = TypeVar("M", bound=Hexapod | Planar2 | Arm | Chain)
+R = TypeVar("R", bound=Callable[[np.ndarray], np.ndarray])
+
+
+class Responses(NamedTuple):
+    """How poses change (m and rad, on the right). axes : (n, 6, axes) with the axes; back : (n, axes, 6) the axes with
+    the pose
+    parameters : (n, 6, p) with the geometry's parameters."""
+
+    axes: np.ndarray
+    back: np.ndarray
+    parameters: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correction(Generic[M, R]):
+    """nominal : the mechanism as its owner believes it; fitted : its smooth part, nominal itself where no parameters
+    were sought
+    remainder : per axis a Radial or Profile, or None; extension : Field of what is left on top over all axes, or None
+    posed : PoseMaps of what these leave, the first first, each of what those before it leave
+    physics : names of what a calibration knows besides the configuration: commands by this alone would leave it out,
+        and are refused
+    """
+
+    nominal: M
+    fitted: M
+    remainder: tuple[R | None, ...]
+    extension: Field | None = field(default=None, kw_only=True)
+    posed: tuple[PoseMap, ...] = field(default=(), kw_only=True)
+    physics: tuple[str, ...] = field(default=(), kw_only=True)
+
+    def rho(self, commands: np.ndarray) -> np.ndarray:
+        """(..., axes) m, the remainder at commands (..., axes)."""
+        commands = np.asarray(commands, float)
+        smooth = np.zeros(commands.shape) if self.extension is None else self.extension.value(commands)
+        for i, part in enumerate(self.remainder):
+            if part is not None:
+                smooth[..., i] += part(commands)
+        return smooth
+
+    def predict(self, commands: np.ndarray, guess: RigidTransform | None = None) -> RigidTransform:
+        """T_base_platform (...) that commands (..., axes) m will really give. Raises NotConverged like the
+        mechanism.
+        """
+        T = mechanisms.kinematics_of(self.fitted).forward(
+            np.asarray(commands, float) - self.rho(commands), self.fitted, guess
+        )
+        for one in self.posed:
+            T = one.applied(T)
+        return T
+
+    def target_poses(self, T_base_platform: RigidTransform) -> RigidTransform:
+        """The poses (...) that struts are to be set for so that the machine stands at T (...): maps in pose space
+        undone, the last first.
+
+        Raises NotConverged as they do
+        """
+        for one in reversed(self.posed):
+            T_base_platform = one.compensated(T_base_platform)
+        return T_base_platform
+
+    def summand(self, commands: np.ndarray) -> np.ndarray:
+        """KSF (..., axes) m at commands (..., axes), docs/mathematics.md (19): commanded less what the owner's model
+        says for the pose it gives.
+        """
+        return commands - mechanisms.kinematics_of(self.nominal).inverse(self.predict(commands), self.nominal)
+
+    def single_step(self, T_base_platform: RigidTransform) -> np.ndarray:
+        """Commands (..., axes) m of the method's text for wanted poses (...): X + KSF(X), X = IK(wanted).
+
+        `inverse` makes it exact: there KSF is taken where the struts then stand. Source: configuration-space patent,
+        [0027], [0030], [0090]
+        Raises RigError as `inverse`
+        """
+        self._refuse_physics()
+        x = self.uncorrected(T_base_platform)
+        return x + self.summand(x)
+
+    def missed(self, T_base_platform: RigidTransform, commands: np.ndarray) -> np.ndarray:
+        """(n, axes) m or rad by which commands (n, axes) differ from those that give wanted poses (n,). Raises
+        NotConverged as `inverse`
+        """
+        return commands - self.inverse_without_physics(T_base_platform)
+
+    def corrected_forward(self, configurations: np.ndarray) -> RigidTransform:
+        """KDK(x) = DK(x + KSF(x)), RigidTransform (...): what the owner's model says that a corrected configuration x
+        (..., axes) gives.
+
+        Source: configuration-space patent, [0133] to [0135]
+        """
+        return mechanisms.kinematics_of(self.nominal).forward(
+            configurations + self.summand(configurations), self.nominal
+        )
+
+    def posed_error(self, T_base_platform: RigidTransform) -> np.ndarray:
+        """(..., 6) m and rad, standard error of what maps in pose space add to poses (...): of the last that holds
+        there.
+        """
+        out = np.zeros((*T_base_platform.shape, 6))
+        for one in self.posed:
+            weight = (
+                one.field.part.weight(one.at(T_base_platform))[0][..., None]
+                if isinstance(one.field, RestrictedMap)
+                else np.ones(1)
+            )
+            out = np.sqrt((1 - weight) * out**2 + one.error(T_base_platform) ** 2)
+        return out
+
+    def uncorrected(self, T_base_platform: RigidTransform) -> np.ndarray:
+        """Commands (..., axes) m that the owner's model gives for wanted poses (...), for comparison."""
+        return mechanisms.kinematics_of(self.nominal).inverse(T_base_platform, self.nominal)
+
+    def reached_poses(self, T_base_platform: RigidTransform, commands: np.ndarray) -> RigidTransform:
+        """The poses (n,) that commands (n, axes) found for wanted poses (n,) give: these themselves, but for a machine
+        of too few axes.
+        """
+        return T_base_platform
+
+    def goal(self, T_base_platform: RigidTransform, near: np.ndarray) -> np.ndarray:
+        """(n, axes) m or rad that the fitted geometry has to get for poses (n,). near : (n, axes), commands where there
+        is more than one way.
+        """
+        return mechanisms.kinematics_of(self.fitted).inverse(T_base_platform, self.fitted)
+
+    def responses(self, T_base_platform: RigidTransform, effective: np.ndarray) -> Responses:
+        """Responses at poses (n,), of which the fitted geometry gets effective (n, axes) m or rad."""
+        fitted = require_struts(self.fitted)
+        return Responses(
+            inverse_strut_length_jacobian(T_base_platform, fitted),
+            strut_length_jacobian(T_base_platform, fitted),
+            pose_parameter_jacobian(T_base_platform, fitted),
+        )
+
+    def scattering(self, scatter: np.ndarray, responses: Responses) -> np.ndarray:
+        """(n, 6, k) m and rad, factor of the covariance by which poses scatter. scatter : as a Calibration has it, of
+        each strut
+        """
+        return responses.axes * scatter
+
+    def inverse(self, T_base_platform: RigidTransform) -> np.ndarray:
+        """Commands (..., axes) m that give wanted poses (...), to 1e-12 m, docs/mathematics.md (20); limits are for
+        `require_reachable` to check.
+
+        Raises RigError where a calibration knows physics besides, NotConverged with index, commands and residual (m)
+        where the fixed point is not found
+        """
+        self._refuse_physics()
+        return self.inverse_without_physics(T_base_platform)
+
+    def inverse_without_physics(self, T_base_platform: RigidTransform) -> np.ndarray:
+        """The commands (..., axes) of `inverse` by the configuration alone, whatever else a calibration knows. Raises
+        NotConverged as `inverse`
+        """
+        return self.settled(
+            mechanisms.kinematics_of(self.fitted).inverse(self.target_poses(T_base_platform), self.fitted)
+        )
+
+    def _refuse_physics(self) -> None:
+        """Raise RigError where commands by the configuration alone would leave known physics out."""
+        if self.physics:
+            raise RigError(
+                f"this calibration knows physics that commands have to undo ({', '.join(self.physics)}), and "
+                "a correction by "
+                "configuration alone leaves it out: take calib.correct(calibration, wanted), which gives "
+                "what `rig correct` does"
+            )
+
+    def near(self, T_base_platform: RigidTransform, guess: np.ndarray) -> np.ndarray:
+        """Commands (n, axes) as `inverse` for poses (n,), NaN where none is found. guess : (n, axes), what is near."""
+        goal = mechanisms.kinematics_of(self.fitted).inverse(self.target_poses(T_base_platform), self.fitted)
+        try:
+            return self.settled(goal)
+        except NotConverged as error:
+            out, rest = np.full(goal.shape, np.nan), np.delete(np.arange(len(goal)), error.index)
+            out[rest] = self.settled(goal[rest])
+            return out
+
+    def settled(self, goal: np.ndarray) -> np.ndarray:
+        """Commands c (..., axes) m or rad with c = goal + rho(c): those that make the struts as long as the fitted
+        model wants them.
+
+        Raises NotConverged as `inverse`
+        """
+        if isinstance(self.extension, Simplex) and not any(self.remainder):
+            commands, change = self.extension.fixed_points(goal.reshape(-1, goal.shape[-1]), TOLERANCE)
+            return self._found(commands, change).reshape(goal.shape)
+        commands = goal.copy()
+        for _ in range(ITERATIONS):
+            new = goal + self.rho(commands)
+            change, commands = np.abs(new - commands).max(axis=-1), new
+            if change.max(initial=0) < TOLERANCE:
+                break
+        return self._found(commands, change)
+
+    def _found(self, commands: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """The commands (..., axes) of a fixed point; raises NotConverged where its last step still changed them
+        (...).
+        """
+        failed = np.flatnonzero(~(np.ravel(change) < TOLERANCE))
+        if len(failed):
+            raise NotConverged(
+                f"the corrected command of {len(failed)} poses was not found",
+                failed,
+                commands.reshape(-1, commands.shape[-1])[failed],
+                np.ravel(change)[failed],
+            )
+        return commands
+
+
+def commands_with_pose(commands: np.ndarray, correction: Correction[Any, Any]) -> tuple[np.ndarray, RigidTransform]:
+    """Commands (m, axes) that close on a pose, and these poses (k,). Raises NotConverged where none does."""
+    index, T = filter_closed_commands(commands, correction.predict)
+    return commands[index], T
+
+
+def filter_closed_commands(
+    commands: np.ndarray, predict: Callable[[np.ndarray], RigidTransform]
+) -> tuple[np.ndarray, RigidTransform]:
+    """(indices (k,) of the commands that close on a pose, these poses (k,)), by a prediction of poses.
+
+    Raises NotConverged where none does
+    """
+    index = np.arange(len(commands))
+    while True:
+        try:
+            return index, predict(commands[index])
+        except NotConverged as error:
+            index = np.delete(index, error.index)
+            if not len(index):
+                raise
+
+
+def require_reachable(commands: np.ndarray, mechanism: Struts | Arm | Chain, labels: Sequence[str]) -> None:
+    """Raise Unreachable, listing every pose whose commands (n, axes) m or rad leave the mechanism's range. labels : n
+    texts.
+    """
+    places = mechanisms.axis_places(mechanism)
+    shown = [PLOT_UNITS[unit] for unit in mechanisms.axis_units(mechanism)]
+    beyond = mechanisms.kinematics_of(mechanism).limits(commands, mechanism)
+    bad = np.flatnonzero((beyond != 0).any(axis=1))
+    if not len(bad):
+        return
+    lines = []
+    for i in bad.tolist():
+        axes = [
+            f"{places[j]} at {commands[i, j] * scale:.3f} {unit}, {abs(beyond[i, j]) * scale:.3f} {unit} "
+            f"{'below' if beyond[i, j] < 0 else 'above'} its range"
+            for j in np.flatnonzero(beyond[i])
+            for scale, unit in (shown[j],)
+        ]
+        lines.append(f"{labels[i]}: " + "; ".join(axes))
+    raise Unreachable(f"{len(bad)} of {len(commands)} wanted poses cannot be reached:", bad, lines)
+
+
+def identify_geometry(samples: Samples, nominal: Struts, near: Identified | None = None) -> Identified:
+    """Identified geometry of samples alone, no remainder taken off. near : Identified of most of the same samples,
+    whose prior is taken over, or None: how good the owner's figures are is told by these samples. Raises NotEnoughData
+    as `identify`"""
+    if near is None:
+        first = identify_platform(samples, nominal)
+        return identify_platform(samples, nominal, prior=stated_geometry_accuracy(first, nominal).prior, near=first)
+    return identify_platform(samples, nominal, prior=near.prior, near=near)
+
+
+def calibrate_correction(
+    samples: Samples,
+    nominal: Struts,
+    remainder: str | tuple[Radial | None, ...] = "find",
+    geometry: Identified | None = None,
+    only: np.ndarray | None = None,
+) -> tuple[Correction[Struts, Radial], Identified]:
+    """(Correction, Identified) calibrated on samples: geometry fitted, then its remainder extended.
+
+    samples : Samples; nominal : the owner's
+    remainder : "find" keeps a strut's where it stands out of the noise; "none" fits the geometry alone; a tuple of
+    Radial or None takes over size and smoothness from there; geometry : `identify_geometry` of the same, where it is
+    known already
+    only : (axes,) bool, the struts that may have one where it is to be found; all by default
+    Raises RigError for a machine without struts, NotEnoughData as `identify`
+    """
+    nominal = require_struts(nominal)
+    found = identify_geometry(samples, nominal) if geometry is None else geometry
+    parts: tuple[Radial | None, ...] = (None,) * len(nominal.axes)
+    like = remainder if isinstance(remainder, tuple) else parts
+    if (
+        remainder == "none"
+        or (remainder == "find" and not found.scatter.any())
+        or (like is remainder and not any(like))
+    ):
+        return Correction(nominal, found.mechanism, parts), found
+    may = np.ones(len(nominal.axes), bool) if only is None else only
+    for _ in range(ROUNDS):
+        parts = _remainder(samples, found, nominal, parts, like, may)
+        found = identify_platform(
+            samples, nominal, Correction(nominal, nominal, parts).rho(samples.effective), found.prior, found
+        )
+        if remainder == "find":
+            if not any(parts):
+                break
+            like = parts
+    return Correction(nominal, found.mechanism, parts), found
+
+
+def _remainder(
+    samples: Samples,
+    found: Identified,
+    nominal: Struts,
+    before: tuple[Radial | None, ...],
+    like: tuple[Radial | None, ...],
+    may: np.ndarray,
+) -> tuple[Radial | None, ...]:
+    """Per strut a Radial of what the geometry leaves; without one to be like, where it leaves more than noise, or
+    None.
+    """
+    good = found.inliers
+    left = found.residuals + Correction(nominal, nominal, before).rho(samples.effective)
+    variances = np.einsum("nii->ni", found.residual_covariance)
+    given = any(like)
+
+    def part(i: int) -> Radial | None:
+        if (like[i] is None) if given else not (found.scatter[i] and may[i]):
+            return None
+        return gaussian_process.fit_gaussian_process(
+            samples.effective[good], left[good, i], variances[good, i], i, nominal.strut_range, like[i]
+        )
+
+    axes = range(len(like))
+    return tuple([part(i) for i in axes] if given else parallel_map(part, axes, items_per_process=1))

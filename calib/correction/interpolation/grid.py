@@ -1,0 +1,239 @@
+"""Grid of samples and interpolation on it: n-linear, or barycentric on the simplices of a cell."""
+
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import ClassVar, NamedTuple, Self
+
+import numpy as np
+
+from calib.correction.interpolation.field import Known, WeightedField, Weights, average_samples
+from calib.correction.interpolation.grid_kernels import Tables, compiled_simplex_kernels, n_linear_interpolation_kernel
+from rig.errors import RigError
+from rig.model.mechanisms.hexapod_kernels import EACH, run_in_threads
+
+SAME = 1e-5  # of the stroke, within which commands are one level: they are written to a tenth of a micrometre
+
+
+class Lattice(NamedTuple):
+    """levels : per axis (Q + 1,), ascending; vertex : (n,) number of each sample's vertex, counted in C order, -1 for
+    one off the grid.
+    """
+
+    levels: tuple[np.ndarray, ...]
+    vertex: np.ndarray
+
+
+def grid_lattice_of_configurations(configurations: np.ndarray, strokes: np.ndarray) -> Lattice | None:
+    """Grid lattice that configurations (n, axes) fill, each vertex at least once; None where they fill none.
+
+    strokes : (axes, 2), the scale by which levels are told apart
+    """
+    n, axes = configurations.shape
+    tolerance = SAME * np.ptp(strokes, axis=1)
+    on, fewest = np.ones(n, bool), 2 ** (axes - 1)
+    for _ in range(
+        axes + 1
+    ):  # a level is one that enough samples share; samples off the grid may first share some by chance
+        levels = tuple(_levels(configurations[on, i], tolerance[i], fewest) for i in range(axes))
+        if any(len(level) < 2 for level in levels):
+            return None
+        nearest = [np.abs(configurations[:, i, None] - level).argmin(axis=1) for i, level in enumerate(levels)]
+        now = np.all(
+            [np.abs(configurations[:, i] - level[nearest[i]]) <= tolerance[i] for i, level in enumerate(levels)], axis=0
+        )
+        if (now == on).all():
+            break
+        on = now
+    shape = [len(level) for level in levels]
+    vertex = np.where(on, np.ravel_multi_index(nearest, shape), -1)
+    return Lattice(levels, vertex) if len(np.unique(vertex[on])) == np.prod(shape) else None
+
+
+def _levels(values: np.ndarray, tolerance: float, fewest: int) -> np.ndarray:
+    """The middle of each of those groups of values, no further than the tolerance from each other, that have at least
+    so many.
+    """
+    ordered = np.sort(values)
+    groups = np.split(ordered, np.flatnonzero(np.diff(ordered) > tolerance) + 1)
+    return np.array([group[len(group) // 2] for group in groups if len(group) >= fewest])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grid(WeightedField):
+    """levels : per axis (Q + 1,), ascending; values, variances : (vertices, outputs), C order; misfit : (outputs,).
+
+    Raises ValueError where these do not fit each other
+    """
+
+    levels: tuple[np.ndarray, ...]
+    values: np.ndarray
+    variances: np.ndarray
+    misfit: np.ndarray
+    tables: Tables = field(init=False, repr=False)  # as kernels take it
+
+    def __post_init__(self) -> None:
+        for level in self.levels:
+            if len(level) < 2 or not (np.diff(level) > 0).all():
+                raise ValueError(f"levels must be two or more and grow, got {np.asarray(level).tolist()}")
+        vertices = int(np.prod([len(level) for level in self.levels]))
+        if (
+            self.values.shape != self.variances.shape
+            or self.values.shape[0] != vertices
+            or self.misfit.shape != self.values.shape[1:]
+        ):
+            raise ValueError(
+                f"a grid of {vertices} vertices has values {self.values.shape}, variances "
+                f"{self.variances.shape} and misfit "
+                f"{self.misfit.shape}"
+            )
+        object.__setattr__(self, "tables", _tables(self))
+
+    @classmethod
+    def fit(cls, known: Known) -> Self:
+        """The field of samples that fill a grid; those beside it are left out, repeats of a vertex averaged.
+
+        Raises RigError where the samples fill no grid
+        """
+        found = grid_lattice_of_configurations(known.configurations, known.strokes)
+        if found is None:
+            n, axes = known.configurations.shape
+            raise RigError(
+                f"the {n} samples fill no grid of configurations, which {cls.__name__.lower()} takes (a plan "
+                "division:2 visits one; over "
+                f"{axes} axes it has {2**axes} vertices at the least); delaunay, axes, radial and polynomial "
+                "take samples anywhere"
+            )
+        on = found.vertex >= 0
+        values, variances = average_samples(known.take(on), found.vertex[on])
+        grid = cls(found.levels, values, variances, np.zeros(values.shape[1]))
+        return replace(grid, misfit=_misfit(grid))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Levels an axis."""
+        return tuple(len(level) for level in self.levels)
+
+    def outside(self, x: np.ndarray) -> np.ndarray:
+        low, high = (np.array([level[k] for level in self.levels]) for k in (0, -1))
+        beyond = np.maximum(low - x, 0) + np.maximum(x - high, 0)
+        return np.linalg.norm(beyond / ((high - low) / 2), axis=1)
+
+    def cells(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(cell (n, axes), place in it 0..1 (n, axes), its change with x (n, axes)): places beyond the grid at its
+        nearest faces.
+        """
+        cell, t, slope = np.empty(x.shape, int), np.empty(x.shape), np.empty(x.shape)
+        for i, level in enumerate(self.levels):
+            inner = np.clip(x[:, i], level[0], level[-1])
+            cell[:, i] = np.clip(np.searchsorted(level, inner, side="right") - 1, 0, len(level) - 2)
+            width = np.diff(level)[cell[:, i]]
+            t[:, i] = np.minimum((inner - level[cell[:, i]]) / width, 1.0)
+            slope[:, i] = (inner == x[:, i]) / width
+        return cell, t, slope
+
+    def strides(self) -> np.ndarray:
+        """(axes,) by how much a vertex' number grows along each axis."""
+        return np.cumprod((1, *self.shape[:0:-1]))[::-1]
+
+
+def _misfit(grid: Grid) -> np.ndarray:
+    """(outputs,) what a piecewise linear field leaves in the middle of cells, from second differences along each axis.
+
+    f'' h^2 / 8 an axis in the middle, a quarter of what a vertex is off the mean of its neighbours. Two levels show no
+    curvature: what their vertices leave of a plane stands in for it.
+    """
+    shape, noise = grid.shape, grid.variances.mean(axis=0)
+    cube = grid.values.reshape(*shape, -1)
+    square = np.zeros(cube.shape[-1])
+    for axis, level in enumerate(grid.levels):
+        if len(level) < 3:
+            continue
+        part = np.moveaxis(cube, axis, 0)
+        share = ((level[1:-1] - level[:-2]) / (level[2:] - level[:-2])).reshape(-1, *[1] * (part.ndim - 1))
+        off = part[1:-1] - (1 - share) * part[:-2] - share * part[2:]
+        square += np.maximum((off**2).reshape(-1, off.shape[-1]).mean(axis=0) - 1.5 * noise, 0) / 16
+    if min(shape) < 3:
+        corners = np.stack(
+            np.meshgrid(*[np.linspace(-1, 1, count) for count in shape], indexing="ij"), axis=-1
+        ).reshape(-1, len(shape))
+        plane = np.column_stack([np.ones(len(corners)), corners])
+        left = grid.values - plane @ np.linalg.lstsq(plane, grid.values, rcond=None)[0]
+        square += np.maximum((left**2).sum(axis=0) / max(len(left) - plane.shape[1], 1) - noise, 0)
+    return np.sqrt(square)
+
+
+def _tables(grid: Grid) -> Tables:
+    """Tables of a Grid."""
+    most = max(grid.shape)
+    levels, inverse = np.full((len(grid.levels), most), np.inf), np.zeros((len(grid.levels), most - 1))
+    for i, level in enumerate(grid.levels):
+        levels[i, : len(level)], inverse[i, : len(level) - 1] = level, 1 / np.diff(level)
+    return Tables(
+        levels, inverse, np.array(grid.shape) - 1, grid.strides().astype(np.int64), np.ascontiguousarray(grid.values)
+    )
+
+
+class Linear(Grid):
+    """A Grid, linear along each axis within its cells."""
+
+    __slots__ = ()
+    kind: ClassVar[str] = "linear"
+    exact: ClassVar[bool] = True
+
+    def value(self, x: np.ndarray) -> np.ndarray:
+        x = np.ascontiguousarray(x, float)
+        out = np.empty((x.size // x.shape[-1], self.values.shape[1]))
+        n_linear_interpolation_kernel(x.reshape(-1, x.shape[-1]), *self.tables, out)
+        return out.reshape(*x.shape[:-1], -1)
+
+    def weights(self, x: np.ndarray) -> Weights:
+        cell, t, slope = self.cells(x)
+        corners = np.array(list(product((0, 1), repeat=x.shape[1])))
+        index = (cell @ self.strides())[:, None] + corners @ self.strides()
+        shares = np.where(corners, t[:, None], 1 - t[:, None])  # (n, 2^axes, axes)
+        slopes = np.empty_like(shares)
+        for i in range(x.shape[1]):
+            slopes[..., i] = (
+                np.delete(shares, i, axis=2).prod(axis=2) * np.where(corners[:, i], 1, -1) * slope[:, None, i]
+            )
+        return Weights(index, shares.prod(axis=2), slopes)
+
+
+class Simplex(Grid):
+    """A Grid whose cells are cut into simplices."""
+
+    __slots__ = ()
+    kind: ClassVar[str] = "simplex"
+    exact: ClassVar[bool] = True
+
+    def value(self, x: np.ndarray) -> np.ndarray:
+        x = np.ascontiguousarray(x, float)
+        flat, out = x.reshape(-1, x.shape[-1]), np.empty((x.size // x.shape[-1], self.values.shape[1]))
+        kernel = compiled_simplex_kernels(x.shape[-1]).values
+        if len(flat) < 2 * EACH:
+            kernel(flat, *self.tables, out)
+        else:
+            run_in_threads(lambda part: kernel(flat[part], *self.tables, out[part]), len(flat))
+        return out.reshape(*x.shape[:-1], -1)
+
+    def fixed_points(self, goal: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+        """(commands (n, axes), what their last step changed (n,)): commands = goal + value(commands), for goals (n,
+        axes).
+        """
+        commands, change = np.empty(goal.shape), np.empty(len(goal))
+        kernel = compiled_simplex_kernels(goal.shape[1]).fixed_points
+        run_in_threads(lambda part: kernel(goal[part], self.tables, tolerance, commands[part], change[part]), len(goal))
+        return commands, change
+
+    def weights(self, x: np.ndarray) -> Weights:
+        cell, t, slope = self.cells(x)
+        n, axes = x.shape
+        strides = self.strides()
+        order = np.argsort(-t, axis=1, kind="stable")
+        index = np.cumsum(np.column_stack([cell @ strides, strides[order]]), axis=1)
+        largest = np.column_stack([np.ones(n), np.take_along_axis(t, order, axis=1), np.zeros(n)])
+        slopes = np.zeros((n, axes + 1, axes))
+        at, step = np.arange(n)[:, None], np.take_along_axis(slope, order, axis=1)
+        slopes[at, np.arange(axes), order] -= step
+        slopes[at, np.arange(1, axes + 1), order] += step
+        return Weights(index, -np.diff(largest, axis=1), slopes)

@@ -1,0 +1,246 @@
+"""Compensation of known physics: effects kept with a calibration, and commands that undo them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.correction.correction import Correction
+from calib.correction.pose_route import Route
+from calib.samples.pose_samples import Samples
+from rig.effects.framework.effect import MOTION_STAGES, Effect
+from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of_effects
+from rig.errors import NotConverged, RigError
+from rig.model import mechanisms, motion_simulation
+from rig.model import motion_simulation as machine
+from rig.model.design import Actuator, Arm, Chain, Design, Platform
+from rig.model.mechanism_kinds import Struts, has_struts
+from rig.model.pose import exp
+from rig.recording.recording_folder import Commands, Sensors
+
+ANOTHER_DAY = 2.0  # K, standard deviation by which a room and its struts differ from one day to another
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """What nothing in the catalogue explains. place; magnitude, in unit; depends_on : covariates; corrected : whether a
+    smooth function over the configuration space takes it out."""
+
+    place: str
+    magnitude: float
+    unit: str
+    depends_on: tuple[str, ...]
+    corrected: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Physics:
+    """effects : Effects found; own : (c, c) covariance of their coordinates (rig.effects.framework.fit_coordinates), in
+    order; cross : (p, c) of the geometry's p parameters with these; gravity, actuator, platform : of the machine as its
+    owner states them, which effects look at
+    channels : {sensor channel: (median, standard deviation)} while all this was learnt; unknown : what has no name."""
+
+    effects: tuple[Effect, ...]
+    own: np.ndarray
+    cross: np.ndarray
+    gravity: np.ndarray
+    actuator: Actuator
+    platform: Platform
+    channels: dict[str, tuple[float, float]]
+    unknown: tuple[Unknown, ...] = ()
+
+    @property
+    def coordinates(self) -> list[Coordinate]:
+        """[Coordinate] of the effects' parameters, in the order of the covariance."""
+        return coordinates_of_effects(self.effects)
+
+    def machine(self, mechanism: Struts | Arm | Chain) -> Design:
+        """Design of a mechanism with what effects look at besides; it has no cameras."""
+        return Design("", self.gravity, mechanism, None, self.actuator, self.platform, (), ())
+
+    def sensed(self, sensors: Sensors | None, t: np.ndarray) -> tuple[Sensors, tuple[str, ...]]:
+        """(Sensors with every channel that physics was learnt with, names of those that were missing and now stand at
+        their median).
+
+        t : (n,) s, the times at which they are asked for
+        """
+        there = Sensors(np.array([t[0], t[-1] + 1.0]), {}) if sensors is None else sensors
+        missing = tuple(name for name in self.channels if name not in there.channels)
+        filled = {name: np.full(len(there.t), self.channels[name][0]) for name in missing}
+        return Sensors(there.t, {**there.channels, **filled}), missing
+
+    def spread(self, channel: str) -> float:
+        """Standard deviation of a channel that nobody logs, as it was while this was learnt, and from day to day."""
+        own = self.channels[channel][1]
+        return float(np.hypot(own, ANOTHER_DAY)) if channel.endswith("temperature_C") else own
+
+    def compensable_effects(self) -> tuple[Effect, ...]:
+        """The effects of the machine's motion that it shows again, so that commands undo them."""
+        return tuple(e for e in self.effects if e.lasting and e.stage in MOTION_STAGES)
+
+    def scattering(self) -> tuple[Effect, ...]:
+        """Those that it shows again, at no moment that anybody knows: what happened once is over."""
+        return tuple(
+            e
+            for e in self.effects
+            if not e.lasting and e.stage in MOTION_STAGES and not any(p.role == "moment" for p in e.parameters)
+        )
+
+    def with_effects(
+        self, mechanism: Struts | Arm | Chain, samples: Samples, commands: Commands, sensors: Sensors | None
+    ) -> Samples:
+        """Samples with what this physics says of their commands, which lasts; mechanism : fitted."""
+        there, _ = self.sensed(sensors, samples.t)
+        return samples_with_effects(self.machine(mechanism), samples, commands, self.compensable_effects(), there)
+
+
+def samples_with_effects(
+    design: Design, samples: Samples, commands: Commands, effects: Sequence[Effect], sensors: Sensors | None
+) -> Samples:
+    """Samples with effects applied to their commands, or taken off an arm's poses beyond its joints."""
+    t, T = samples.t, samples.T_base_platform
+    if has_struts(design.mechanism):
+        return replace(
+            samples, known=machine.effective_commands(design, commands, t, T, effects, sensors) - samples.commanded
+        )
+    values, sway = machine.effective_commands_and_sway(design, commands, t, T, effects, sensors)
+    return replace(samples, known=values - samples.commanded, T_base_platform=T * exp(-sway) if sway.any() else T)
+
+
+ITERATIONS = 300
+TOLERANCE = 1e-10  # m or rad, to which commands are written
+SWAYED = 0.1  # of the tolerance, by which a hand may stand elsewhere before its joints are sought anew
+STUCK = 0.5  # of the last step; an axis that is left with more than this, on the same side, takes twice the step next
+LONG_AGO = 1e6  # s before a route, when the axes may have come to its start from either side
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Machine:
+    """A corrected machine under sensors. correction : Correction; physics : Physics or None; logged : Sensors or None
+    effects : the Effects that act, those of the physics that commands undo; sensors : Sensors with the channels that
+    nobody logged, `missing`, at their median"""
+
+    correction: Correction[Any, Any]
+    physics: Physics | None
+    logged: Sensors | None
+    effects: tuple[Effect, ...] = field(init=False)
+    sensors: Sensors = field(init=False)
+    missing: tuple[str, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        there, missing = (
+            (self.logged or Sensors(np.zeros(1), {}), ())
+            if self.physics is None
+            else self.physics.sensed(self.logged, np.zeros(1))
+        )
+        for name, value in (
+            ("sensors", there),
+            ("missing", missing),
+            ("effects", () if self.physics is None else self.physics.compensable_effects()),
+        ):
+            object.__setattr__(self, name, value)
+
+    def effective(
+        self,
+        commands: Commands,
+        t: np.ndarray,
+        T: RigidTransform,
+        effects: tuple[Effect, ...] | None = None,
+        sensors: Sensors | None = None,
+    ) -> np.ndarray:
+        """(n, axes) m or rad that the fitted geometry gets of commands at times t (n,) s and poses T (n,). effects,
+        sensors : in place of its own
+        """
+        return self.reached(commands, t, T, effects, sensors)[0]
+
+    def reached(
+        self,
+        commands: Commands,
+        t: np.ndarray,
+        T: RigidTransform,
+        effects: tuple[Effect, ...] | None = None,
+        sensors: Sensors | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(the same, (n, 6) m and rad by which an arm's hand stands beyond that, which of struts counts as their
+        length).
+        """
+        effects = self.effects if effects is None else effects
+        lengths, sway = commands.at(t), np.zeros((len(t), 6))
+        if self.physics is not None and effects:
+            design, sensed = self.physics.machine(self.correction.fitted), sensors or self.sensors
+            if has_struts(design.mechanism):
+                lengths = motion_simulation.effective_commands(design, commands, t, T, effects, sensed)
+            else:
+                lengths, sway = motion_simulation.effective_commands_and_sway(design, commands, t, T, effects, sensed)
+        return lengths - self.correction.rho(lengths), sway
+
+
+def commands_at_poses(machine: Machine, T: RigidTransform, route: Route, guess: np.ndarray) -> np.ndarray:
+    """Commands (n, axes) m or rad at the poses T (n,) of a Route, effects and history compensated.
+    guess : (n, axes), near
+
+    Raises NotConverged with index, commands and residual of the poses for which none is found, to 1e-10 m or rad
+    """
+    t, commands, swayed = route.times, guess.copy(), np.zeros((len(guess), 6))
+    goal = machine.correction.goal(T, guess)
+    before, size = np.zeros_like(guess), np.ones_like(guess)
+    for _ in range(ITERATIONS):
+        lengths, sway = machine.reached(route.commands(commands), t, T)
+        if np.abs(sway - swayed).max(initial=0.0) > SWAYED * TOLERANCE:
+            goal, swayed = machine.correction.goal(T * exp(-sway), commands), sway
+        left = goal - lengths
+        if np.abs(left).max(initial=0.0) < TOLERANCE:
+            return commands
+        stuck = (np.abs(left) > STUCK * np.abs(before)) & (left * before > 0)
+        size = np.where(stuck, 2 * size, 1.0)
+        commands, before = commands + size * left, left
+    worst = np.abs(left).max(axis=1)
+    failed = np.flatnonzero(worst >= TOLERANCE)
+    names = ", ".join(sorted({f"{e.name} at {e.place}" for e in machine.effects}))
+    raise NotConverged(
+        f"no commands were found for {len(failed)} of {len(worst)} poses, which leave {worst.max():.3g} "
+        f"{mechanisms.travel_unit(machine.correction.fitted)} under {names}",
+        failed,
+        commands[failed],
+        worst[failed],
+    )
+
+
+def path_memory_length(machine: Machine) -> np.ndarray:
+    """Length (axes,) of path memory: travel one way after which an axis' earlier path no longer matters."""
+    places = mechanisms.axis_places(machine.correction.fitted)
+    return np.max([e.axes(places) * e.forgets() for e in machine.effects] or [np.zeros(len(places))], axis=0)
+
+
+def unknown_history_uncertainty(machine: Machine, T: RigidTransform, route: Route, commands: np.ndarray) -> np.ndarray:
+    """Uncertainty (n, axes) by unknown history: half the change between a start approached from below and above.
+
+    commands : (n, axes) at the poses
+    """
+    reach = path_memory_length(machine)
+    if not reach.any():
+        return np.zeros_like(commands)
+    own = route.commands(commands)
+    ends = [
+        Commands(np.r_[own.t[0] - LONG_AGO, own.t], np.vstack([route.start + side * reach, own.values]))
+        for side in (-1.0, 1.0)
+    ]
+    return np.abs(machine.effective(ends[0], route.times, T) - machine.effective(ends[1], route.times, T)) / 2
+
+
+def require_sensor_coverage(sensors: Sensors | None, t: np.ndarray, display_time: Callable[[float], float]) -> None:
+    """Raise RigError where poses at times t (n,) s lie outside the sensor log's coverage.
+    One row alone states what does not change. display_time : from s to the owner's clock
+    """
+    if sensors is None or len(sensors.t) == 1:
+        return
+    apart = np.diff(sensors.t).max()
+    outside = t[(t < sensors.t[0] - apart) | (t > sensors.t[-1] + apart)]
+    if len(outside):
+        raise RigError(
+            f"the sensors' log runs from t = {display_time(sensors.t[0]):g} to {display_time(sensors.t[-1]):g} s, and "
+            f"{len(outside)} poses are to be held "
+            f"outside it, the first at {display_time(outside[0]):g} s; log on, or leave the sensors out"
+        )

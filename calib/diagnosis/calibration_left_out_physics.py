@@ -1,0 +1,230 @@
+"""Physics that a calibration leaves out, found by diagnosing its recording, stated in its claim.
+
+Good needs that nothing is unexplained, which is known where somebody has looked for it: a calibration looks as `rig
+diagnose` does.
+Where a diagnosis gives a cause to poses that a fit left out as wild, these are the machine's doing, and the claim has
+to hold for them as well.
+"""
+
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.special import gammaincinv
+
+from calib.certification.calibration import Calibration
+from calib.certification.calibration_evidence import OfCalibrations, calibration_evidence, verify_claim_on_samples
+from calib.certification.held_out_errors import pose_errors
+from calib.certification.workspace_claim import Claim
+from calib.diagnosis.engine.problem_interface import Progress
+from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
+from calib.diagnosis.report import report_sentences
+from calib.diagnosis.report.diagnosis_json import UNKNOWN
+from calib.diagnosis.report.diagnosis_report import Report
+from calib.diagnosis.report.diagnosis_verdict import doubts, unexplained_sentences
+from calib.diagnosis.report.report_entries import diagnosis_report
+from calib.files import calibration_file
+from calib.files.calibration_from_recording import SEED
+from calib.samples.pose_samples import Samples
+from calib.samples.recording_samples import Sampled
+from rig.errors import NotEnoughData
+from rig.recording.frame_content_hashes import Marks, frames_with_known_hashes
+from rig.recording.recording_folder import Recording
+from rig.report.refutations import refutations_of_file
+from rig.report.verdict import State
+
+LARGEST = 50_000_000  # bytes of a file that is looked into
+NOT_SEARCHED = "nobody looked for what it leaves out"
+EDGES = (0.025, 0.975)
+BEYOND = ("physics", "extension", "pose_maps")  # of a calibration that is more than a geometry and its remainder
+
+
+class Refutation(NamedTuple):
+    """What a recording says against a calibration made from it. path : its file; state : BAD where it is refuted, else
+    CHECK; finding : a sentence
+    """
+
+    path: Path
+    state: State
+    finding: str
+
+
+def search_left_out_physics(
+    calibration: Calibration, recording: Recording, sampled: Sampled, progress: Progress | None = None
+) -> Calibration:
+    """The Calibration with the physics it leaves out, found by diagnosing its recording, stated in its claim.
+
+    sampled : Sampled that it was made from; progress : called with (label, done, of), or None
+    """
+    if calibration.claim is None or calibration.claim.after is None:
+        return calibration
+    try:
+        report = diagnosis_report(diagnose(recording, DiagnosisOptions(sampled=sampled), progress))
+    except NotEnoughData as error:
+        return _with(calibration, (f"what it leaves out could not be looked for: {error}",))
+    return _add_left_out_physics(calibration, report, sampled.samples)
+
+
+def mark_as_not_searched(calibration: Calibration) -> Calibration:
+    """The Calibration marked, in its claim, as not searched for left-out physics."""
+    return _with(calibration, (NOT_SEARCHED,))
+
+
+def _add_left_out_physics(calibration: Calibration, report: Report, samples: Samples) -> Calibration:
+    """The Calibration with what a Report of its own recording says of its claim. samples : Samples of the recording,
+    all of them
+    """
+    if _refutes_calibration(report, calibration, samples):
+        calibration = replace(calibration, claim=_widened_claim(calibration, samples))
+    return _with(calibration, (*unexplained_sentences(report), *(one.text for one in doubts(report))))
+
+
+def _refutes_calibration(report: Report, calibration: Calibration, samples: Samples) -> bool:
+    """Whether the poses of its own recording, those that it left out among them, refute a calibration's claim, and a
+    Report gives that a cause.
+    """
+    if not report.mattering and not report.unknown:
+        return False
+    found = verify_claim_on_samples(calibration, samples, np.random.default_rng(SEED))
+    return found is not None and found.refutes
+
+
+def _widened_claim(calibration: Calibration, samples: Samples) -> Claim:
+    """A calibration's claim, no better than the errors of all poses of its recording beyond what measuring adds.
+
+    Few poses may show most of it: as many as count are taken for a Poisson draw, whose 95 % interval is that of the
+    mean square.
+    samples : Samples, those that were left out among them
+    """
+    claim = calibration.claim
+    assert claim is not None and claim.before is not None and claim.after is not None
+    errors, covariance = (
+        pose_errors(calibration.correction.predict(samples.effective), samples),
+        samples.total_covariance(),
+    )
+    after = tuple(
+        _no_better(three, errors[:, part], covariance[:, part, part])
+        for part, three in zip((slice(0, 3), slice(3, 6)), claim.after)
+    )
+    b, a = claim.before[0], after[0]
+    pairs = ((b[0], a[0]), (b[1], a[2]), (b[2], a[1]))
+    seen = float(np.trace(covariance[:, :3, :3], axis1=1, axis2=2).mean())
+    ratio = tuple(x / max(y, np.finfo(float).tiny) for x, y in pairs)
+    return replace(
+        claim, after=after, ratio=ratio, measured=tuple(math.sqrt((x**2 + seen) / (y**2 + seen)) for x, y in pairs)
+    )
+
+
+def _no_better(three: tuple[float, ...], errors: np.ndarray, covariance: np.ndarray) -> tuple[float, ...]:
+    """(median, low, high) of a claim, no better than errors (n, 3) of a covariance (n, 3, 3) show; as it is where these
+    were not measured.
+    """
+    own = (errors**2).sum(axis=1)
+    if not np.isfinite(own).all() or not own.any():
+        return three
+    size = math.sqrt(max(float((own - np.trace(covariance, axis1=1, axis2=2)).mean()), 0.0))
+    count = float(own.sum() ** 2 / (own**2).sum())  # of poses that show it
+    low, high = (math.sqrt(float(gammaincinv(k, edge)) / count) for k, edge in zip((count, count + 1), EDGES))
+    return tuple(max(x, y * size) for x, y in zip(three, (1.0, low, high)))
+
+
+def refuted_calibrations(
+    report: Report, marks: Marks, paths: Iterable[Path], samples: Samples | None
+) -> list[Refutation]:
+    """[Refutation] of calibrations of a recording that leave out what a Report of it finds.
+
+    marks : marks of the recording; paths : files that may be calibrations, all else is passed over; samples : Samples
+        of
+    the recording, None where nothing was commanded
+    """
+    out = []
+    for path, tree in _made_from(marks, paths):
+        known = _known(tree)
+        left = [f for f in report.mattering if (f.effect, f.place) not in known]
+        nameless = [f.place for f in report.unknown if (f.effect, f.place) not in known]
+        if not left and not nameless:
+            continue
+        found = (
+            [
+                "it leaves out "
+                f"{'; '.join(report_sentences.finding_title(f) + report_sentences.finding_size_text(f) for f in left)}"
+            ]
+            if left
+            else []
+        )
+        found += [f"nothing in the catalogue explains what is at {', '.join(nameless)}"] if nameless else []
+        after = (tree.get("claim") or {}).get("after")
+        claimed = f", where {float(after[0][2]) * 1e6:.3g} um is claimed" if after else ""
+        refuted = (
+            samples is not None
+            and not tree.get("physics")
+            and _refutes_calibration(report, calibration_file.load(path), samples)
+        )
+        out.append(Refutation(path, State.BAD if refuted else State.CHECK, "; ".join(found) + claimed))
+    return out
+
+
+def unexplained_and_refuted_calibrations(
+    marks: Marks, paths: Iterable[Path], later_refutations: bool
+) -> OfCalibrations:
+    """OfCalibrations of a recording by its marks: what they leave unexplained, which are refuted.
+
+    later_refutations : whether what other recordings found against them counts, as for what is learnt from the
+        recording itself
+    """
+    refuted: list[str] = []
+    left: list[str] = []
+    for path, tree in _made_from(marks, paths):
+        if any(tree.get(key) for key in BEYOND):
+            continue
+        known = calibration_evidence(
+            calibration_file.load(path), refutations_of_file(path) if later_refutations else ()
+        )
+        refuted += [f"{path.name} {text}" for text in known.refuted] if later_refutations else []
+        left += known.unexplained
+    return OfCalibrations(tuple(dict.fromkeys(refuted)), tuple(dict.fromkeys(left)))
+
+
+def _with(calibration: Calibration, texts: tuple[str, ...]) -> Calibration:
+    """The Calibration with more that its claim leaves unexplained."""
+    claim = calibration.claim
+    if claim is None:
+        return calibration
+    return replace(calibration, claim=replace(claim, unexplained=tuple(dict.fromkeys([*claim.unexplained, *texts]))))
+
+
+def _made_from(of: Marks, paths: Iterable[Path]) -> list[tuple[Path, dict[str, Any]]]:
+    """[(path, tree)] of the calibrations among files that were made from a recording with marks."""
+    found = [(path, _calibration(path)) for path in paths]
+    return [
+        (path, tree)
+        for path, tree in found
+        if tree is not None and frames_with_known_hashes(of, set(tree["provenance"].get("data", ())))
+    ]
+
+
+def _known(tree: dict[str, Any]) -> set[tuple[Any, Any]]:
+    """{(effect, place)} of the physics that a calibration knows."""
+    physics = tree.get("physics") or {}
+    known = {(e.get("effect"), e.get("place")) for e in physics.get("effects", ()) if isinstance(e, dict)}
+    return known | {(UNKNOWN, e.get("place")) for e in physics.get("unknown", ()) if isinstance(e, dict)}
+
+
+def _calibration(path: Path) -> dict[str, Any] | None:
+    """The tree of a calibration's file, None of what is none."""
+    if path.stat().st_size > LARGEST:
+        return None
+    try:
+        tree = json.loads(path.read_bytes())
+    except ValueError:  # another file that ends in .json
+        return None
+    own = (
+        isinstance(tree, dict)
+        and str(tree.get("schema", "")).startswith("calibration/")
+        and isinstance(tree.get("provenance"), dict)
+    )
+    return tree if own else None

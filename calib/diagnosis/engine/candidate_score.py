@@ -1,0 +1,179 @@
+"""Score of a candidate: explained chi-square, its chance, its cost in BIC, and the best node of its grid."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Generic
+
+import numpy as np
+
+from calib.diagnosis.engine.chance_probability import residual_dispersion, scan_p_value
+from calib.diagnosis.engine.frame_inner_products import FrameProducts, Solved, normal_of_weighted_directions
+from calib.diagnosis.engine.linear_model import LinearModel
+from calib.diagnosis.engine.selection_inputs import C, Node, Role, UsualRange
+
+BEYOND = 0.3  # standard deviation of the logarithm of a parameter above what rigs show
+WRONG_SIGN = 12.0  # minus twice the logarithm of the chance that a parameter has the sign that rigs do not show
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Score(Generic[C]):
+    """The best of a candidate's grid. node : of it; coefficients : (q,)
+
+    delta_chi2 : by which the whitened sum of squares falls, dispersion allowed for; p_value : of the grid's greatest
+        delta
+    freedom : parameters fitted, nonlinear ones included; dispersion; seen : share of the candidate's own size that
+        nuisances leave, 0..1
+    curve : delta over the grid; values : {name: number} of what `candidate.usual` speaks of
+    """
+
+    candidate: C
+    node: Node
+    coefficients: np.ndarray
+    delta_chi2: float
+    p_value: float
+    freedom: int
+    dispersion: float
+    seen: float
+    curve: np.ndarray
+    values: dict[str, float] = field(default_factory=dict)
+
+    def delta_bic(self, size: int) -> float:
+        """Bayesian information criterion's verdict: how much better than nothing, for residuals of a size."""
+        return self.delta_chi2 - self.freedom * np.log(size)
+
+    def raw_delta_bic(self, size: int) -> float:
+        """The same with the dispersion not allowed for, to rank by: what is not modelled yet disperses all, the right
+        answer most.
+        """
+        return self.delta_chi2 * self.dispersion - self.freedom * np.log(size)
+
+    def evidence(self, size: int) -> float:
+        """Minus twice the logarithm of how much likelier than nothing, up to what all share: to compare candidates
+        by.
+        """
+        return self.delta_chi2 * self.dispersion - self.complexity(size)
+
+    def complexity(self, size: int) -> float:
+        """What its parameters cost it against other hypotheses, as minus twice a logarithm, for residuals of a size.
+
+        A number that rigs show over some range is as likely at every order of magnitude of it, and hardly ever beyond
+        or of the wrong sign: its cost is that of Laplace's approximation. A grid's parameter costs what the search over
+        it shows; all else, the logarithm of the size for each (MacKay, Information theory, inference and learning
+        algorithms, 2003, ch. 28).
+        """
+        usual = self.candidate.usual
+        if usual is None:
+            return float(self.freedom * np.log(size))
+        sharp = max(np.sqrt(max(self.delta_chi2, 0.0) / max(len(usual), 1)), 1.0)
+        cost = sum(_cost(u, self.values[u.name], sharp) for u in usual)
+        cost += np.log(size) * (
+            len(self.coefficients) - self.candidate.tied - sum(u.role is not Role.SIZE for u in usual)
+        )
+        if self.candidate.searched and len(self.curve) > 1:
+            cost -= 2 * np.log(np.mean(np.exp((self.curve - self.curve.max()) / 2)))
+        elif self.candidate.extra and not any(u.role is Role.SIZE for u in usual):
+            cost += self.candidate.extra * np.log(size)
+        return float(cost)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alternative(Generic[C]):
+    """score : of a hypothesis in place of a finding; behind : how much less likely it is, as minus twice a logarithm
+    cosine : between what the two do, nuisances taken out"""
+
+    score: Score[C]
+    behind: float
+    cosine: float
+
+
+def score_with_likelihood_ratio(score: Score[C], ratio: float, frames: int) -> Score[C]:
+    """Score with a fit's likelihood ratio in place of its delta chi-square where that is larger."""
+    delta = ratio * max(1 - score.freedom / frames, 0.0) / score.dispersion
+    if delta <= score.delta_chi2:
+        return score
+    return replace(score, delta_chi2=delta, p_value=float(score.p_value * np.exp(-(delta - score.delta_chi2) / 2)))
+
+
+def best_node_score(
+    model: LinearModel,
+    candidate: C,
+    solved: Solved,
+    products: FrameProducts,
+    weights_at: Callable[[int], np.ndarray],
+    least: float = -np.inf,
+) -> Score[C]:
+    """Score of the best node of a candidate's grid.
+
+    solved : Solved, one for each node; weights_at : a function of the best node's index, its weights (F, a, q)
+    least : of delta chi-square; of what explains less no dispersion is asked, and its chance counts as certain
+    """
+    best = int(np.argmax(solved.delta_chi2 - solved.rank * np.log(model.size)))
+    if solved.delta_chi2[best] < least:
+        return insignificant_score(candidate, solved, best)
+    return score_at_node(model, candidate, best, candidate.grid[best], solved, products, weights_at(best))
+
+
+def insignificant_score(candidate: C, solved: Solved, best: int) -> Score[C]:
+    """Score of a candidate so insignificant that its dispersion is not computed."""
+    return Score(
+        candidate,
+        dict(candidate.grid[best]),
+        candidate.allowed(solved.coefficients[best]),
+        float(solved.delta_chi2[best]),
+        1.0,
+        int(np.ceil(solved.rank[best])) + candidate.extra,
+        1.0,
+        float(solved.seen[best]),
+        solved.delta_chi2,
+    )
+
+
+def score_at_node(
+    model: LinearModel,
+    candidate: C,
+    best: int,
+    node: Node,
+    solved: Solved,
+    products: FrameProducts,
+    weights: np.ndarray,
+    cluster: int = 1,
+) -> Score[C]:
+    """Score of one node, the `best` of those solved. weights : (F, a, q) there"""
+    coefficients, rank, deltas = solved.coefficients[best], solved.rank[best], solved.delta_chi2
+    allowed = candidate.allowed(coefficients)
+    if (
+        allowed != coefficients
+    ).any():  # what the data want is forbidden: it counts for as much as it explains at the bound
+        normal = normal_of_weighted_directions(products, weights[None])
+        coefficients = allowed
+        deltas = np.minimum(deltas, 2 * normal.b[0] @ allowed - allowed @ normal.G[0] @ allowed)
+    found = residual_dispersion(model, products, weights, coefficients if len(coefficients) else np.ones(1), cluster)
+    curve = deltas / found.ratio
+    same = (
+        solved.rank == rank
+    )  # Davies' process has one number of parameters; Bonferroni over the numbers that there are
+    p = min(1.0, scan_p_value(curve[same], round(float(rank)), found.freedom) * len(np.unique(solved.rank)))
+    return Score(
+        candidate,
+        dict(node),
+        coefficients,
+        float(curve[best]),
+        p,
+        int(np.ceil(rank)) + candidate.extra,
+        found.ratio,
+        float(solved.seen[best]),
+        curve,
+    )
+
+
+def _cost(usual: UsualRange, value: float, sharp: float) -> float:
+    """Of a number at a value that is `sharp` standard deviations from nothing: how little of what rigs show the data
+    leave of it.
+    """
+    low, high = usual.low, usual.high
+    if usual.role is Role.INVERSE:
+        low, high, value = 1 / high, 1 / low, 1 / value
+    cost = 2 * np.log(sharp * np.log(high / low) * (2 if usual.signed else 1) / np.sqrt(2 * np.pi))
+    if value < 0 and not usual.signed:
+        cost += WRONG_SIGN
+    return cost + (np.log(max(abs(value) / high, 1.0)) / BEYOND) ** 2

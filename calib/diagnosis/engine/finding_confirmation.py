@@ -1,0 +1,113 @@
+"""Findings confirmed: each admitted term against all candidates and smooth functions, with the others admitted."""
+
+from dataclasses import dataclass
+from typing import Any, Generic
+
+from calib.diagnosis.engine.alternative_hypotheses import find_alternatives, is_indistinguishable, refit_alternatives
+from calib.diagnosis.engine.candidate_score import Alternative, Score, score_with_likelihood_ratio
+from calib.diagnosis.engine.lack_of_fit import LackOfFit
+from calib.diagnosis.engine.problem_interface import Fit, Model, Problem, Progress
+from calib.diagnosis.engine.selection_inputs import C, SelectionPolicy
+
+RESTARTS = 2  # times the most terms that there may be, after which terms are confirmed as they stand
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finding(Generic[C]):
+    """number : of the term among the admitted; score : with all others admitted; alternatives : that the recording
+    cannot tell from it
+    """
+
+    number: int
+    score: Score[C]
+    alternatives: list[Alternative[C]]
+
+
+def is_significant(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
+    """Whether a Score is a finding: too good for chance over all candidates, and worth its parameters."""
+    return score.p_value * count <= policy.alpha and score.delta_bic(size) >= policy.delta_bic
+
+
+def labelled_progress(progress: Progress | None, label: str) -> Any:
+    """A progress (done, of) under a label, or None."""
+    return None if progress is None else lambda done, of: progress(label, done, of)
+
+
+def may_become_significant(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
+    """Whether a Score that does not convince may once it is fitted: it is not likely by chance, or explains much by
+    whichever frames.
+    """
+    return policy.hidden > 0 and (
+        score.p_value * count <= policy.hidden or score.raw_delta_bic(size) >= policy.delta_bic
+    )
+
+
+def confirm_terms(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None) -> tuple[Fit, list[Finding[C]]]:
+    """Each term against all candidates with the others admitted: gone where it does not stand, replaced where another
+    does better, its alternatives listed."""
+    policy, count = problem.policy, len(problem.candidates)
+    findings: list[Finding[C]] = []
+    for _ in range(RESTARTS * policy.most):
+        number = len(findings)
+        if number == len(problem.terms(fit)):
+            break
+        model, size = problem.without_term(fit, number), problem.size(fit)
+        scanned, held = problem.rescored(model, fit, number), problem.given.holds(problem.terms(fit)[number])
+        own = scanned
+        if not is_significant(own, count, size, policy) and may_become_significant(own, count, size, policy):
+            own = score_with_likelihood_ratio(
+                own, problem.likelihood_ratio(problem.remove_term(fit, number), fit), problem.linear(model).frames
+            )
+        if not held and not is_significant(own, count, size, policy):  # beside all others it is none
+            fit, findings = problem.remove_term(fit, number), []
+            continue
+        found = find_alternatives(
+            problem, model, scanned, labelled_progress(progress, f"alternatives of {own.candidate.name}")
+        )  # like against like
+        tries = refit_alternatives(problem, fit, number, scanned, found, own is not scanned)
+        rest = [a for a in found if not any(a is t.scanned for t in tries)]
+        ranked = sorted([*(t.alternative for t in tries), *rest], key=lambda a: a.behind)
+        better = next(
+            (t for t in tries if t.alternative is ranked[0] and t.alternative.behind < -policy.takes_over), None
+        )
+        if better is not None and not held and is_significant(better.alternative.score, count, size, policy):
+            fit, findings = problem.in_place(better.fit, number), []
+            continue
+        if not held and _outdone(
+            problem, model, fit, own
+        ):  # only now: what has no name may be likelier than one name, and not than the next
+            fit, findings = problem.remove_term(fit, number), []
+            continue
+        findings.append(Finding(number, own, [a for a in ranked if is_indistinguishable(a, policy)]))
+    return fit, sorted(findings, key=lambda f: -f.score.delta_chi2)
+
+
+def _outdone(problem: Problem[Fit, Model, C], model: Model, fit: Fit, score: Score[C]) -> bool:
+    """Whether a smooth function without a name is likelier than a hypothesis that consists of a few numbers: these lie
+    far from what rigs show,
+    or the place is another. model : without it; fit : with it; a name that leaves nothing there explains, once fitted,
+        as much as the function."""
+    if score.candidate.vector:
+        return False
+    size, place, alike = problem.linear(model).size, score.candidate.place, problem.policy.alike
+
+    def there(at: Model) -> list[LackOfFit]:
+        return [
+            u
+            for u in problem.lack_of_fit(at)
+            if u.dispersion and (problem.policy.smooth_anywhere or problem.within(u, place))
+        ]
+
+    likelier = [u.shortest(size) for u in there(model) if u.evidence(size) > score.evidence(size) + alike]
+    if not likelier:
+        return False
+    return any(score.complexity(size) > cost + alike for _, cost in likelier) or bool(there(problem.residual(fit)))
+
+
+def is_finding_significant(
+    problem: Problem[Fit, Model, C], finding: Finding[C], model: Model, fit: Fit, count: int
+) -> bool:
+    """Whether a Finding convinces on a model without it, of so many candidates asked."""
+    return is_significant(
+        problem.rescored(model, fit, finding.number), count, problem.linear(model).size, problem.policy
+    )

@@ -1,0 +1,209 @@
+"""Tests of lack of fit in residuals: smooth functions, excess scatter, covariates ranked by explained share."""
+
+from collections import Counter
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from calib.diagnosis.engine.chance_probability import residual_dispersion, scan_p_value
+from calib.diagnosis.engine.frame_inner_products import (
+    SWALLOWED,
+    FrameProducts,
+    Normal,
+    normal_of_weighted_directions,
+    solve_normal_equations,
+    solve_with_prior,
+)
+from calib.diagnosis.engine.linear_model import LinearModel
+
+ALPHA = 1e-4  # chance of calling anything unknown where there is nothing, over all tests
+LIKELY = 1e-3  # chance above which no dispersion is asked, since that only makes it likelier
+
+
+@dataclass(frozen=True, slots=True)
+class Test:
+    """Of one basis of smooth functions, the simplest first, tested whole, at a place. weights : (F, a, q) of what a
+    frame can be moved in
+    unit : of the size
+    depends_on : names of covariates; information : sum of 1 / unit^2 by which the place is weighed; prior : size of a
+        coefficient, None for any"""
+
+    place: str
+    unit: str
+    depends_on: tuple[str, ...]
+    weights: np.ndarray
+    information: float
+    prior: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LackOfFit:
+    """Something unknown at a place. magnitude : RMS of what it does, in unit; depends_on : names of covariates, none
+    for scatter p_value; delta_chi2; freedom : parameters fitted; dispersion : that delta_chi2 was divided by, None for
+    what is no function that was fitted
+    simpler : ((delta chi-square, not divided, and parameters) of its first function alone, of its first two, ..)
+    among : how many such were asked of its place, of which it is one"""
+
+    place: str
+    magnitude: float
+    unit: str
+    depends_on: tuple[str, ...]
+    p_value: float
+    delta_chi2: float
+    freedom: int = 1
+    dispersion: float | None = None
+    simpler: tuple[tuple[float, int], ...] = ()
+    among: int = 1
+
+    def delta_bic(self, size: int) -> float:
+        """Bayesian information criterion's verdict: how much better than nothing, for residuals of a size."""
+        return self.delta_chi2 - self.freedom * np.log(size)
+
+    def shortest(self, size: int) -> tuple[float, float]:
+        """(delta chi-square with the dispersion not allowed for, what its parameters and its choice among others cost)
+        of as many of the functions, from the first on, as are worth it by Schwarz's criterion: to compare with
+        candidates by (Chen and Chen, Biometrika 95, 2008)."""
+        whole = self.delta_chi2 * (self.dispersion or 1.0), self.freedom
+        delta, freedom = max((whole, *self.simpler), key=lambda one: one[0] - one[1] * np.log(size))
+        return delta, float(freedom * np.log(size) + 2 * np.log(self.among))
+
+    def evidence(self, size: int) -> float:
+        """Minus twice the logarithm of how much likelier than nothing the shortest is, up to what all share."""
+        delta, cost = self.shortest(size)
+        return delta - cost
+
+
+def test_lack_of_fit(
+    model: LinearModel, products: FrameProducts, test: Test, cluster: int = 1, alpha: float = LIKELY
+) -> LackOfFit | None:
+    """LackOfFit by a Test of smooth functions, None where the nuisances contain its functions.
+    taken out, tells their size. alpha : chance above which no dispersion is asked
+    """
+    normal = normal_of_weighted_directions(products, test.weights[None])
+    solved = solve_normal_equations(normal) if test.prior is None else solve_with_prior(normal, test.prior)
+    delta, rank = solved.delta_chi2, float(solved.rank[0])
+    if rank == 0:
+        return None
+    p, spread = scan_p_value(delta, rank, np.inf), 1.0
+    simpler = delta_chi2_by_column_count(normal) if test.prior is None and p <= alpha else ()
+    if p <= alpha:
+        spread, freedom = residual_dispersion(model, products, test.weights, solved.coefficients[0], cluster)
+        p = scan_p_value(delta / spread, rank, freedom)
+    magnitude = float(np.sqrt(max(delta[0] - rank, 0.0) / test.information))
+    return LackOfFit(
+        test.place,
+        magnitude,
+        test.unit,
+        test.depends_on,
+        p,
+        float(delta[0] / spread),
+        int(np.ceil(rank)),
+        spread,
+        simpler,
+    )
+
+
+def delta_chi2_by_column_count(normal: Normal) -> tuple[tuple[float, int], ...]:
+    """((delta chi-square, rank) of the first column of a candidate alone, of the first two, ..), by elimination."""
+    scale = np.sqrt(np.maximum(normal.raw[0], 1e-300))
+    b, G = normal.b[0] / scale, normal.G[0] / scale[:, None] / scale
+    delta, rank, out = 0.0, 0, []
+    for j in range(len(b)):
+        if G[j, j] > SWALLOWED:
+            delta, rank, share = delta + float(b[j] ** 2 / G[j, j]), rank + 1, G[:, j] / G[j, j]
+            b, G = b - share * b[j], G - np.outer(share, G[j])
+        out.append((delta, rank))
+    return tuple(out)
+
+
+def significant_lack_of_fit(found: list[LackOfFit | None], alpha: float = ALPHA) -> list[LackOfFit]:
+    """The LackOfFits that are significant over all tests, the most significant first, functions before scatter."""
+    held = [u for u in found if u is not None]
+    functions = Counter(u.place for u in held if u.dispersion is not None)
+    held = [
+        replace(u, among=functions[u.place] if u.dispersion is not None else 1)
+        for u in held
+        if u.p_value * len(held) < alpha
+    ]
+    return sorted(held, key=lambda u: (not u.depends_on, u.p_value if u.p_value > 0 else -u.delta_chi2))
+
+
+def first_of_each_place(found: list[LackOfFit]) -> list[LackOfFit]:
+    """The first, most significant LackOfFit of each place, in order."""
+    seen: dict[str, LackOfFit] = {}
+    for u in found:
+        seen.setdefault(u.place, u)
+    return list(seen.values())
+
+
+MATERIAL = 1.2  # times the stated noise; a statement of noise is seldom better than that
+
+
+def detect_excess_scatter(
+    place: str, unit: str, noise: float, square: float, freedom: float, tests: int = 1, depends_on: tuple[str, ...] = ()
+) -> LackOfFit | None:
+    """LackOfFit of excess scatter at a place, beyond chance and the stated noise; None where noise suffices.
+
+    noise : in unit, RMS of what is stated; square : sum of squares left, whitened by it, over `freedom` degrees of
+        freedom
+    tests : how many such are made of one recording
+    """
+    ratio = square / max(freedom, 1.0)
+    chance = float(scipy.special.chdtrc(max(freedom, 1.0), square))
+    if ratio <= MATERIAL**2 or chance * tests >= ALPHA:
+        return None
+    return LackOfFit(place, float(noise * np.sqrt(ratio - 1)), unit, depends_on, chance, float(square - freedom))
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """share : of the squares left, that smooth functions of a covariate explain beyond what as many numbers do by
+    chance; p_value : of chance.
+    """
+
+    share: float
+    p_value: float
+
+
+@dataclass(frozen=True, slots=True)
+class Covariate:
+    """name; before, after : {what is looked at: Share}, with nothing admitted and with all."""
+
+    name: str
+    before: dict[str, Share]
+    after: dict[str, Share]
+
+    @property
+    def weight(self) -> float:
+        """The greatest share that it explained before."""
+        return max((s.share for s in self.before.values()), default=0.0)
+
+
+def explained_share(
+    model: LinearModel, block: int, parts: list[tuple[FrameProducts, np.ndarray]], cluster: int = 1
+) -> Share:
+    """Share of a block's squares that functions explain. parts : [(FrameProducts, (F, a, q) weights)] fitted one beside
+    the other
+    cluster : frames in a row whose errors may be alike"""
+    found = [
+        test_lack_of_fit(model, products, Test("", "", (), weights, 1.0), cluster, alpha=1.0)
+        for products, weights in parts
+    ]
+    seen = [u for u in found if u is not None]
+    if not seen:
+        return Share(0.0, 1.0)
+    left = float(np.square(model.blocks[block].residual[model.blocks[block].frames_rows]).sum())
+    beyond = sum(u.delta_chi2 * (u.dispersion or 1.0) - u.freedom for u in seen)
+    p = (
+        seen[0].p_value
+        if len(seen) == 1
+        else float(scipy.special.chdtrc(sum(u.freedom for u in seen), sum(u.delta_chi2 for u in seen)))
+    )
+    return Share(float(np.clip(beyond / max(left, 1e-300), 0.0, 1.0)), p)
+
+
+def rank_covariates(before: dict[str, dict[str, Share]], after: dict[str, dict[str, Share]]) -> list[Covariate]:
+    """[Covariate] of {name: {what: Share}} before and after, the one that explained most before first."""
+    found = [Covariate(name, shares, after.get(name, {})) for name, shares in before.items()]
+    return sorted(found, key=lambda c: -c.weight)

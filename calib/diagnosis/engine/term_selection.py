@@ -1,0 +1,320 @@
+"""Selection of terms: forward steps, backward removal, held-out tests, confirmation against alternatives."""
+
+from dataclasses import dataclass, replace
+from typing import Any, Generic
+
+import numpy as np
+
+from calib.diagnosis.engine.candidate_score import Score, score_with_likelihood_ratio
+from calib.diagnosis.engine.finding_confirmation import (
+    Finding,
+    confirm_terms,
+    is_finding_significant,
+    is_significant,
+    labelled_progress,
+    may_become_significant,
+)
+from calib.diagnosis.engine.lack_of_fit import LackOfFit
+from calib.diagnosis.engine.problem_interface import (
+    AdmissionRules,
+    Companions,
+    Fit,
+    Model,
+    Problem,
+    Progress,
+    SmoothCover,
+    TermRefinement,
+    TermSimplification,
+    Tolerances,
+)
+from calib.diagnosis.engine.selection_inputs import C
+
+DIGITS = 3  # of a node's values, by which hypotheses are told apart
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Selection(Generic[Fit, C]):
+    """problem : Problem that all was judged by, with tolerances among its nuisances where they are seen to be at work
+    before : Fit with nothing admitted; fit : with all; findings : in the order of their weight; asked : how many
+    candidates were
+    """
+
+    problem: Problem[Fit, Any, C]
+    before: Fit
+    fit: Fit
+    findings: list[Finding[C]]
+    asked: int
+
+
+def select_terms(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Selection[Fit, C]:
+    """Selection of the terms that a problem needs. progress : called with (label, done, of), or None"""
+    before = problem.start()
+    problem, fit = _chosen(problem, before, progress)
+    fit, findings = confirm_terms(problem, fit, progress)
+    return Selection(problem, before, fit, findings, len(problem.candidates))
+
+
+def fit_selected_terms(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Fit:
+    """The Fit of the selected terms, as `select_terms` has it before alternatives are tried."""
+    return _chosen(problem, problem.start(), progress)[1]
+
+
+def _chosen(
+    problem: Problem[Fit, Model, C], before: Fit, progress: Progress | None
+) -> tuple[Problem[Fit, Model, C], Fit]:
+    """(Problem, Fit) with terms admitted, and those that pay on stretches held out retained. Raises ValueError for a
+    policy that admits companions of a problem that has none.
+    """
+    if np.isfinite(problem.policy.companions) and not isinstance(problem, Companions):
+        raise ValueError("the policy admits companions, and the problem does not search for any")
+    problem, fit = _forward(problem, _fit_with_stated_terms(problem, before), progress)
+    if isinstance(problem, TermSimplification):
+        fit = problem.simplify_terms(fit)
+    return problem, _remove_terms_without_held_out_gain(problem, fit)
+
+
+def _fit_with_stated_terms(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
+    """The Fit with what is said beforehand admitted, each at its best beside those before it."""
+    for site in problem.given.first:
+        own = [c for c in _admissible(problem, fit) if (c.name, c.place) == site]
+        model = problem.residual(fit)
+        size = problem.linear(model).size
+        scores = problem.search(model, own, -np.inf, None)
+        if scores:
+            fit = problem.add_term(fit, max(scores, key=lambda s: s.evidence(size)))
+    return _refined(problem, fit) if problem.given.first else fit
+
+
+def _admissible(problem: Problem[Fit, Model, C], fit: Fit) -> list[C]:
+    """The candidates that may still be admitted."""
+    return problem.admissible(fit) if isinstance(problem, AdmissionRules) else problem.candidates
+
+
+def _refined(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
+    """The Fit, refined where a problem refines its terms apart."""
+    return problem.refine_terms(fit) if isinstance(problem, TermRefinement) else fit
+
+
+def _tolerances_explain(problem: Problem[Fit, Model, C], fit: Fit, best: Score[C] | None) -> bool:
+    """Whether something that is nobody's fault explains more than the best there is."""
+    return isinstance(problem, Tolerances) and problem.tolerances_explain(fit, best)
+
+
+def _forward(
+    problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None
+) -> tuple[Problem[Fit, Model, C], Fit]:
+    """(Problem, Fit) with terms admitted step by step; from the beginning again, tolerances among the nuisances, where
+    these turn out to explain more.
+    """
+    found = _steps(problem, fit, progress)
+    while found is None and isinstance(problem, Tolerances):
+        problem = problem.with_tolerances()
+        found = _steps(problem, fit, progress)
+    return problem, fit if found is None else found
+
+
+def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None) -> Fit | None:
+    """The Fit with terms admitted step by step; after each step, those that others have made needless go again. None
+    where tolerances explain more than any name."""
+    policy, count = problem.policy, len(problem.candidates)
+    taken: set[tuple] = set()
+    refused: list[C] = []
+    while len(problem.terms(fit)) < policy.most:
+        model, size, admitted = problem.residual(fit), problem.size(fit), len(problem.terms(fit))
+        label = f"searching beside {admitted} effects" if admitted else "searching"
+        scores = problem.search(model, _admissible(problem, fit), policy.delta_bic, labelled_progress(progress, label))
+        fresh = [s for s in scores if _hypothesis_key(s) not in taken and not any(s.candidate is c for c in refused)]
+        promising = [s for s in fresh if is_significant(s, count, problem.linear(model).size, policy)] or _hidden(
+            problem, fit, model, fresh
+        )
+        if _tolerances_explain(problem, fit, promising[0] if promising else None):
+            return None
+        if not promising:
+            return fit
+        if admitted and _smooth_beyond(problem, model, promising[0]):
+            break
+        step = _step(problem, fit, promising, scores, refused)
+        if step is None:
+            break
+        fit, score = step
+        taken.add(_hypothesis_key(score))
+        fit = _companions(problem, fit, score, promising, taken, size)
+        fit = remove_redundant_terms(problem, _refined(problem, fit))
+    return None if _tolerances_explain(problem, fit, None) else fit
+
+
+def _hidden(problem: Problem[Fit, Model, C], fit: Fit, model: Model, scores: list[Score[C]]) -> list[Score[C]]:
+    """Of the strongest that a scan sees and the few that it finds least likely by chance, none convincing, those that
+    convince once fitted, the most convincing first: what is not admitted yet counts as its own axis' scatter, the
+    strongest hides itself most, and what a scan sees of it is worth no more than its frames, however many numbers that
+    has to pay for."""
+    policy, linear = problem.policy, problem.linear(model)
+    scanned = [s for s in scores if may_become_significant(s, len(problem.candidates), linear.size, policy)]
+    surest = sorted(scanned, key=lambda s: s.p_value)[: policy.tried]
+    strongest = [
+        s
+        for s in sorted(scanned, key=lambda s: -s.raw_delta_bic(linear.size))[:1]
+        if not any(s is other for other in surest)
+    ]
+    fitted = [
+        score_with_likelihood_ratio(s, problem.likelihood_ratio(fit, problem.add_term(fit, s)), linear.frames)
+        for s in strongest + surest
+    ]
+    found = [s for s in fitted if is_significant(s, len(problem.candidates), linear.size, policy)]
+    return sorted(found, key=lambda s: -s.delta_bic(linear.size))
+
+
+def _hypothesis_key(score: Score[C]) -> tuple:
+    """What a hypothesis is known by: its name, place and node."""
+    node = tuple(
+        sorted(
+            (name, round(value, DIGITS) if isinstance(value, float) else value) for name, value in score.node.items()
+        )
+    )
+    return score.candidate.name, score.candidate.place, node
+
+
+def _step(
+    problem: Problem[Fit, Model, C], fit: Fit, promising: list[Score[C]], scores: list[Score[C]], refused: list[C]
+) -> tuple[Fit, Score[C]] | None:
+    """(Fit, Score) with the first of the promising that predicts stretches held out; None where none of the first few
+    does.
+    """
+    least = problem.policy.forward_gain
+    for best in promising[: problem.policy.tried]:
+        trial = problem.add_term(fit, best)
+        if least is None or problem.cross_validations(trial, [len(problem.terms(fit))])[0].gain > least:
+            return _exchanged(problem, fit, trial, best, scores)
+        refused.append(best.candidate)
+    return None
+
+
+def _exchanged(
+    problem: Problem[Fit, Model, C], fit: Fit, trial: Fit, best: Score[C], scores: list[Score[C]]
+) -> tuple[Fit, Score[C]]:
+    """(Fit, Score) with the variant of a name and place that is best once fitted, of those that may do better than the
+    scan's `best`: by what factor that explains more than the scan said, others may do so twice over, since a large
+    effect is not linear in its numbers, and what a coarse
+    variant leaves counted as scatter. trial : `fit` with `best`"""
+    size, fitted = problem.size(fit), problem.likelihood_ratio(fit, trial)
+    variants = [
+        s for s in scores if (s.candidate.name, s.candidate.place) == (best.candidate.name, best.candidate.place)
+    ]
+    told = next(s.delta_chi2 * s.dispersion for s in variants if s.candidate is best.candidate)
+    reach, least = max(fitted / told, 1.0) ** 2, fitted - best.complexity(size)
+    seen = [
+        s for s in variants if s.candidate is not best.candidate and s.freedom > 0
+    ]  # of the others the scan says nothing
+    others = [s for s in seen if reach * s.delta_chi2 * s.dispersion - s.complexity(size) >= least]
+    found, chosen = trial, best
+    for s in sorted(others, key=lambda s: -s.evidence(size))[: problem.policy.refitted]:
+        new = problem.add_term(fit, s)
+        if problem.likelihood_ratio(found, new) > s.complexity(size) - chosen.complexity(size):
+            found, chosen = new, s
+    return found, chosen
+
+
+def _companions(
+    problem: Problem[Fit, Model, C], fit: Fit, best: Score[C], promising: list[Score[C]], taken: set[tuple], size: int
+) -> Fit:
+    """The Fit with what other places show nearly as strongly, each asked again with the ones before it admitted."""
+    policy, places = problem.policy, {best.candidate.place}
+    if not isinstance(problem, Companions):
+        return fit
+    for score in promising:
+        close = score.raw_delta_bic(size) >= policy.companions * best.raw_delta_bic(size)
+        if score.candidate.place in places or not close or len(problem.terms(fit)) >= policy.most:
+            continue
+        places.add(score.candidate.place)
+        again = problem.companion(fit, score)
+        if again is not None and is_significant(again, len(problem.candidates), size, policy):
+            taken.add(_hypothesis_key(score))
+            fit = problem.add_term(fit, again)
+    return fit
+
+
+def _smooth_beyond(problem: Problem[Fit, Model, C], model: Model, best: Score[C]) -> bool:
+    """Whether something that no name explains is larger than what the best name would."""
+    if not np.isfinite(problem.policy.smooth_beyond):
+        return False
+    size = problem.linear(model).size
+    return any(
+        u.delta_bic(size) > problem.policy.smooth_beyond * best.delta_bic(size)
+        for u in problem.lack_of_fit(model)
+        if u.dispersion
+    )
+
+
+def remove_redundant_terms(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
+    """The Fit without terms that the others make redundant."""
+    while not all(map(problem.given.holds, problem.terms(fit))):
+        gains = []
+        for number, candidate in enumerate(problem.terms(fit)):
+            wald = problem.wald(fit, number)
+            gain = wald.statistic - (wald.freedom + candidate.extra) * np.log(problem.size(fit))
+            gains.append(np.inf if problem.given.holds(candidate) else gain)
+        worst = int(np.argmin(gains))
+        if gains[worst] >= problem.policy.delta_bic:
+            break
+        fit = problem.remove_term(fit, worst)
+    return fit
+
+
+def _remove_terms_without_held_out_gain(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
+    """The Fit without terms that do not pay on stretches held out, where the policy asks that at the end."""
+    least = problem.policy.final_gain
+    while least is not None and not all(map(problem.given.holds, problem.terms(fit))):
+        loose = [number for number, candidate in enumerate(problem.terms(fit)) if not problem.given.holds(candidate)]
+        gains = [validation.gain for validation in problem.cross_validations(fit, loose)]
+        worst = int(np.argmin(gains))
+        if gains[worst] >= least:
+            break
+        fit = problem.remove_term(fit, loose[worst])
+    return fit
+
+
+def remove_unsupported_findings(
+    problem: Problem[Fit, Model, C], selection: Selection[Fit, C], unexplained: list[LackOfFit]
+) -> Selection[Fit, C]:
+    """Selection without findings that the data do not support once smooth functions of the rest are allowed.
+    Where what is left at a
+    name's own place would make no finding, and is as unlikely by chance as what is named, the same is asked; then the
+    name goes only for what is told in its stead. Nothing goes where smooth functions are no freedom of the problem.
+    """
+    if not isinstance(problem, SmoothCover):
+        return selection
+    fit, gone, after = selection.fit, [], problem.residual(selection.fit)
+    for f in selection.findings:
+        if problem.given.holds(f.score.candidate):
+            continue
+        place = f.score.candidate.place
+        doubts = [
+            u
+            for u in problem.lack_of_fit(after, place)
+            if not any((u.place, u.depends_on) == (v.place, v.depends_on) for v in unexplained)
+        ]
+        if unexplained and not _stays(problem, f, fit, unexplained, selection.asked):
+            gone.append(f.number)
+        elif doubts and not _stays(problem, f, fit, unexplained + doubts, selection.asked):
+            gone += [f.number] * any(
+                problem.within(u, place) for u in problem.lack_of_fit(problem.without_term(fit, f.number))
+            )
+    for number in sorted(gone, reverse=True):
+        fit = problem.remove_term(fit, number)
+    kept = [f for f in selection.findings if f.number not in gone]
+    return replace(
+        selection, fit=fit, findings=[replace(f, number=f.number - sum(g < f.number for g in gone)) for f in kept]
+    )
+
+
+def _stays(problem: Problem[Fit, Model, C], finding: Finding[C], fit: Fit, left: list[LackOfFit], count: int) -> bool:
+    """Whether a Finding of a Fit explains more than what is left at its place, and stands beside smooth functions of
+    what all that is left depends on, of so many candidates asked."""
+    assert isinstance(problem, SmoothCover)
+    model = problem.covered(fit, finding.number, left)
+    larger = any(
+        u.delta_chi2 > finding.score.delta_chi2
+        for u in left
+        if u.depends_on and problem.within(u, finding.score.candidate.place)
+    )
+    return not larger and is_finding_significant(problem, finding, model, fit, count)

@@ -1,0 +1,199 @@
+"""The arm as Problem of the engine: terms turn joints, linear about the calibrated geometry."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.diagnosis.engine.cross_validation import (
+    FOLDS,
+    STRETCHES,
+    CrossValidation,
+    signed_rank_gain_in_standard_errors,
+    sizes_without_columns,
+    time_stretch_folds,
+)
+from calib.diagnosis.engine.lack_of_fit import LackOfFit
+from calib.diagnosis.engine.linear_model import Column, LinearModel
+from calib.diagnosis.engine.problem_interface import Wald
+from calib.diagnosis.engine.selection_inputs import ARM, SelectionPolicy, StatedTerms
+from calib.diagnosis.engine.term_selection import remove_redundant_terms
+from calib.diagnosis.problems.arm import lack_of_fit as remainder
+from calib.diagnosis.problems.arm.candidate_search import candidate_with_nodes, score_column, search_candidates
+from calib.diagnosis.problems.arm.joint_candidates import JointCandidate, JointScore
+from calib.diagnosis.problems.arm.linearised_poses import Arms, Geometry
+from calib.diagnosis.problems.arm.nonlinear_parameters import has_continuous_parameters
+from calib.diagnosis.problems.arm.pose_fit import Fit, Term, fit_poses
+from calib.diagnosis.problems.arm.term_simplification import (
+    FINE,
+    QUICK,
+    admissible_candidates,
+    merge_sinusoids_into_profiles,
+    optimise_terms,
+    refine_profiles,
+    simplify_profiles,
+)
+from calib.samples.pose_samples import time_block_folds
+
+ALIASES = 3  # other orders of a sinusoid that are looked at
+KNOWN = 0.5  # numbers that data must determine of a term for it to be tested
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmProblem:
+    """arms : Arms; candidates : asked for; train : (n,) bool, poses that may be fitted, None for all;
+    policy : thresholds
+    given : what is said beforehand; geometry : Geometry that the poses are linear about, None where nobody asks for it
+    What an instrument may do on its own is in the poses' covariance, so there are no tolerances; smooth functions of an
+    arm's other joints are no freedom of anything, so none cover a term: it stands on its stretches held out"""
+
+    arms: Arms
+    candidates: list[JointCandidate]
+    train: np.ndarray | None = None
+    policy: SelectionPolicy = ARM
+    given: StatedTerms = StatedTerms()
+    geometry: Geometry | None = None
+
+    def start(self) -> Fit:
+        return fit_poses(self.arms, (), self.train)
+
+    def terms(self, fit: Fit) -> list[JointCandidate]:
+        return [term.candidate for term in fit.terms]
+
+    def size(self, fit: Fit) -> int:
+        return fit.size
+
+    def residual(self, fit: Fit) -> Fit:
+        return fit
+
+    def without_term(self, fit: Fit, number: int) -> Fit:
+        return fit.without_terms([number])
+
+    def linear(self, model: Fit) -> LinearModel:
+        return model.linear
+
+    def admissible(self, fit: Fit) -> list[JointCandidate]:
+        return admissible_candidates(fit, self.candidates)
+
+    def search(
+        self,
+        model: Fit,
+        candidates: list[JointCandidate],
+        least: float = 0.0,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> list[JointScore]:
+        return search_candidates(model, candidates, least, self.policy.cluster, progress)
+
+    def rescored(self, model: Fit, fit: Fit, number: int) -> JointScore:
+        return self.search(model, [fit.terms[number].only], -np.inf)[0]
+
+    def aliases(self, model: Fit, own: JointScore, score: JointScore) -> list[JointScore]:
+        """Other orders of a sinusoid that explain as much, where commands stood on a lattice of angles."""
+        candidate = score.candidate
+        if not candidate.step:
+            return []
+        c, apart, grid, name = score.curve, candidate.step / FINE, candidate.grid, candidate.sought
+        peaks = [
+            i
+            for i in range(1, len(c) - 1)
+            if c[i] >= max(c[i - 1], c[i + 1]) and abs(grid[i][name] - own.node[name]) > apart
+        ]
+        best = sorted(peaks, key=lambda i: -c[i])[:ALIASES]
+        return [other for i in best for other in self.search(model, [candidate_with_nodes(candidate, [grid[i]])])]
+
+    def column(self, model: Fit, score: JointScore) -> Column:
+        return score_column(model, score)
+
+    def add_term(self, fit: Fit, score: JointScore) -> Fit:
+        return fit.with_terms([Term.of(score)])
+
+    def companion(self, fit: Fit, score: JointScore) -> JointScore | None:
+        again = self.search(fit, [candidate_with_nodes(score.candidate, [score.node])])
+        return replace(again[0], candidate=score.candidate) if again else None
+
+    def remove_term(self, fit: Fit, number: int) -> Fit:
+        return self._weighed(fit, [t for i, t in enumerate(fit.terms) if i != number])
+
+    def in_place(self, fit: Fit, number: int) -> Fit:
+        return self._weighed(fit, [*fit.terms[:number], fit.terms[-1], *fit.terms[number:-1]])
+
+    def _weighed(self, now: Fit, terms: list[Term]) -> Fit:
+        return fit_poses(self.arms, terms, self.train, now.weighing, rounds=QUICK)
+
+    def refine_terms(self, fit: Fit) -> Fit:
+        return refine_profiles(fit, self.train, self.policy)
+
+    def simplify_terms(self, now: Fit) -> Fit:
+        now = merge_sinusoids_into_profiles(now, self.candidates, self.train, self.policy, self.given)
+        now = remove_redundant_terms(self, simplify_profiles(now, self.candidates, self.train, self.policy, self.given))
+        now = optimise_terms(now, [term for term in now.terms if has_continuous_parameters(term)])
+        return fit_poses(self.arms, now.terms, self.train, now.weighing)
+
+    def wald(self, fit: Fit, number: int) -> Wald:
+        one, here = fit.terms[number], fit.slices[number]
+        theta, covariance = fit.theta[here], fit.covariance(number)
+        known = len(theta) - np.trace(covariance / one.prior**2)
+        spread = covariance - covariance @ (
+            covariance / one.prior[:, None] ** 2
+        )  # scatter of the sizes, that of the priors left out
+        statistic = theta @ np.linalg.pinv(spread, rcond=1e-9, hermitian=True) @ theta if known > KNOWN else 0.0
+        return Wald(float(statistic), float(known))
+
+    def likelihood_ratio(self, fit: Fit, other: Fit) -> float:
+        return fit.cost() - other.cost()
+
+    def cross_validations(self, fit: Fit, numbers: list[int]) -> list[CrossValidation]:
+        return self._validations(fit, numbers)
+
+    def by_regions(self, fit: Fit, numbers: list[int]) -> list[list[CrossValidation]]:
+        """For each joint, CrossValidation of some terms where whole regions of that joint's travel are held out in
+        turn.
+        """
+        angles = self.arms.q[fit.used]
+        return [self._validations(fit, numbers, q) for q in angles.T]
+
+    def _validations(self, now: Fit, numbers: list[int], along: np.ndarray | None = None) -> list[CrossValidation]:
+        """CrossValidation of each term alone; misfit in m, RMS of a position per axis.
+
+        along : (m,) what the poses used are put in order by, stretches of which are held out whole; None for time, in
+            many short stretches
+        """
+        W, target = now.W[now.used], now.target[now.used]
+        order = np.arange(len(W)) if along is None else np.argsort(along, kind="stable")
+        fold = time_stretch_folds(len(now.arms), STRETCHES)[now.used] % FOLDS
+        if along is not None:
+            fold[order] = time_block_folds(len(order), FOLDS)
+        parts = [now.X.take(fold == f) for f in np.unique(fold)]
+        rows = [fold == f for f in np.unique(fold)]
+        sizes = sizes_without_columns(
+            [p.gram() for p in parts],
+            [p.onto(target[r][..., None])[:, 0] for p, r in zip(parts, rows)],
+            now.information,
+        )
+
+        def figures(gone: np.ndarray) -> tuple[np.ndarray, float]:
+            white = target.copy()
+            for part, at, size in zip(parts, rows, sizes(gone)):
+                white[at] -= part.at(size[:, None])[..., 0]
+            left = np.linalg.solve(W, white[..., None])[:, :3, 0]
+            return (white**2).sum(axis=1), float(np.sqrt((left**2).mean()))
+
+        squares, after = figures(np.arange(0))
+        own = np.einsum("nkk->nk", now.arms.own)[now.used, :3]
+        floor, out = float(np.sqrt(own.mean())), []
+        for number in numbers:
+            lacking, before = figures(np.arange(now.X.count)[now.slices[number]])
+            out.append(
+                CrossValidation(
+                    before, after, floor, "m", signed_rank_gain_in_standard_errors((lacking - squares)[order])
+                )
+            )
+        return out
+
+    def lack_of_fit(self, model: Fit, place: str | None = None) -> list[LackOfFit]:
+        if place is None:
+            return remainder.lack_of_fit(model, cluster=self.policy.cluster)
+        return remainder.lack_of_fit(model, cluster=self.policy.cluster, place=place, alpha=self.policy.alpha)
+
+    def within(self, left: LackOfFit, place: str) -> bool:
+        return left.place == place

@@ -1,0 +1,212 @@
+"""Candidates at an arm's joints: every effect of the catalogue, its places, its grid, its turn of the joint."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from calib.diagnosis.engine.candidate_score import Score
+from calib.diagnosis.engine.selection_inputs import Candidate, Node, NotAsked
+from calib.diagnosis.problems.arm.linearised_poses import Arms
+from calib.diagnosis.problems.requested_effects import RequestedEffects
+from rig.effects.framework.diagnosis_interface import COUNT, QUADRATURE
+from rig.effects.framework.effect import Candidate as EffectCandidate
+from rig.effects.framework.effect import Effect
+from rig.errors import FileError, RigError
+
+
+class Form(Enum):
+    """What a candidate's turn of its joint is a function of: the joint's own angle (as a line, a sinusoid, or any
+    curve), a moment in time, or anything else."""
+
+    SLOPE = "slope"
+    SINUSOID = "sinusoid"
+    PROFILE = "profile"
+    STEP = "step"
+    OTHER = "other"
+
+
+OWN_ANGLE = (Form.SLOPE, Form.SINUSOID, Form.PROFILE)
+SIMPLICITY = {
+    1: Form.SLOPE,
+    2: Form.SINUSOID,
+    3: Form.PROFILE,
+}  # of what depends on the axis alone, as effects state it
+MOST = 200  # nodes of a candidate whose weights are kept
+POSES_ALONE = "of an arm or a chain, measured poses are searched, and not the corners that they were measured from"
+NO_CORNERS = "there are no corners"
+SPAN = "span"  # in a profile's node: (low, high) rad
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class JointCandidate(Candidate):
+    """An effect at a joint, or at the whole arm. joint : index, or None; specs : as the effect states it, one for each
+    number of columns
+    weights : node -> (n, a, q) per unit of what a pose can be moved in: rad of the joint (a = 1), or the tangent of the
+        whole (a = k)
+    prior : node -> (q,) sizes of the coefficients; step : between nodes that are even multiples of it, 0 for all
+        others"""
+
+    joint: int | None
+    specs: tuple[EffectCandidate, ...]
+    weights: Callable[[Node], np.ndarray]
+    prior: Callable[[Node], np.ndarray]
+    form: Form = Form.OTHER
+    step: float = 0.0
+
+    @property
+    def kind(self) -> type[Effect]:
+        """The class of the effect."""
+        return self.specs[0].kind
+
+    @property
+    def sought(self) -> str:
+        """The one parameter that the grid goes through."""
+        return next(iter(self.grid[0]))
+
+    def effect(self, node: Node, coefficients: np.ndarray) -> Effect:
+        """The effect of a node with coefficients (q,); where the size is in the node, the coefficient is it."""
+        spec = _spec(self.specs, node)
+        return (
+            spec.effect(node, coefficients)
+            if spec.linear
+            else spec.kind(spec.place, **{next(iter(node)): float(coefficients[0])})
+        )
+
+
+JointScore = Score[JointCandidate]
+
+
+def joint_candidates(arms: Arms, asked: RequestedEffects) -> tuple[list[JointCandidate], list[NotAsked]]:
+    """(joint candidates, what cannot be tested) of an arm's poses, of the requested catalogue.
+
+    Raises RigError for a place where what is asked for cannot sit.
+    """
+    out, skipped, sites = [], [], {}
+    for kind in asked.kinds:
+        if not asked.touches(kind.name):
+            continue
+        if kind.discrete or kind.stage in ("targets", "view"):
+            skipped.append(NotAsked(kind.name, POSES_ALONE if arms.context.design.cameras else NO_CORNERS))
+            continue
+        try:
+            found = kind.sites(arms.context)
+            skipped += _lacking(kind, found, arms)
+            if found and any(p.role == "frequency" for p in kind.parameters):
+                raise RigError(f"{kind.name}: an arm's poses are searched for no frequency")
+            sites[kind.name] = found
+            for place in found:
+                if asked.place(kind.name, place):
+                    out += _candidates(tuple(kind.candidates(place, arms.context)), arms)
+        except FileError:
+            raise  # of a file that a user wrote
+        except RigError as error:
+            skipped.append(NotAsked(kind.name, str(error)))
+    asked.check(sites)
+    return out, [s for s in skipped if asked.name(s.effect)]
+
+
+def _lacking(kind: type[Effect], found: tuple[str, ...], arms: Arms) -> list[NotAsked]:
+    """What keeps an effect from being asked for at some of the axes, where it can be at others."""
+    why: dict[str, list[str]] = {}
+    for place, reason in kind.lacking(arms.context).items():
+        if found and place not in found:
+            why.setdefault(reason, []).append(place)
+    return [NotAsked(kind.name, f"at {', '.join(places)} it {reason}") for reason, places in why.items()]
+
+
+def _candidates(specs: tuple[EffectCandidate, ...], arms: Arms) -> list[JointCandidate]:
+    """The candidates of an effect at a place; its curves of more and fewer numbers are one."""
+    if not specs:
+        return []
+    several = all(COUNT in node for spec in specs for node in spec.grid)
+    return [joint_candidate(group, arms) for group in ([specs] if several else [(spec,) for spec in specs])]
+
+
+def joint_candidate(specs: tuple[EffectCandidate, ...], arms: Arms) -> JointCandidate:
+    """JointCandidate of what an effect states at a place, one for each number of columns."""
+    first, places = specs[0], arms.context.moved().places
+    joint = places.index(first.place) if first.place in places else None
+    form = Form.STEP if first.kind.form == "step" else SIMPLICITY.get(first.kind.own_axis, Form.OTHER)
+    positive = len(first.linear) < 2 and min((low for low, _ in _bounds(first)), default=0.0) >= 0
+    grid = [node for spec in specs for node in spec.grid]
+    # a node that is the size itself has one linear coefficient in its place, and so nothing that is sought besides
+    return JointCandidate(
+        name=first.kind.name,
+        place=first.place,
+        grid=grid,
+        extra=first.extra if first.linear else 0,
+        joint=joint,
+        specs=specs,
+        weights=_kept(lambda node: _weights(_spec(specs, node), node, joint, arms)),
+        prior=lambda node: _prior(_spec(specs, node)),
+        form=form,
+        vector=len(first.linear) > 2,
+        step=first.spacing,
+        bounds=(np.zeros(1), np.full(1, np.inf)) if positive else None,
+    )
+
+
+def _spec(specs: tuple[EffectCandidate, ...], node: Node) -> EffectCandidate:
+    """The spec of a node: with as many columns as the node says."""
+    return next((spec for spec in specs if spec.grid[0].get(COUNT) == node.get(COUNT)), specs[0])
+
+
+def _bounds(spec: EffectCandidate) -> list[tuple[float, float]]:
+    """Bounds of what the coefficients stand for."""
+    by = {p.name: p for p in spec.kind.parameters_at(spec.place)}
+    return [by[column.name].bounds for column in spec.linear if column.name != QUADRATURE] or [
+        by[name].bounds for name in spec.grid[0]
+    ]
+
+
+def _prior(spec: EffectCandidate) -> np.ndarray:
+    """(q,) sizes that rigs show of the coefficients."""
+    by = {p.name: p for p in spec.kind.parameters_at(spec.place)}
+    names = [column.name for column in spec.linear] or [next(iter(spec.grid[0]))]
+    amplitude = next((name for name in names if name != QUADRATURE), "")
+    used = [by[amplitude if name == QUADRATURE else name] for name in names]
+    return np.array([1 / p.usual[0] if p.role == "inverse" else p.usual[1] for p in used])
+
+
+def _weights(spec: EffectCandidate, node: Node, joint: int | None, arms: Arms) -> np.ndarray:
+    """(n, a, q) of a node, see JointCandidate."""
+    motion = arms.context.moved()
+    if joint is None and spec.kind.retimes():
+        return np.einsum("nkj,njq->nkq", arms.joints, _retimed(spec, node, arms))
+    if joint is None:
+        units = np.eye(len(spec.linear)) * [column.step for column in spec.linear]
+        moved = [
+            arms.measured(spec.effect(node, unit).sway(motion)) / column.step
+            for unit, column in zip(units, spec.linear)
+        ]
+        return np.stack(moved, axis=-1)
+    out = (_retimed(spec, node, arms) if spec.kind.retimes() else spec.deviation(node, motion))[
+        :, joint
+    ].copy()  # kept without the other joints
+    return (out if spec.linear else out / next(iter(node.values())))[:, None, :]
+
+
+def _retimed(spec: EffectCandidate, node: Node, arms: Arms) -> np.ndarray:
+    """(n, joints, q) rad by which the commands reached change, per unit of the coefficients."""
+    steps = [column.step for column in spec.linear] or [1.0]
+    units = np.eye(len(spec.linear)) * steps if spec.linear else [np.zeros(0)]
+    return np.stack(
+        [(arms.reached(spec.effect(node, unit)) - arms.q) / step for unit, step in zip(units, steps)], axis=-1
+    )
+
+
+def _kept(weights: Callable[[Node], np.ndarray]) -> Callable[[Node], np.ndarray]:
+    """The function of a node, the last answers kept: histories are long, and asked for in every search."""
+    known: dict[tuple, np.ndarray] = {}
+
+    def answer(node: Node) -> np.ndarray:
+        key = tuple(sorted(node.items()))
+        if key not in known:
+            if len(known) > MOST:
+                known.clear()
+            known[key] = weights(node)
+        return known[key]
+
+    return answer

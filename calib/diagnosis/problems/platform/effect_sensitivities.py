@@ -1,0 +1,134 @@
+"""Sensitivities of axes and corners to effects and their parameters: the columns of the linear model."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calib.diagnosis.engine.selection_inputs import Node
+from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate
+from calib.diagnosis.problems.platform.operating_point import OperatingPoint
+from rig.effects.framework.effect import COUNT, Effect, Linear, Motion
+from rig.effects.framework.place import Place
+
+
+@dataclass(slots=True, eq=False)
+class Sensitivities:
+    """What effects do, at one OperatingPoint; derivatives in pixels are kept, since they cost most and hardly
+    change.
+    """
+
+    point: OperatingPoint
+    pixels: dict[tuple, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+
+    def at(self, point: OperatingPoint) -> "Sensitivities":
+        """The same for another OperatingPoint of the same corners; what was kept stays."""
+        return Sensitivities(point, self.pixels if point.seen is self.point.seen else {})
+
+    def deviation(self, candidate: PlatformCandidate, node: Node, motion: Motion) -> np.ndarray:
+        """(F, axes, q) m per unit of each linear parameter; (F, axes, 1) m whole where the size is in the node.
+
+        motion : Motion with the admitted effects, so that it need not be made again
+        """
+        kind = candidate.kind
+        if not kind.retimes() and kind.sway is Effect.sway:
+            return candidate.spec.deviation(node, motion)
+        if not candidate.spec.linear:
+            return self._change(candidate.effect(node, np.zeros(0)), motion)[..., None]
+        out = []
+        for j, (_, _, step) in enumerate(candidate.spec.linear):
+            unit = np.zeros(len(candidate.spec.linear))
+            unit[j] = step
+            out.append(self._change(candidate.effect(node, unit), motion) / step)
+        return np.stack(out, axis=-1)
+
+    def _change(self, effect: Effect, motion: Motion) -> np.ndarray:
+        kind, k = type(effect), self.point
+        if not kind.retimes():
+            out = effect.deviation(motion)
+            sway = effect.sway(motion)
+            return out + k.swayed(sway) if sway.any() else out
+        return k.effective((*k.effects, effect)) - k.effective()
+
+    def seen(self, candidate: PlatformCandidate, node: Node) -> tuple[np.ndarray, np.ndarray]:
+        """(sighting rows (s,), (s, 4, 2, q) px per unit of each linear parameter) of what is seen at a node; rows that
+        cannot change are left out.
+        """
+        direct = self._bending(candidate)
+        if direct is not None:
+            return direct
+        parts = [self.derivative(candidate.kind, candidate.place, column, node) for column in candidate.spec.linear]
+        return parts[0][0], np.stack([quads for _, quads in parts], axis=-1)
+
+    def _bending(self, candidate: PlatformCandidate) -> tuple[np.ndarray, np.ndarray] | None:
+        """The same of what bends one camera's image and says how, None for anything else."""
+        place = Place.parse(candidate.place)
+        if place.kind != "camera":
+            return None
+        rows = self._rows(candidate.place)
+        found = candidate.kind.bending(
+            self.point.design.camera(place.name), self._quads(rows)[0], candidate.spec.linear
+        )
+        return None if found is None else (rows, found)
+
+    def derivative(self, kind: type[Effect], place: str, column: Linear, node: Node) -> tuple[np.ndarray, np.ndarray]:
+        """(sighting rows (s,), (s, 4, 2) px per unit) of one linear parameter of a view effect, about nothing.
+
+        node : {parameter: value} of the others, and how many numbers a vector of any length has
+        """
+        name, index, step = column
+        length, others = node.get(COUNT), {n: value for n, value in node.items() if n != COUNT}
+        key = (kind.name, place, name, index, length, *sorted(others.items()))
+        if key not in self.pixels:
+            k, rows, effects = self.point, self._rows(place), []
+            parameter = next(p for p in kind.parameters if p.name == name)
+            for sign in (1, -1) if parameter.bounds[0] < 0 else (2, 0):
+                numbers = range(parameter.size or length or 0)
+                value = sign * step if index is None else tuple(sign * step if j == index else 0.0 for j in numbers)
+                effects.append(kind(place, **{**others, name: value}))
+            if kind.print_ is not Effect.print_ and name != "terms":  # what happens to pixels alone needs no camera
+                quads, camera = self._quads(rows)
+                both = [
+                    np.concatenate([e.print_(k.design.cameras[i], quads[camera == i]) for i in np.unique(camera)])
+                    for e in effects
+                ]
+                back = np.argsort(np.argsort(camera, kind="stable"), kind="stable")
+                both = [b[back] for b in both]
+            else:
+                run = k.run((*k.effects, effects[0]))
+                both = [k.pixels((*k.effects, e), rows, run) for e in effects]
+            self.pixels[key] = rows, (both[0] - both[1]) / (2 * step)
+        return self.pixels[key]
+
+    def _quads(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        key = ("quads", len(rows), int(rows[0]) if len(rows) else 0)
+        if key not in self.pixels:
+            self.pixels[key] = self.point.pixels(None, rows), self.point.observed.sightings.camera[rows]
+        return self.pixels[key]
+
+    def _rows(self, place: str) -> np.ndarray:
+        s, at = self.point.observed.sightings, Place.parse(place)
+        if at.kind == "camera":
+            names = [c.name for c in self.point.design.cameras]
+            return np.flatnonzero(s.camera == names.index(at.name))
+        if at.kind == "marker":
+            return np.flatnonzero(self.point.observed.markers.id[s.marker] == at.number)
+        if at.kind == "target":
+            return np.flatnonzero(np.array([t == at.name for t in self.point.observed.markers.target])[s.marker])
+        return np.arange(len(s.frame))
+
+    def corners(self, rows: np.ndarray, quads: np.ndarray) -> np.ndarray:
+        """(n, 2, q) px of all observed corners from those of some sightings."""
+        hit, moved = self.touched(rows, quads)
+        out = np.zeros((len(self.point.observed.row), 2, quads.shape[-1]))
+        out[hit] = moved
+        return out
+
+    def touched(self, rows: np.ndarray, quads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(observed corners (h,), (h, 2, q) px of them) of some sightings rows (s,), whose four are quads (s, 4, 2, q)
+        px.
+        """
+        seen = self.point.observed
+        at = np.full(len(seen.sightings.frame), -1)
+        at[rows] = np.arange(len(rows))
+        hit = np.flatnonzero(at[seen.row] >= 0)
+        return hit, quads[at[seen.row[hit]], seen.observations.corner[hit]]

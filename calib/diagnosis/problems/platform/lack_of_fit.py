@@ -1,0 +1,202 @@
+"""Lack of fit of a platform beyond all candidates: smooth functions, excess scatter, covariates of the rest."""
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+import scipy
+
+from calib.diagnosis.engine.chance_probability import scan_p_value
+from calib.diagnosis.engine.frame_inner_products import FrameProducts, solve_normal_equations
+from calib.diagnosis.engine.lack_of_fit import ALPHA, LIKELY, LackOfFit, Test, significant_lack_of_fit, test_lack_of_fit
+from calib.diagnosis.problems.platform.candidate_search import (
+    axis_products,
+    constant_displacement_normal,
+    corner_products,
+)
+from calib.diagnosis.problems.platform.effect_candidates import effect_context, lacks_temperature_log
+from calib.diagnosis.problems.platform.linearised_corners import MEDIAN
+from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel
+from calib.diagnosis.problems.platform.operating_point import OperatingPoint
+from calib.diagnosis.problems.platform.smooth_functions import (
+    FAST,
+    SLOW,
+    edge_pixels,
+    marker_corner_pixels,
+    smooth_strut_functions,
+    view_pixels,
+    view_time_functions,
+    warp_pixels,
+)
+from rig.compute.parallel_map import parallel_map
+from rig.effects.catalogue.effect_list import ALL
+from rig.effects.catalogue.lens_distortion import LensDistortion
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.place import Place
+
+MEDIAN_SPREAD = (
+    5.6  # variance of a sample's middle square over its square, times the sample's size, for normal residuals
+)
+FAR = 5.0  # standard deviations; a residual counts for no more where neighbours are compared
+PARTS = {
+    "rig": ("strut ", "rig"),
+    "clock": ("strut ", "rig"),
+    "cameras": ("camera ",),
+    "markers": ("marker ",),
+}  # of places that take in others
+
+
+def is_at_place(left: LackOfFit, place: str) -> bool:
+    """Whether a LackOfFit is at a place, or at a part of it."""
+    return left.place == place or left.place.startswith(PARTS.get(place, ()))
+
+
+def lack_of_fit(model: LinearisedModel, place: str | None = None, alpha: float = ALPHA) -> list[LackOfFit]:
+    """[LackOfFit] of the residuals at each place, the most significant first.
+
+    place : where alone they are asked, None for everywhere; alpha : chance of any where there is nothing
+    """
+    k = model.point
+    asked: list[Callable[[], list[LackOfFit | None]]] = [partial(_struts, model)] if k.axes else []
+    if k.seen is not None:
+        asked += [partial(_camera, model, i) for i in range(len(k.design.cameras))]
+        ids, counts = np.unique(k.observed.markers.id[k.observed.sightings.marker], return_counts=True)
+        edges = edge_pixels(k)
+        asked += [partial(_marker, model, edges, number, count) for number, count in zip(ids.tolist(), counts.tolist())]
+    found = [u for several in parallel_map(lambda question: question(), asked) for u in several]
+    return significant_lack_of_fit(
+        [u for u in found if u is not None and (place is None or is_at_place(u, place))], alpha
+    )
+
+
+def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
+    k = model.point
+    products = axis_products(model)
+    each = np.einsum("fii->i", products.gamma)
+    out = [
+        test_lack_of_fit(
+            model.linear, products, Test(place, "m", (depends,), weights, each[weights.any(axis=(0, 2))].sum())
+        )
+        for depends, strutwise in smooth_strut_functions(k)
+        for place, weights in strutwise
+    ]
+    inverse, own = np.linalg.inv(model.closures.W), model.strut_noise()
+    left = (inverse @ model.closure_residual[: len(k.t) * k.axes].reshape(len(k.t), k.axes, 1))[..., 0]
+    following = np.clip(left / np.sqrt(own), -FAR, FAR)[np.argsort(k.t)]
+    for i in range(k.axes):
+        alike = float(following[1:, i] @ following[:-1, i])
+        size = np.sqrt(max(alike, 0) / len(k.t) * own[:, i].mean())
+        out.append(
+            LackOfFit(
+                str(Place.axis("strut", i)),
+                float(size),
+                "m",
+                ("order",),
+                float(scipy.special.ndtr(-(alike / np.sqrt(len(k.t) - 1)))),
+                max(alike, 0.0),
+            )
+        )
+    scatter = model.closures.scatter
+    for i in np.flatnonzero(scatter > 0).tolist():
+        noise = own[:, i].mean() - scatter[i] ** 2
+        middle = np.median(left[:, i] ** 2) / MEDIAN / noise - 1  # a few wild frames are no scatter
+        ratio = middle * np.sqrt(len(k.t) / MEDIAN_SPREAD)
+        if ratio > 0:
+            out.append(
+                LackOfFit(
+                    str(Place.axis("strut", i)),
+                    float(scatter[i]),
+                    "m",
+                    (),
+                    float(scipy.special.ndtr(-ratio)),
+                    float(ratio**2),
+                )
+            )
+    return out
+
+
+def _camera(model: LinearisedModel, i: int) -> list[LackOfFit | None]:
+    k, camera = model.point, model.point.design.cameras[i]
+    count = np.count_nonzero(k.observed.observations.camera == i)
+    if not count:
+        return []
+    out: list[LackOfFit | None] = []
+    place, information = str(Place("camera", camera.name)), count / model.corner_noise() ** 2
+    if i not in k.moving:
+        products = corner_products(model, view_pixels(model, place))
+        out += [
+            test_lack_of_fit(
+                model.linear,
+                products,
+                Test(place, "px", ("time",), view_time_functions(k, count)[:, :, part], information),
+            )
+            for count in (SLOW, FAST)
+            for part in _apart(k, place, count)
+        ]
+        out.append(_following(products, np.argsort(k.t), place, information))
+    if not any(
+        type(e) is LensDistortion and e.place == place for e in k.effects
+    ):  # else what its image still bends by belongs to that lens
+        seen = np.flatnonzero(k.observed.observations.camera == i)
+        out.append(_still(model, seen, warp_pixels(k, i)[seen], place, "image position", information))
+    return out
+
+
+def _apart(k: OperatingPoint, place: str, count: int) -> list[slice]:
+    """Which of the functions of `view_time_functions` at a camera are tested together: a mount's motion and the focal
+    length each for itself, but all together
+    where an admitted effect moves the focal length, or one would by a temperature that was not logged: by what a log
+    does not tell it comes and goes in time."""
+    known = any(type(e).focal is not Effect.focal and e.at(place) for e in k.effects)
+    if known or any(
+        kind.focal is not Effect.focal and lacks_temperature_log(k, kind.follows(place, effect_context(k)))
+        for kind in ALL
+    ):
+        return [slice(None)]
+    return [slice(6 * count), slice(6 * count, None)]
+
+
+def _marker(model: LinearisedModel, edges: np.ndarray, number: int, count: int) -> list[LackOfFit | None]:
+    """Of a marker seen so many times. edges : see `edge_pixels`"""
+    hit, moved = marker_corner_pixels(model.point, edges, number)
+    return [
+        _still(
+            model,
+            hit,
+            moved,
+            str(Place("marker", str(number))),
+            "place on the marker",
+            4 * count / model.corner_noise() ** 2,
+        )
+    ]
+
+
+def _still(
+    model: LinearisedModel, hit: np.ndarray, moved: np.ndarray, place: str, depends: str, information: float
+) -> LackOfFit | None:
+    """LackOfFit of displacements (h, 2, q) px of observed corners (h,) that are the same in every frame; where they are
+    likely by chance, as without dispersion."""
+    solved = solve_normal_equations(constant_displacement_normal(model, hit, moved))
+    delta, rank = float(solved.delta_chi2[0]), int(solved.rank[0])
+    chance = scan_p_value(solved.delta_chi2, rank, np.inf)
+    if rank and chance > LIKELY:
+        return LackOfFit(
+            place, float(np.sqrt(max(delta - rank, 0.0) / information)), "px", (depends,), chance, delta, rank, 1.0
+        )
+    pixels = np.zeros((len(model.point.observed.row), *moved.shape[1:]))
+    pixels[hit] = moved
+    products = corner_products(model, pixels)
+    weights = np.broadcast_to(np.eye(products.beta.shape[1]), products.gamma.shape)
+    return test_lack_of_fit(model.linear, products, Test(place, "px", (depends,), weights, information))
+
+
+def _following(products: FrameProducts, order: np.ndarray, place: str, information: float) -> LackOfFit:
+    """LackOfFit of a camera that moves in any way by which exposures that follow each other look alike."""
+    beta, gamma = products.beta[order], products.gamma[order]
+    scale = np.sqrt(np.maximum(np.einsum("faa->a", gamma), 1e-300))
+    beta, gamma = beta / scale, gamma / scale[:, None] / scale
+    M = np.linalg.pinv(gamma.mean(axis=0), rcond=1e-6, hermitian=True)
+    alike = float(np.einsum("fa,ab,fb->", beta[1:], M, beta[:-1]))
+    chance = np.sqrt(np.einsum("ab,fbc,cd,fda->", M, gamma[1:], M, gamma[:-1], optimize=True))
+    p = float(scipy.special.ndtr(-(alike / max(chance, 1e-300))))
+    return LackOfFit(place, float(np.sqrt(max(alike, 0) / information)), "px", ("order",), p, max(alike, 0.0))

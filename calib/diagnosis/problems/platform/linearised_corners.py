@@ -1,0 +1,226 @@
+"""Corners linearised at an operating point: whitened residuals and derivatives, freedoms of cubes and edges."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.diagnosis.problems.platform.operating_point import OperatingPoint
+from rig.effects.catalogue.edge_bias import EdgeBias
+from rig.effects.framework.place import Place
+from rig.model.design import Design
+from rig.model.manufacturing_tolerances import FINDER, SEAT
+from vision import lens
+from vision.bundle.bundle_adjustment import stated_lens_sigmas
+from vision.bundle.corner_jacobians import (
+    corner_jacobians,
+    iterate_camera_jacobians,
+    rotate_jacobian,
+    small_motion_jacobian,
+)
+from vision.corner_observations import Observations, find_repeated_base_corners, group_sums
+
+EDGES = "edges"  # name of that freedom of each camera: a bias of all its edges, which the corner finder brings
+SEAT_LABELS = tuple(
+    f"seat {part}" for part in ("x", "y", "z", "rx", "ry", "rz")
+)  # of where a cube sits that was put back
+MEDIAN = 0.4549364  # of chi-square with one degree of freedom
+REPEATS = 5  # of a standing corner from which its mean counts
+STANDING_GROUPS, STANDING_PROOF = 20, 4.0  # standing corners, and standard errors by which they must be off together
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CornerRows:
+    """n corners frame by frame. order : (n,) of the observations; edges : (F + 1,) where frames begin in it;
+    whiten : (n, 2, 2) 1/px
+    rows : (2n, 1 + p) whitened residuals, then derivatives with the nuisances; own : (2n,) bool, whether a corner's
+        covariance stands as stated
+    local : (2n, L) orthonormal basis of each frame's own poses; to_local : (F, L, L) from its coordinates to tangents
+    names : (camera, what) of the nuisances; priors : (p,) 1 / standard deviation; camera_columns : {camera's index: its
+        nuisances}"""
+
+    order: np.ndarray
+    edges: np.ndarray
+    whiten: np.ndarray
+    rows: np.ndarray
+    own: np.ndarray
+    local: np.ndarray
+    to_local: np.ndarray
+    names: list[tuple[str, str]]
+    priors: list[float]
+    camera_columns: dict[int, list[int]]
+
+
+class _Nuisances:
+    """What cameras, lenses and the corner finder may do to corners, gathered camera by camera: rows of corners, and
+    their derivatives there.
+    """
+
+    def __init__(self) -> None:
+        self.shared: list[tuple[np.ndarray, np.ndarray]] = []
+        self.names: list[tuple[str, str]] = []
+        self.priors: list[float] = []
+        self.camera_columns: dict[int, list[int]] = {}
+
+    def add(
+        self, rows: np.ndarray, block: np.ndarray, camera: str, labels: tuple[str, ...], priors: list[float]
+    ) -> None:
+        """Derivatives (m, 2, p) of corners (m,) rows with nuisances of a camera; priors : (p,) 1 / standard
+        deviation
+        """
+        self.shared.append((rows, block))
+        self.names += [(camera, label) for label in labels]
+        self.priors += priors
+
+
+def corner_rows(point: OperatingPoint) -> CornerRows:
+    """CornerRows of an OperatingPoint that has seen corners."""
+    o = point.observed.observations
+    n, L = len(o), 6 + 6 * len(point.moving)
+    weights = _weights(o, point)
+    whitener = np.linalg.inv(np.linalg.cholesky(weights))
+    rho = np.einsum("nij,nj->ni", whitener, o.uv - point.pixels())
+    order = np.lexsort((o.camera, o.frame))
+    edges = np.searchsorted(o.frame[order], np.arange(len(point.t) + 1))
+    at = np.argsort(order)  # where each corner stands, frame by frame
+    J_local, found = np.zeros((n, 2, L)), _Nuisances()
+    for i, rows, J_platform, J_camera, J_lens in corner_jacobians(o, point.state):
+        camera = point.stated.cameras[i]
+        J_local[at[rows], :, :6] = whitener[rows] @ J_platform
+        blocks = [(J_lens, lens.lens_parameter_names(camera.distortion), (1 / stated_lens_sigmas(camera)).tolist())]
+        if i in point.moving:
+            own = 6 + 6 * sorted(point.moving).index(i)
+            J_local[at[rows], :, own : own + 6] = whitener[rows] @ J_camera
+        else:
+            blocks.insert(0, (J_camera, ("x", "y", "z", "rx", "ry", "rz"), [0.0] * 6))
+        for block, labels, prior in blocks:
+            found.camera_columns.setdefault(i, []).extend(range(len(found.names), len(found.names) + len(labels)))
+            found.add(at[rows], whitener[rows] @ block, camera.name, labels, prior)
+    _add_finder(point, found, at, whitener)
+    _add_seats(point, found, at, whitener)
+    table, start = np.zeros((n, 2, 1 + len(found.names))), 1
+    table[:, :, 0] = rho[order]
+    for at_rows, block in found.shared:
+        table[at_rows, :, start : start + block.shape[2]] = block
+        start += block.shape[2]
+    local, to_local = _own_basis(J_local.reshape(2 * n, L), edges)
+    stated = np.repeat((weights[order] == o.covariance[order]).all(axis=(1, 2)), 2)
+    return CornerRows(
+        order,
+        edges,
+        whitener[order],
+        table.reshape(2 * n, -1),
+        stated,
+        local,
+        to_local,
+        found.names,
+        found.priors,
+        found.camera_columns,
+    )
+
+
+def _add_finder(k: OperatingPoint, found: _Nuisances, at: np.ndarray, whitener: np.ndarray) -> None:
+    """Add each camera's bias of edges that small that it is the corner finder's own. at : (n,) rows of corners;
+    whitener : (n, 2, 2)
+    """
+    seen = k.observed
+    o, quads = seen.observations, k.pixels(rows=np.arange(len(seen.sightings.frame)))
+    for i in sorted(found.camera_columns):
+        camera, seen_by = k.stated.cameras[i], seen.sightings.camera == i
+        moved = np.zeros_like(quads)
+        moved[seen_by] = (
+            EdgeBias(str(Place("camera", camera.name)), 1.0).print_(camera, quads[seen_by]) - quads[seen_by]
+        )
+        rows = np.flatnonzero(o.camera == i)
+        found.add(
+            at[rows],
+            whitener[rows] @ moved[seen.row[rows], o.corner[rows]][..., None],
+            camera.name,
+            (EDGES,),
+            [1 / FINDER.sigma],
+        )
+
+
+def _add_seats(k: OperatingPoint, found: _Nuisances, at: np.ndarray, whitener: np.ndarray) -> None:
+    """Add where each cube sits that was put back, as far as remounting may move it. at : (n,) rows of corners;
+    whitener : (n, 2, 2)
+    """
+    o, markers = k.observed.observations, k.observed.markers
+    R = k.T.rotation.as_matrix()
+    for seat in k.seats:
+        own = np.array([Place("target", target) == Place.parse(seat.place) for target in markers.target])
+        rows = np.flatnonzero(own[o.marker])
+        if not len(rows):
+            continue
+        part, block = o.take(rows), np.empty((len(rows), 2, 6))
+        middle = markers.T_body_marker.translation[own].mean(axis=0)
+        for _, some, _, J_base, _, _ in iterate_camera_jacobians(part, k.state):
+            block[some] = small_motion_jacobian(
+                rotate_jacobian(J_base, R, part.frame[some], part.on_platform[some]), part.points[some] - middle
+            )
+        found.add(at[rows], whitener[rows] @ block, seat.place, SEAT_LABELS, np.repeat(1 / np.array(SEAT), 3).tolist())
+
+
+def _own_basis(J_local: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """((2n, L) orthonormal basis of each frame's own poses, (F, L, L) from its coordinates to tangents) of derivatives
+    (2n, L).
+    """
+    frames, L = len(edges) - 1, J_local.shape[1]
+    local, to_local = np.zeros(J_local.shape), np.zeros((frames, L, L))
+    scale = np.sqrt((J_local**2).sum(axis=0) / frames) + 1e-300
+    for f, (a, b) in enumerate(zip(edges[:-1], edges[1:])):
+        u, s, vt = np.linalg.svd(J_local[2 * a : 2 * b] / scale, full_matrices=False)
+        kept = s > 1e-9 * s[0]
+        local[2 * a : 2 * b, : kept.sum()] = u[:, kept]
+        to_local[f][:, : kept.sum()] = (vt[kept].T / s[kept]) / scale[:, None]
+    return local, to_local
+
+
+def edge_bias_freedoms(names: Sequence[tuple[str, str | int]], design: Design) -> list[tuple[int, int]]:
+    """[(camera's index, freedom's)] of the freedoms (their names) that are a bias of all edges in a camera's images."""
+    cameras = [camera.name for camera in design.cameras]
+    return [(cameras.index(name), j) for j, (name, what) in enumerate(names) if what == EDGES]
+
+
+def seat_freedoms(names: Sequence[tuple[str, str | int]]) -> dict[str, list[int]]:
+    """{place of a cube that was put back: its six freedoms} among the freedoms (their names)."""
+    out: dict[str, list[int]] = {}
+    for j, (place, what) in enumerate(names):
+        if what in SEAT_LABELS:
+            out.setdefault(place, []).append(j)
+    return out
+
+
+def _weights(o: Observations, k: OperatingPoint) -> np.ndarray:
+    """(n, 2, 2) px^2 by which corners count: their covariance, and n times what comes back in all n repeats of a corner
+    that stands still.
+    """
+    if not k.standing:
+        return o.covariance
+    rows, index, _ = find_repeated_base_corners(o, k.moving)
+    weights = o.covariance.copy()
+    weights[rows] += (np.bincount(index)[index] * k.standing**2)[:, None, None] * np.eye(2)
+    return weights
+
+
+def repeated_corner_error(point: OperatingPoint) -> float:
+    """px by which standing corners are off in the same way in every frame, 0 where noise suffices.
+
+    The middle of all of them tells it, so that a marker out of its place or a lens that bends one camera's image does
+    not pass for it. See vision.bundle.robust_adjustment.inflate_repeated_corner_covariance, which asks the same of
+    their mean square
+    """
+    k = point
+    if k.seen is None:
+        return 0.0
+    o = k.observed.observations
+    rows, index, _ = find_repeated_base_corners(o, k.moving)
+    count = np.bincount(index)
+    many = count >= REPEATS
+    if many.sum() < STANDING_GROUPS:
+        return 0.0
+    off = (o.uv - k.pixels())[rows]
+    mean = group_sums(off, index) / count[:, None]
+    chance = np.median((off - mean[index])[many[index]] ** 2) / MEDIAN / np.median(count[many])
+    excess = np.median(mean[many] ** 2) / MEDIAN - chance
+    return float(np.sqrt(excess)) if excess > STANDING_PROOF * chance / np.sqrt(many.sum()) else 0.0

@@ -1,0 +1,333 @@
+"""Residuals of corners and loop closures, linearised, with calibration's freedoms projected out.
+
+Corners say what is left when every frame's pose is free; closures say what the poses so found ask of the struts against
+the commands. Corners' noise splits into the two without correlation, so together they are the whole likelihood, and a
+search over thousands of hypotheses runs on inner products alone.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.diagnosis.engine.linear_model import Block, Column, LinearModel, orthonormal_combinations
+from calib.diagnosis.problems.platform.linearised_corners import (
+    MEDIAN,
+    CornerRows,
+    corner_rows,
+    edge_bias_freedoms,
+    seat_freedoms,
+)
+from calib.diagnosis.problems.platform.operating_point import OperatingPoint
+from calib.models.platform.identification import (
+    PRIOR,
+    geometric_parameters,
+    loop_closure_jacobian,
+    strut_length_jacobian,
+)
+from rig.compute.parallel_map import thread_map
+from rig.model.manufacturing_tolerances import FINDER, SEAT
+
+CORNERS, CLOSURES = 0, 1  # the blocks
+# standard deviations; a residual counts for no more, so that one wild corner proves nothing and a crowd still does
+CLIP = 5.0
+EXCESS = 3.0  # standard errors by which struts must scatter beyond the poses' noise before it counts as theirs
+PARTS = 4  # of a long table, multiplied side by side; as many on any number of cores, so that sums are rounded alike
+ROUNDS = 3  # of weighing the struts anew by their scatter
+WILD = 50.0  # standard deviations; a residual counts for no more where the corners' noise is judged
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CornerFrames:
+    """Corners' rows frame by frame, and what each frame's own poses take of them.
+
+    order : (n,) of the observations; edges : (F + 1,) where frames begin in it; whiten : (n, 2, 2) 1/px
+    local : (2n, L) orthonormal basis of each frame's own poses; to_local : (F, L, L) from its coordinates to tangents
+    inner : (F, L, 1 + camera nuisances) the residual's and those nuisances' coordinates in it
+    sigma : px, noise of a corner over what its covariance said; excess : what Huber's loss of the clipped corners is
+        above their squares
+    """
+
+    order: np.ndarray
+    edges: np.ndarray
+    whiten: np.ndarray
+    local: np.ndarray
+    to_local: np.ndarray
+    inner: np.ndarray
+    sigma: float = 1.0
+    excess: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClosureFrames:
+    """W : (F, axes, axes) whitening of closures; to_rows : (F, axes, L) from frames' own coordinates to whitened
+    closures
+    scatter : (axes,) m of struts beyond the poses' noise"""
+
+    W: np.ndarray
+    to_rows: np.ndarray
+    scatter: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Nuisances:
+    """Cameras, lenses, finder and geometry. names : (p,) of them; camera_columns : {camera's index: its nuisances}
+    solve : (p, r) from projections on the basis to nuisances' values; at_rest : (r,) the residual's projections before
+        they were taken out"""
+
+    names: tuple[tuple[str, str | int], ...]
+    camera_columns: dict[int, list[int]]
+    solve: np.ndarray
+    at_rest: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearisedModel:
+    """All that an OperatingPoint leaves, linear about it. linear : LinearModel of the blocks corners (px) and closures
+    (m); point : OperatingPoint
+    corners : CornerFrames; closures : ClosureFrames; nuisances : Nuisances"""
+
+    linear: LinearModel
+    point: OperatingPoint
+    corners: CornerFrames
+    closures: ClosureFrames
+    nuisances: Nuisances
+
+    @property
+    def frames(self) -> int:
+        """How many frames there are."""
+        return len(self.point.t)
+
+    @property
+    def size(self) -> int:
+        """How many independent numbers the residuals hold, the nuisances taken off."""
+        return self.linear.size
+
+    @property
+    def corner_residual(self) -> np.ndarray:
+        """(2n,) whitened, frame by frame."""
+        return self.linear.blocks[CORNERS].residual
+
+    @property
+    def closure_residual(self) -> np.ndarray:
+        """(m,) whitened: F axes, then one row for each prior."""
+        return self.linear.blocks[CLOSURES].residual
+
+    def fold(self, pixels: np.ndarray) -> Column:
+        """Column of corner displacements (n, 2, k) px in the observations' order: what poses swallow goes to the
+        closures.
+        """
+        c = self.corners
+        V = np.einsum("nij,njk->nik", c.whiten, pixels[c.order]).reshape(2 * len(c.order), -1) / c.sigma
+        inner, out = _split(V, c.local, c.edges)
+        closures = (
+            self.on_closures(np.einsum("fij,fjk->fik", self.closures.to_rows, inner))
+            if self.point.axes
+            else self.nothing(V.shape[1])
+        )
+        return Column((out, closures), inner)
+
+    def lengthened(self, deviation: np.ndarray) -> Column:
+        """Column of struts longer by deviation (F, axes, k) m."""
+        return Column((None, self.on_closures(self.closures.W @ deviation)))
+
+    def on_closures(self, rows: np.ndarray) -> np.ndarray:
+        """(m, k) from rows (F, axes, k), the priors' rows empty."""
+        out = self.nothing(rows.shape[-1])
+        out[: self.frames * self.point.axes] = rows.reshape(self.frames * self.point.axes, -1)
+        return out
+
+    def nothing(self, k: int) -> np.ndarray:
+        """(m, k) zeros of the closures' block."""
+        return np.zeros((len(self.closure_residual), k))
+
+    def marginalise(self, column: Column) -> "LinearisedModel":
+        """The model with the directions of a Column (k) among the nuisances."""
+        return replace(self, linear=self.linear.marginalise(column))
+
+    def strut_noise(self) -> np.ndarray:
+        """(F, axes) m^2, variance of each strut's closure: the poses' noise and its own scatter."""
+        inverse = np.linalg.inv(self.closures.W)
+        return np.einsum("fij,fij->fi", inverse, inverse)
+
+    def corner_noise(self) -> float:
+        """px, standard deviation of a corner per axis, in the middle of all; 0 without corners."""
+        if not len(self.corner_residual):
+            return 0.0
+        return float(
+            self.corners.sigma
+            * np.sqrt(np.median(np.einsum("nii->n", self.point.observed.observations.covariance)) / 2)
+        )
+
+
+def linearise(point: OperatingPoint) -> LinearisedModel:
+    """LinearisedModel of an OperatingPoint: cameras, lenses and geometry are the nuisances, each frame's pose is free
+    in the image.
+    """
+    k = point
+    if k.seen is not None:
+        rows = corner_rows(k)
+        frames, table = _without_poses(k, rows)
+        names: list[tuple[str, str | int]] = list(rows.names)
+        priors, camera_columns = list(rows.priors), rows.camera_columns
+    else:
+        F = len(k.t)
+        frames = CornerFrames(
+            np.zeros(0, int),
+            np.zeros(F + 1, int),
+            np.zeros((0, 2, 2)),
+            np.zeros((0, 6)),
+            np.tile(np.eye(6), (F, 1, 1)),
+            np.zeros((F, 6, 1)),
+        )
+        table, names, priors, camera_columns = np.zeros((0, 1)), [], [], {}
+    closures = _closures(k, frames) if k.axes else _no_closures(k, frames, table)
+    if k.axes:
+        p = len(geometric_parameters(k.platform))
+        names += [("geometry", j) for j in range(p)]
+        priors += [1 / PRIOR] * p
+    beforehand = np.column_stack([np.zeros(len(priors)), np.diag(np.array(priors))])
+    for i, j in edge_bias_freedoms(tuple(names), k.design) if k.finder else ():
+        beforehand[j, 0] = -k.finder[i] / FINDER.sigma
+    at = seat_freedoms(names)
+    for seat in (seat for seat in k.seats if seat.place in at):
+        beforehand[at[seat.place], 0] = -np.array(seat.motion) / np.repeat(SEAT, 3)
+    if k.axes and k.known is not None:
+        mechanism, root = k.known
+        beforehand[-len(root) :, 0] = root @ (geometric_parameters(mechanism) - geometric_parameters(k.platform))
+        beforehand[-len(root) :, -len(root) :] = root
+    return _weighed(k, frames, table, closures, beforehand, tuple(names), camera_columns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Closures:
+    """Of F frames: covariance (F, axes, axes) m^2 by the poses' noise; rows (F, axes, 1 + p) m, the residual and the
+    change with the nuisances; to_length (F, axes, L) from frames' own coordinates to lengths, m"""
+
+    covariance: np.ndarray
+    rows: np.ndarray
+    to_length: np.ndarray
+
+
+def _without_poses(k: OperatingPoint, rows: CornerRows) -> tuple[CornerFrames, np.ndarray]:
+    """(CornerFrames, (2n, 1 + p) residual and nuisances with each frame's own poses taken out, in units of the corners'
+    noise).
+    """
+    table, local, edges = rows.rows, rows.local, rows.edges
+    rho = table[:, 0].copy()
+    inner, table = _split(table, local, edges)
+    sigma = _noise(table[:, 0], table[:, 1:], rows.priors, rows.own, local.shape[1] * len(k.t))
+    far = np.abs(rho / sigma)
+    excess = float((2 * CLIP * np.maximum(far - CLIP, 0)).sum())
+    table /= sigma
+    inner /= sigma
+    inner[..., :1], table[:, :1] = _split(np.clip(rho / sigma, -CLIP, CLIP)[:, None], local, edges)
+    return CornerFrames(rows.order, edges, rows.whiten, local, rows.to_local * sigma, inner, sigma, excess), table
+
+
+def _closures(k: OperatingPoint, frames: CornerFrames) -> _Closures:
+    m = k.platform
+    A = strut_length_jacobian(k.T, m)
+    to_length = A @ frames.to_local[:, :6]  # (F, axes, L): local coordinates to struts' lengths
+    covariance = to_length @ np.swapaxes(to_length, 1, 2) if k.own is None else A @ k.own @ np.swapaxes(A, 1, 2)
+    inner = frames.inner
+    rows = np.concatenate(
+        [
+            (k.closures()[..., None] + to_length @ inner[..., :1]),
+            to_length @ inner[..., 1:],
+            loop_closure_jacobian(k.T, m),
+        ],
+        axis=2,
+    )
+    return _Closures(covariance, rows, to_length)
+
+
+def _no_closures(k: OperatingPoint, frames: CornerFrames, table: np.ndarray) -> _Closures:
+    F = len(k.t)
+    return _Closures(np.zeros((F, 0, 0)), np.zeros((F, 0, table.shape[1])), np.zeros((F, 0, frames.to_local.shape[1])))
+
+
+def _split(rows: np.ndarray, local: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(coordinates in each frame's own basis (F, L, k), what is orthogonal to it (2n, k)) of rows (2n, k), which are
+    overwritten.
+    """
+    inner = np.empty((len(edges) - 1, local.shape[1], rows.shape[1]))
+    for f, (a, b) in enumerate(zip(2 * edges[:-1], 2 * edges[1:])):
+        inner[f] = local[a:b].T @ rows[a:b]
+        rows[a:b] -= local[a:b] @ inner[f]
+    return inner, rows
+
+
+def _noise(left: np.ndarray, V: np.ndarray, priors: list[float], own: np.ndarray, lost: int) -> float:
+    """What standard deviations must be multiplied by, from the middle of the corners' residuals where covariances are
+    corners' own.
+    """
+    left = np.clip(left, -WILD, WILD)
+    half = orthonormal_combinations(V.T @ V + np.diag(np.square(priors)))
+    left = left - V @ (half @ (half.T @ (V.T @ left)))
+    return float(
+        np.sqrt(
+            np.median(left[own if own.any() else slice(None)] ** 2) / MEDIAN / (1 - (lost + half.shape[1]) / len(left))
+        )
+    )
+
+
+def _weighed(
+    k: OperatingPoint,
+    frames: CornerFrames,
+    table: np.ndarray,
+    closures: _Closures,
+    beforehand: np.ndarray,
+    names: tuple,
+    camera_columns: dict[int, list[int]],
+) -> LinearisedModel:
+    """LinearisedModel with the struts weighed by the poses' noise and by what they scatter beyond.
+
+    table : (2n, 1 + p) corners' residual and nuisances; beforehand : (q, 1 + p) rows of what was known before
+    """
+    F, axes, seen = len(k.t), k.axes, table.shape[1] - 1
+    scatter = np.zeros(axes)
+    parts = np.array_split(table, PARTS)
+    inner = sum(thread_map(lambda part: part.T @ part, parts))
+    for turn in range(ROUNDS):
+        W = (
+            np.linalg.inv(np.linalg.cholesky(closures.covariance + np.diag(scatter**2)))
+            if axes
+            else np.zeros((F, 0, 0))
+        )
+        rows = np.concatenate([(W @ closures.rows).reshape(F * axes, closures.rows.shape[2]), beforehand])
+        gram = rows.T @ rows
+        gram[: seen + 1, : seen + 1] += inner
+        half = orthonormal_combinations(gram[1:, 1:])
+        z = half.T @ gram[1:, 0]
+        basis = rows[:, 1:] @ half
+        if not axes or turn == ROUNDS - 1:
+            break
+        left = np.linalg.solve(W, (rows[: F * axes, 0] - basis[: F * axes] @ z).reshape(F, axes, 1))[..., 0]
+        new = _scatter(left, closures.covariance)
+        if np.abs(new - scatter).max() < 1e-8:
+            break
+        scatter = new
+    Q = Column((np.concatenate(thread_map(lambda part: part[:, 1:] @ half[:seen], parts)), basis))
+    blocks = (
+        Block("corners", "px", table[:, 0] - Q.parts[CORNERS] @ z, 2 * frames.edges),
+        Block("closures", "m", rows[:, 0] - Q.parts[CLOSURES] @ z, np.arange(F + 1) * axes),
+    )
+    size = len(table) - (frames.local.shape[1] * F if len(table) else 0) + F * axes - basis.shape[1]
+    to_rows = W @ closures.to_length if axes else closures.to_length
+    return LinearisedModel(
+        LinearModel(blocks, Q, None, size),
+        k,
+        frames,
+        ClosureFrames(W, to_rows, scatter),
+        Nuisances(names, camera_columns, half, z),
+    )
+
+
+def _scatter(left: np.ndarray, S: np.ndarray) -> np.ndarray:
+    """(axes,) m: what each strut scatters beyond the poses' own noise, 0 where that suffices; by the middle, not the
+    extremes.
+    """
+    own = np.einsum("nii->ni", S)
+    seen = (left**2).mean(axis=0)
+    own = own.mean(axis=0) * max(1 - 7 / len(left), 0.1)
+    return np.where(seen > own * (1 + EXCESS * np.sqrt(2 / len(left))), np.sqrt(np.maximum(seen - own, 0)), 0.0)

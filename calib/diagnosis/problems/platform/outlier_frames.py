@@ -1,0 +1,174 @@
+"""Wild frames and wild corners of a platform's recording, left out before anything is searched: a pose that is far off
+what all others allow, a marker that was misread."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from calib.diagnosis.engine.excluded_outliers import Crowd, LeftOut, Outliers
+from calib.diagnosis.problems.platform.operating_point import OperatingPoint, group_sightings
+from calib.diagnosis.problems.remainder_covariates import axis_speeds, scaled_to_unit_interval, time_cosines
+from calib.identify.robust_fit import (
+    ALIKE,
+    CONSISTENT,
+    IN_PLACE,
+    IN_TIME,
+    MOST,
+    has_many_deviations,
+    outlier_rows,
+    robust_fit,
+)
+from calib.models.platform.identification import loop_closure_jacobian, strut_length_jacobian
+from rig.effects.framework.place import Place
+from rig.model import mechanisms
+from rig.recording.recording_folder import PAYLOAD
+from vision.corner_observations import observations_of_frames
+
+GATE = 7.0  # times the scatter of the others, from which a frame or a marker's corners may be wild
+SLOW = 4  # cosines of time that are free
+ROWS = 4  # frames for each number that is free in one strut
+LEAST = 0.5  # px; corners nearer than this to where they should be are no other marker's
+HELD = 2  # sightings that a frame must keep
+ALONE = (
+    "its measured pose and its command agree with no other frame, neither those before and after it nor those at "
+    "configurations near it"
+)
+MISREAD = "its corners are off as those of this marker before and after are not, nor any near them: it was misread"
+
+
+def _find_outliers(point: OperatingPoint, covariance: np.ndarray) -> Outliers:
+    """Outliers of an OperatingPoint, with the effects that it has. covariance : (F, 6, 6) of its poses"""
+    wild = _wild_corners(point) if point.seen is not None else Outliers()
+    if not point.axes:
+        return wild
+    return wild.with_more(_wild_frames(point, covariance), len(point.frames), "frames")
+
+
+def _without_outliers(point: OperatingPoint, wild: Outliers) -> OperatingPoint:
+    """OperatingPoint without what is wild; what was commanded stays, since it moved the rig."""
+    seen = point.seen
+    if seen is not None and wild.sightings:
+        o = seen.observations
+        keys = zip(point.frames[o.frame].tolist(), o.camera.tolist(), o.marker.tolist())
+        seen = seen.take(np.array([key not in wild.sightings for key in keys]))
+    rows = np.flatnonzero(~np.isin(point.frames, sorted(wild.frames)))
+    if len(rows) == len(point.frames):
+        return replace(point, seen=seen)
+    if seen is not None:
+        seen = replace(
+            group_sightings(observations_of_frames(seen.observations, rows), seen.markers), stated=seen.stated
+        )
+    return replace(
+        point,
+        frames=point.frames[rows],
+        t=point.t[rows],
+        T=point.T[rows],
+        moving={i: T[rows] for i, T in point.moving.items()},
+        own=None if point.own is None else point.own[rows],
+        seen=seen,
+    )
+
+
+def _wild_frames(k: OperatingPoint, covariance: np.ndarray) -> Outliers:
+    """Outliers of frames whose struts' closures are far off what geometry, moves, load and time may do smoothly, in
+    more than one strut. What geometry
+    may do is asked at the poses that commands give: at a pose that is wild it may do anything."""
+    m, closures = k.platform, k.closures()
+    T = mechanisms.kinematics_of(m).forward(k.commanded.at(k.t), m)
+    A, loops, smooth = strut_length_jacobian(T, m), loop_closure_jacobian(T, m), _smooth(k)
+    sigma = np.sqrt(np.einsum("fij,fjk,fik->fi", A, covariance, A))
+    parts = []
+    for i in range(k.axes):
+        own = loops[:, i, loops[:, i].any(axis=0)]
+        free = min(smooth.shape[2], max(len(k.t) // ROWS - own.shape[1], 0))
+        columns = np.column_stack([own, smooth[:, i, :free]])
+        parts.append(((closures[:, i] / sigma[:, i])[:, None], (columns / sigma[:, i, None])[:, None]))
+    found = robust_fit(parts)
+    far = outlier_rows(found.relative, k.t, k.commanded.at(k.t), GATE) & has_many_deviations(found.relative, GATE)
+    if far.sum() > MOST * len(far):
+        return Outliers(crowd=Crowd("frames", int(far.sum()), len(far)))
+    told = []
+    for f in np.flatnonzero(far).tolist():
+        i = int(np.abs(found.relative[f]).argmax())
+        off, times = float(abs(found.residual[f, i]) * sigma[f, i]), float(abs(found.relative[f, i]))
+        told.append(LeftOut(int(k.frames[f]), "pose", str(Place.axis("strut", i)), off, "m", times, ALONE))
+    return Outliers(frozenset(k.frames[far].tolist()), left_out=tuple(told))
+
+
+def _smooth(k: OperatingPoint) -> np.ndarray:
+    """(F, axes, q) what may lengthen struts besides their geometry, the plainest first."""
+    path = k.motion(()).path
+    pace = axis_speeds(k.commanded, k.t)
+    names = list(k.sensors.channels) if k.sensors is not None else []
+    logged = {name: k.sensors.at(k.t, name) for name in names} if k.sensors is not None else {}
+    varying = {name: values for name, values in logged.items() if np.ptp(values) > 0}
+    lengths = k.commanded.at(k.t)
+    out = [path.direction, pace]
+    for name, values in sorted(varying.items(), key=lambda one: one[0] != PAYLOAD):
+        out.append(np.broadcast_to(scaled_to_unit_interval(values)[:, None], lengths.shape))
+        if name == PAYLOAD:
+            out.append(scaled_to_unit_interval(values)[:, None] * (lengths - lengths.mean(axis=0)))
+    out += [np.broadcast_to(c[:, None], lengths.shape) for c in time_cosines(k.t, SLOW).T]
+    out.append(path.last_step)
+    scaled = [values / max(np.abs(values).max(), 1e-300) for values in out if np.any(values)]
+    return np.stack(scaled, axis=2) if scaled else np.zeros((*lengths.shape, 0))
+
+
+def _wild_corners(k: OperatingPoint) -> Outliers:
+    """Outliers of sightings some corner of which is far from where the cameras and poses have it, where no sighting
+    near it is: neither of the same marker in the same camera before and after, nor of another in the same image, nor at
+    the same place in the image."""
+    seen = k.observed
+    o, s = seen.observations, seen.sightings
+    off = np.zeros((len(s.frame), 4, 2))
+    off[seen.row, o.corner] = o.uv - k.pixels()
+    size = np.linalg.norm(off, axis=2).max(axis=1)
+    middle = np.zeros((len(s.frame), 2))
+    np.add.at(middle, seen.row, o.uv)
+    middle /= np.bincount(seen.row)[:, None]
+    scale = np.array(
+        [
+            CONSISTENT * np.median(np.abs(off[seen.row, o.corner][o.camera == i])) if (o.camera == i).any() else np.inf
+            for i in range(len(k.design.cameras))
+        ]
+    )[s.camera]
+    far = (size > GATE * scale) & (size > LEAST)
+    wild = far.copy()
+    for i in np.flatnonzero(far).tolist():
+        others = _near(k, middle, i)
+        apart = np.linalg.norm((off[others] - off[i]).reshape(len(others), -1), axis=1)
+        wild[i] = not (apart < ALIKE * np.linalg.norm(off[i])).any()
+    if wild.sum() > MOST * len(wild):
+        return Outliers(crowd=Crowd("images of markers", int(wild.sum()), len(wild)))
+    kept = np.bincount(s.frame[~wild], minlength=len(k.frames))[s.frame]
+    wild &= kept >= HELD
+    rows, names = np.flatnonzero(wild).tolist(), [camera.name for camera in k.design.cameras]
+    told = tuple(
+        LeftOut(
+            int(k.frames[s.frame[i]]),
+            "corners",
+            f"marker {seen.markers.id[s.marker[i]]} in camera {names[s.camera[i]]}",
+            float(size[i]),
+            "px",
+            float(size[i] / scale[i]),
+            MISREAD,
+        )
+        for i in rows
+    )
+    keys = frozenset((int(k.frames[s.frame[i]]), int(s.camera[i]), int(s.marker[i])) for i in rows)
+    return Outliers(sightings=keys, left_out=told)
+
+
+def _near(k: OperatingPoint, middle: np.ndarray, i: int) -> np.ndarray:
+    """Indices of the sightings that would show what sighting i does, were it no mistake of its own. middle : (s, 2)
+    px
+    """
+    s = k.observed.sightings
+    same = s.camera == s.camera[i]
+    again = np.flatnonzero(same & (s.marker == s.marker[i]))
+    again = again[np.argsort(np.abs(k.t[s.frame[again]] - k.t[s.frame[i]]), kind="stable")][: 2 * IN_TIME + 1]
+    image = np.flatnonzero(same & (s.frame == s.frame[i]))
+    alike = np.flatnonzero(same)
+    place = alike[cKDTree(middle[alike]).query(middle[i], k=min(IN_PLACE + 1, len(alike)))[1]]
+    return np.setdiff1d(np.concatenate([again, image, np.atleast_1d(place)]), [i])

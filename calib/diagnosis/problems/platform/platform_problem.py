@@ -1,0 +1,174 @@
+"""The platform as Problem of the engine: effects fitted with cameras, geometry and poses."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+
+from calib.diagnosis.engine.cross_validation import CrossValidation
+from calib.diagnosis.engine.lack_of_fit import LackOfFit
+from calib.diagnosis.engine.linear_model import Column, LinearModel
+from calib.diagnosis.engine.problem_interface import Wald
+from calib.diagnosis.engine.selection_inputs import PLATFORM, SelectionPolicy, StatedTerms
+from calib.diagnosis.engine.term_selection import Selection
+from calib.diagnosis.problems.platform import lack_of_fit as remainder
+from calib.diagnosis.problems.platform import tolerance_columns
+from calib.diagnosis.problems.platform.candidate_search import candidate_column, search_candidates
+from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore
+from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform.held_out_validation import cross_validate
+from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel, linearise
+from calib.diagnosis.problems.platform.operating_point import OperatingPoint
+from calib.diagnosis.problems.platform.parameter_directions import parameter_directions
+from calib.diagnosis.problems.platform.simultaneous_refinement import (
+    Refined,
+    add_term,
+    refine,
+    refine_at_fixed_repeated_error,
+    remove_term,
+)
+from calib.diagnosis.problems.platform.smooth_functions import model_with_smooth_functions, smooth_function_columns
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlatformFit:
+    """refined : Refined of the admitted effects; terms : the candidates that they come from, in the same order."""
+
+    refined: Refined
+    terms: tuple[PlatformCandidate, ...] = ()
+
+
+PlatformSelection = Selection[PlatformFit, PlatformCandidate]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlatformProblem:
+    """point : OperatingPoint with nothing admitted; candidates : asked for; policy : thresholds; given : what is said
+    beforehand
+    tolerant : whether what tolerances may do on their own is among the nuisances
+    sensitivities : of the effects, derivatives held from search to search"""
+
+    point: OperatingPoint
+    candidates: list[PlatformCandidate]
+    policy: SelectionPolicy = PLATFORM
+    given: StatedTerms = StatedTerms()
+    tolerant: bool = False
+    sensitivities: Sensitivities = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sensitivities", Sensitivities(self.point))
+
+    def start(self) -> PlatformFit:
+        return PlatformFit(refine(self.point, self.sensitivities))
+
+    def tolerances_explain(self, fit: PlatformFit, best: PlatformScore | None) -> bool:
+        if self.tolerant:
+            return False
+        model = fit.refined.marginalised
+        found = tolerance_columns.tolerance_model(model, self.sensitivities)
+        if found is None:
+            return False
+        seen = found.projected(model)
+        if not tolerance_columns.tolerances_explain_residuals(seen, found.sigma):
+            return False
+        return best is None or tolerance_columns.tolerance_log_likelihood_ratio(seen, found.sigma) > float(
+            best.raw_delta_bic(model.size)
+        )
+
+    def with_tolerances(self) -> Self:
+        other = replace(self, tolerant=True)
+        other.sensitivities.pixels.update(self.sensitivities.pixels)
+        return other
+
+    def terms(self, fit: PlatformFit) -> list[PlatformCandidate]:
+        return list(fit.terms)
+
+    def size(self, fit: PlatformFit) -> int:
+        return fit.refined.model.size
+
+    def residual(self, fit: PlatformFit) -> LinearisedModel:
+        return self.beside_tolerances(fit.refined.marginalised)
+
+    def without_term(self, fit: PlatformFit, number: int) -> LinearisedModel:
+        return self.marginalised(self.beside(fit, number))
+
+    def beside(self, fit: PlatformFit, number: int) -> LinearisedModel:
+        """LinearisedModel without an admitted effect, the others' parameters not among the nuisances yet. What moves
+        corners is first taken up by cameras and poses as far as they can: corners that it moved far would be clipped,
+        and what it does would no longer be linear."""
+        k = fit.refined.point
+        if fit.terms[number].seen_alone:
+            return refine_at_fixed_repeated_error(remove_term(fit.refined, number), self.sensitivities).model
+        return linearise(k.with_effects(e for i, e in enumerate(k.effects) if i != number))
+
+    def marginalised(self, model: LinearisedModel) -> LinearisedModel:
+        """LinearisedModel with the parameters of the effects admitted there among the nuisances."""
+        _, column = parameter_directions(model, self.sensitivities)
+        return self.beside_tolerances(model if column is None else model.marginalise(column))
+
+    def beside_tolerances(self, model: LinearisedModel) -> LinearisedModel:
+        """LinearisedModel with what tolerances do among the nuisances, where this problem is tolerant."""
+        found = tolerance_columns.tolerance_model(model, self.sensitivities) if self.tolerant else None
+        return model if found is None else tolerance_columns.model_with_tolerances(model, found)
+
+    def covered(self, fit: PlatformFit, number: int, left: list[LackOfFit]) -> LinearisedModel:
+        model = self.beside(fit, number)
+        return self.marginalised(model_with_smooth_functions(model, *smooth_function_columns(model, left)))
+
+    def linear(self, model: LinearisedModel) -> LinearModel:
+        return model.linear
+
+    def search(
+        self,
+        model: LinearisedModel,
+        candidates: list[PlatformCandidate],
+        least: float = -np.inf,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> list[PlatformScore]:
+        return search_candidates(model, candidates, self.sensitivities.at(model.point), least, progress)
+
+    def rescored(self, model: LinearisedModel, fit: PlatformFit, number: int) -> PlatformScore:
+        return self.search(model, [fit.terms[number]])[0]
+
+    def column(self, model: LinearisedModel, score: PlatformScore) -> Column:
+        column = candidate_column(model, score.candidate, score.node, self.sensitivities.at(model.point))
+        theta = score.coefficients if len(score.coefficients) else np.ones(1)
+        return Column(column.parts) @ theta[:, None]
+
+    def add_term(self, fit: PlatformFit, score: PlatformScore) -> PlatformFit:
+        refined = add_term(fit.refined, score, self.sensitivities.at(fit.refined.point))
+        return PlatformFit(refined, (*fit.terms, score.candidate))
+
+    def remove_term(self, fit: PlatformFit, number: int) -> PlatformFit:
+        return PlatformFit(
+            refine(remove_term(fit.refined, number), self.sensitivities), fit.terms[:number] + fit.terms[number + 1 :]
+        )
+
+    def in_place(self, fit: PlatformFit, number: int) -> PlatformFit:
+        k = fit.refined.point
+        order = [*k.effects[:number], k.effects[-1], *k.effects[number:-1]]
+        terms = (*fit.terms[:number], fit.terms[-1], *fit.terms[number:-1])
+        return PlatformFit(refine(k.with_effects(order), self.sensitivities), terms)
+
+    def wald(self, fit: PlatformFit, number: int) -> Wald:
+        return Wald(*fit.refined.wald(number))
+
+    def likelihood_ratio(self, fit: PlatformFit, other: PlatformFit) -> float:
+        least = min(fit.refined.point.standing, other.refined.point.standing)
+        return fit.refined.likelihood(least) - other.refined.likelihood(least)
+
+    def cross_validations(self, fit: PlatformFit, numbers: list[int]) -> list[CrossValidation]:
+        return [cross_validate(fit.refined, {number}, self.block(fit.terms[number])) for number in numbers]
+
+    def block(self, candidate: PlatformCandidate) -> int:
+        """Where a candidate shows: CORNERS where it changes only what is seen or nothing was commanded, else
+        CLOSURES.
+        """
+        return CORNERS if candidate.seen_alone or not self.point.axes else CLOSURES
+
+    def lack_of_fit(self, model: LinearisedModel, place: str | None = None) -> list[LackOfFit]:
+        return remainder.lack_of_fit(model) if place is None else remainder.lack_of_fit(model, place, self.policy.alpha)
+
+    def within(self, left: LackOfFit, place: str) -> bool:
+        return remainder.is_at_place(left, place)

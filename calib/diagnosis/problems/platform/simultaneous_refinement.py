@@ -1,0 +1,295 @@
+"""Simultaneous refinement of cameras, geometry, poses and effects' parameters, by Gauss-Newton.
+
+Parameters stay within their bounds: one that the data pull beyond stands at its bound, and the others make the best of
+it there.
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from calib.diagnosis.engine.chance_probability import Z95
+from calib.diagnosis.engine.linear_model import Column, join_columns
+from calib.diagnosis.problems.platform.candidate_search import candidate_column
+from calib.diagnosis.problems.platform.effect_candidates import SIZED, PlatformScore, coefficient_bounds
+from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform.linearised_corners import (
+    edge_bias_freedoms,
+    repeated_corner_error,
+    seat_freedoms,
+)
+from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel, linearise
+from calib.diagnosis.problems.platform.operating_point import OperatingPoint, move_operating_point
+from calib.diagnosis.problems.platform.parameter_directions import parameter_directions
+from calib.identify.least_squares import bounded_least_squares_step
+from calib.models.platform.identification import geometric_parameters, mechanism_with_parameters
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_validity import check_effect
+from rig.effects.framework.fit_coordinates import Coordinate, constrained_sums, cost_of_priors, prior_precision
+from rig.model.pose import exp
+
+MAX_ITERATIONS = 20  # few need more than eight; a large effect is not linear in its numbers
+SMALL = 0.02  # standard deviations; a step below settles a parameter
+HALVINGS = 8
+ENOUGH = 0.3  # of the cost; an iteration that gains less is the last
+SLACK = 0.05  # of the cost, which rounding and clipped corners make uneven
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refined:
+    """point, model : at the optimum; coordinates : of the effects' parameters; values : (c,); covariance : (c, c) of
+    them given nothing else; column : Column of their directions"""
+
+    point: OperatingPoint
+    model: LinearisedModel
+    coordinates: list[Coordinate]
+    values: np.ndarray
+    covariance: np.ndarray
+    column: Column | None
+
+    @property
+    def marginalised(self) -> LinearisedModel:
+        """The model with the effects' parameters among the nuisances."""
+        return self.model if self.column is None else self.model.marginalise(self.column)
+
+    def likelihood(self, standing: float | None = None) -> float:
+        """Minus twice the log likelihood at the optimum, but for a constant; to compare with another, where standing
+        corners repeat as many px.
+        """
+        if standing is None or standing == self.point.standing:
+            return _comparable(self.model)
+        return _comparable(linearise(replace(self.point, standing=standing)))
+
+    def wald(self, effect: int) -> tuple[float, int]:
+        """(statistic, parameters): how far effect number `effect` stands from nothing, in squared standard deviations,
+        its shape held:
+        a shape that its size leaves open says nothing against it."""
+        own = [i for i, c in enumerate(self.coordinates) if c.effect == effect]
+        size = np.array([self.coordinates[i].role in SIZED for i in own])
+        theta, block = self.values[own][size], self.covariance[np.ix_(own, own)]
+        scale = np.sqrt(np.diag(block))
+        precision = np.linalg.pinv(block / scale[:, None] / scale, rcond=1e-10, hermitian=True) / scale[:, None] / scale
+        return float(theta @ precision[np.ix_(size, size)] @ theta), int(size.sum())
+
+    def intervals(self, effect: int) -> dict[str, tuple]:
+        """{parameter: (value, low, high)} at 95 % of effect number `effect`, within the parameter's bounds; vectors as
+        lists.
+        """
+        out: dict[str, tuple] = {}
+        for i, c in enumerate(self.coordinates):
+            if c.effect != effect:
+                continue
+            half = Z95 * np.sqrt(self.covariance[i, i])
+            ends = [
+                float(np.clip(c.parameter(np.clip(self.values[i] + s * half, *c.ends)), *c.bounds)) for s in (0, -1, 1)
+            ]
+            ends[1:] = sorted(ends[1:])
+            if c.index is None:
+                out[c.name] = tuple(ends)
+            else:
+                for k in range(3):
+                    out.setdefault(c.name, ([], [], []))[k].append(ends[k])
+        return out
+
+    def at_bounds(self, effect: int) -> dict[str, float]:
+        """{parameter: bound} of the numbers of effect number `effect` that stand at a bound."""
+        found = {
+            c.name: c.at_bound(self.point.effects[effect])
+            for c in self.coordinates
+            if c.effect == effect and c.index is None
+        }
+        return {name: bound for name, bound in found.items() if bound is not None}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Freedom:
+    """c coordinates to be stepped along. column : Column of them; values : (c,) now; loose : (c,) 1 / standard
+    deviation beforehand
+    low, high : (c,) bounds; kept : (k, c) sums of them that stay"""
+
+    column: Column
+    values: np.ndarray
+    loose: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    kept: np.ndarray
+
+    @staticmethod
+    def of(coordinates: list[Coordinate], effects: tuple[Effect, ...], column: Column) -> "_Freedom":
+        values = np.array([c.read(effects[c.effect]) for c in coordinates])
+        ends = np.array([c.ends for c in coordinates], float).reshape(-1, 2)
+        return _Freedom(
+            column,
+            values,
+            np.array([c.loose for c in coordinates]),
+            ends[:, 0],
+            ends[:, 1],
+            constrained_sums(coordinates, effects),
+        )
+
+    def beside(self, other: "_Freedom") -> "_Freedom":
+        """Both together."""
+        values, worth, low, high = (
+            np.r_[getattr(self, name), getattr(other, name)] for name in ("values", "loose", "low", "high")
+        )
+        return _Freedom(
+            join_columns([self.column, other.column]), values, worth, low, high, block_diag(self.kept, other.kept)
+        )
+
+
+def add_term(refined: Refined, score: PlatformScore, sensitivities: Sensitivities) -> Refined:
+    """Refined with a Score's effect added, all that is free moved with it from the start."""
+    model, k = refined.model, refined.point
+    column, theta = candidate_column(model, score.candidate, score.node, sensitivities), score.coefficients
+    own = None if refined.column is None else _Freedom.of(refined.coordinates, k.effects, refined.column)
+    if not len(theta):  # its size is its node's: the rest makes room
+        parts = join_columns([c for c in (refined.column, column) if c is not None])
+        step = np.r_[np.zeros(len(refined.coordinates)), 1.0]
+    else:
+        by = {p.name: p for p in score.candidate.kind.parameters_at(score.candidate.place)}
+        priors = np.array(
+            [prior_precision(by[name], index) if name in by else 0.0 for name, index, _ in score.candidate.spec.linear]
+        )
+        low, high = coefficient_bounds(score.candidate.spec)
+        new = _Freedom(column, np.zeros(len(theta)), priors, low, high, np.zeros((0, len(theta))))
+        free = new if own is None else own.beside(new)
+        parts, step = free.column, _step(model, free)[0]
+        theta = score.candidate.allowed(step[len(refined.coordinates) :])
+        step = np.r_[step[: len(refined.coordinates)], theta]
+    effects = list(k.effects)
+    for c, s in zip(refined.coordinates, step):
+        effects[c.effect] = c.written(effects[c.effect], c.read(effects[c.effect]) + s)
+    effects = [check_effect(effect) for effect in (*effects, score.candidate.effect(score.node, theta))]
+    z = model.nuisances.at_rest - model.linear.project(parts).onto @ step
+    return refine(_apply(model, model.nuisances.solve @ z, step, parts, effects), sensitivities)
+
+
+def remove_term(refined: Refined, number: int) -> OperatingPoint:
+    """OperatingPoint with an admitted effect removed, all that is free moved to make up for it."""
+    model, effects = refined.model, refined.point.effects
+    if refined.column is None:
+        return refined.point.with_effects(e for i, e in enumerate(effects) if i != number)
+    step = np.array(
+        [-v if c.effect == number and c.role in SIZED else 0.0 for c, v in zip(refined.coordinates, refined.values)]
+    )
+    z = model.nuisances.at_rest - model.linear.project(refined.column).onto @ step
+    return _apply(
+        model, model.nuisances.solve @ z, step, refined.column, [e for i, e in enumerate(effects) if i != number]
+    )
+
+
+def refine(point: OperatingPoint, sensitivities: Sensitivities) -> Refined:
+    """Refined of the admitted effects from where their parameters stand. What cannot improve any more stays.
+
+    Standing corners are first taken at their covariance; only what they then still miss together, in every frame,
+    loosens them.
+    """
+    refined = refine_at_fixed_repeated_error(replace(point, standing=0.0), sensitivities)
+    left = repeated_corner_error(refined.point)
+    return refine_at_fixed_repeated_error(replace(refined.point, standing=left), sensitivities) if left else refined
+
+
+def refine_at_fixed_repeated_error(point: OperatingPoint, sensitivities: Sensitivities) -> Refined:
+    """Refined as by `refine`, with the repeated error of standing corners fixed at the OperatingPoint's."""
+    model = linearise(point)
+    coordinates, column = parameter_directions(model, sensitivities)
+    freedom = partial(_Freedom.of, coordinates)
+    for _ in range(MAX_ITERATIONS):
+        step, covariance = (
+            (np.zeros(0), np.zeros((0, 0))) if column is None else _step(model, freedom(point.effects, column))
+        )
+        new = _try(model, coordinates, step, column)
+        if new is None:
+            break
+        gained = _comparable(model) - _comparable(new)
+        point, model = new.point, new
+        coordinates, column = parameter_directions(model, sensitivities)
+        freedom = partial(_Freedom.of, coordinates)
+        if (np.abs(step) < SMALL * np.sqrt(np.diag(covariance))).all() and gained < 1 or gained < ENOUGH:
+            break
+    if column is None:
+        return Refined(point, model, coordinates, np.zeros(0), np.zeros((0, 0)), None)
+    last = freedom(point.effects, column)
+    return Refined(point, model, coordinates, last.values, _step(model, last)[1], column)
+
+
+def _step(model: LinearisedModel, free: _Freedom) -> tuple[np.ndarray, np.ndarray]:
+    """Step (c,) of coordinates, to a bound at the most, and their covariance (c, c), of which bounds know nothing."""
+    found = model.linear.project(free.column)
+    b, G = found.right - free.loose**2 * free.values, found.gram + np.diag(free.loose**2)
+    return bounded_least_squares_step(b, G, free.values, np.stack([free.low, free.high], axis=1), free.kept)
+
+
+def _try(
+    model: LinearisedModel, coordinates: list[Coordinate], step: np.ndarray, column: Column | None
+) -> LinearisedModel | None:
+    """LinearisedModel after as much of the step as lowers the cost, or None."""
+    k = model.point
+    for halving in range(HALVINGS):
+        share = 0.5**halving
+        effects = list(k.effects)
+        for c, s in zip(coordinates, step):
+            effects[c.effect] = c.written(effects[c.effect], c.read(k.effects[c.effect]) + share * s)
+        z = model.nuisances.at_rest - (model.linear.project(column).onto @ (share * step) if column is not None else 0)
+        after = linearise(
+            _apply(
+                model,
+                model.nuisances.solve @ z,
+                share * step,
+                column,
+                [check_effect(effect.written()) for effect in effects],
+            )
+        )
+        if _comparable(after) <= _comparable(model) + SLACK:
+            return after
+    return None
+
+
+def _comparable(model: LinearisedModel) -> float:
+    """Minus twice the log likelihood, Huber's for corners, but for a constant: what noise and scatter make of it
+    included.
+    """
+    cost = model.linear.cost() + model.corners.excess + 2 * len(model.corner_residual) * np.log(model.corners.sigma)
+    cost += cost_of_priors(model.point.effects)
+    return cost - 2 * np.linalg.slogdet(model.closures.W)[1].sum() if model.point.axes else cost
+
+
+def _apply(
+    model: LinearisedModel, freedoms: np.ndarray, step: np.ndarray, column: Column | None, effects: list[Effect]
+) -> OperatingPoint:
+    """OperatingPoint with nuisances (p,) and each frame's own poses moved to where the fit puts them."""
+    k, whole = model.point, model.corners.inner
+    inner = whole[..., 0] - whole[..., 1:] @ freedoms[: whole.shape[2] - 1]
+    if column is not None and column.inner is not None:
+        inner = inner - column.inner @ step
+    local = np.einsum("fij,fj->fi", model.corners.to_local, inner)
+    cameras = list(k.design.cameras)
+    for i, at in model.nuisances.camera_columns.items():
+        value = freedoms[at]
+        if i not in k.moving:
+            cameras[i] = replace(cameras[i], pose=cameras[i].pose * exp(value[:6]))
+            value = value[6:]
+        matrix = cameras[i].matrix.copy()
+        matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += value[:4]
+        cameras[i] = replace(cameras[i], matrix=matrix, distortion=cameras[i].distortion + value[4:])
+    finder = list(k.finder or [0.0] * len(cameras))
+    for i, j in edge_bias_freedoms(model.nuisances.names, k.design):
+        finder[i] += float(freedoms[j])
+    own = seat_freedoms(model.nuisances.names)
+    seats = tuple(
+        replace(s, motion=tuple((np.array(s.motion) + freedoms[own[s.place]]).tolist())) if s.place in own else s
+        for s in k.seats
+    )
+    if k.axes:
+        m, p = k.platform, geometric_parameters(k.platform)
+        k = replace(
+            k,
+            design=replace(
+                k.design, mechanism=mechanism_with_parameters(m, p + freedoms[len(model.nuisances.names) - len(p) :])
+            ),
+        )
+    if k.seen is None:
+        local = np.zeros((model.frames, 6))
+    return replace(move_operating_point(k, cameras, local), effects=tuple(effects), finder=tuple(finder), seats=seats)

@@ -1,0 +1,117 @@
+"""What is there beyond chance and still no finding, since tolerances may do as much on their own: set apart from what
+matters.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import scipy
+
+from calib.diagnosis.engine.candidate_score import Score
+from calib.diagnosis.engine.chance_probability import Z95
+from calib.diagnosis.engine.finding_confirmation import Finding, is_significant
+from calib.diagnosis.engine.lack_of_fit import LackOfFit
+from calib.diagnosis.engine.parameter_values import Value
+from calib.diagnosis.problems.measured_evidence import Remark, Tolerable
+from calib.diagnosis.problems.platform.candidate_search import candidate_column
+from calib.diagnosis.problems.platform.held_out_validation import residual_change_column
+from calib.diagnosis.problems.platform.linearised_residuals import CORNERS
+from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
+from calib.diagnosis.problems.platform.tolerance_columns import (
+    SignificantTolerance,
+    model_with_tolerances,
+    share_not_explained_by_tolerances,
+    significant_tolerances,
+    tolerance_model,
+)
+from rig.model.manufacturing_tolerances import STILL
+
+LASTING = ("image position", "place on the marker")  # what is left and depends on these is the same in every frame
+LASTING_VIEWS = ("map", "outward", "markers", "targets")  # effects that residuals show so are, too
+REASON_TOGETHER = "printed markers, the corner finder and thermometers may do on their own"
+
+
+def separate_tolerable_findings(
+    problem: PlatformProblem, selection: PlatformSelection, unexplained: list[LackOfFit]
+) -> tuple[PlatformSelection, list[LackOfFit], Tolerable]:
+    """(Selection of findings beyond tolerances, unexplained beyond them, Remarks on those that are tolerable)."""
+    fit, known = selection.fit, problem.tolerant
+    if not known and not selection.findings and not unexplained:
+        return selection, unexplained, Tolerable()
+    matters, small = [], []
+    for f in selection.findings:
+        reason = None if problem.given.holds(f.score.candidate) else _reason(problem, selection, f, known)
+        if reason is None:
+            matters.append(f)
+        else:
+            small.append((f, reason))
+    model = fit.refined.marginalised
+    found = tolerance_model(model, problem.sensitivities) if known or unexplained else None
+    stays = unexplained if known or found is None else problem.lack_of_fit(model_with_tolerances(model, found))
+    gone = [(u, REASON_TOGETHER) for u in unexplained if not any(u.place == v.place for v in stays)]
+    tiny = [
+        (u, STILL.reason)
+        for u in stays
+        if u.unit == "px" and set(u.depends_on) & set(LASTING) and u.magnitude < STILL.limit
+    ]
+    stays = [u for u in stays if not any(u is v for v, _ in tiny)]
+    sites = significant_tolerances(model, found) if known and found is not None else []
+    return replace(selection, findings=matters), stays, Tolerable(small, [*gone, *tiny], [_remark(s) for s in sites])
+
+
+def _remark(slight: SignificantTolerance) -> Remark:
+    """Remark of what a tolerance was seen to be."""
+    parameters, at, ends = {}, 0, Z95 * slight.sigma
+    for name, unit, count in slight.site.parameters:
+        rows = slice(at, at + count)
+        low, value, high = ((slight.values + s * ends)[rows].tolist() for s in (-1, 0, 1))
+        parameters[name] = Value(value, unit, [low, high]) if count > 1 else Value(value[0], unit, [low[0], high[0]])
+        at += count
+    return Remark(slight.site.effect, slight.site.place, parameters, slight.site.tolerance.reason, slight.p_value)
+
+
+def _reason(problem: PlatformProblem, selection: PlatformSelection, finding: Finding, known: bool) -> str | None:
+    """Why a Finding is a remark, None where it matters. known : whether tolerances were among the nuisances when it was
+    found
+    """
+    fit, kind = selection.fit, selection.fit.terms[finding.number].kind
+    if (
+        kind.view in LASTING_VIEWS
+        and problem.block(fit.terms[finding.number]) == CORNERS
+        and _corner_displacement(fit, finding.number) < STILL.limit
+    ):
+        return STILL.reason
+    if known:
+        return None
+    model = problem.without_term(fit, finding.number)
+    found = tolerance_model(model, problem.sensitivities)
+    if found is None:
+        return None
+    score, kept = finding.score, problem.sensitivities.at(model.point)
+    share = share_not_explained_by_tolerances(
+        model, found, candidate_column(model, score.candidate, score.node, kept), not len(score.coefficients)
+    )
+    if is_significant(_weaken_score(score, share), selection.asked, problem.size(fit), problem.policy):
+        return None
+    own = (
+        s.tolerance.reason for s in found.sites if (s.effect, s.place) == (score.candidate.name, score.candidate.place)
+    )
+    return next(own, REASON_TOGETHER)
+
+
+def _weaken_score(score: Score, share: float) -> Score:
+    """A Score of which tolerances leave a share of its delta chi-square."""
+    delta = score.delta_chi2 * min(share, 1.0)
+    chance = float(scipy.special.chdtrc(score.freedom, delta))
+    return score if share >= 1 else replace(score, delta_chi2=delta, p_value=max(score.p_value, chance))
+
+
+def _corner_displacement(fit: PlatformFit, number: int) -> float:
+    """px RMS by which an admitted effect moves the corners that it moves at all, cameras and poses having taken what
+    they can.
+    """
+    k, model = fit.refined.point, fit.refined.model
+    others = [e for i, e in enumerate(k.effects) if i != number]
+    square = model.linear.project(residual_change_column(model, others)).gram[0, 0]
+    touched = np.count_nonzero((k.pixels() != k.pixels(tuple(others))).any(axis=1))
+    return float(model.corner_noise() * np.sqrt(max(square, 0.0) / max(touched, 1)))

@@ -1,0 +1,128 @@
+"""Frequency of a vibrating platform: a coarse spectrum of all directions, then the exact score near its peak."""
+
+import numpy as np
+import scipy
+
+from calib.diagnosis.engine.candidate_score import Score
+from calib.diagnosis.engine.chance_probability import residual_dispersion
+from calib.diagnosis.engine.frame_inner_products import (
+    FrameProducts,
+    Normal,
+    normal_of_weighted_directions,
+    solve_normal_equations,
+)
+from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore
+from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel
+from rig.effects.catalogue.vibration import rank_one_least_squares
+
+FREQUENCIES = 8  # bins of the coarse spectrum for each cycle that the highest frequency makes
+ALIAS = 0.25  # of the spectral window's height from which a frequency mirrors a slow one
+SLOWEST = 20  # cycles in the recording, below which it is a drift
+OVERSAMPLED = 4  # frequencies looked at for each that the recording's length can tell apart
+PEAKS = 6  # frequencies that are looked at closely
+TICK = 1e-4  # s, to which exposures' times are compared
+SOFT = 1e-9  # of a direction's power, added so that those that move nothing can be solved for
+
+
+def sinusoid_directions(model: LinearisedModel, frequencies: np.ndarray) -> np.ndarray:
+    """(k, F, a, 12) m of axes under the sine, then the cosine of frequencies (k,) Hz along each of six directions."""
+    k = model.point
+    modes = np.stack([k.swayed(np.tile(unit, (len(k.t), 1))) for unit in np.eye(6)], axis=-1)
+    angle = 2 * np.pi * frequencies[:, None] * k.t
+    return np.concatenate([np.sin(angle)[:, :, None, None] * modes, np.cos(angle)[:, :, None, None] * modes], axis=-1)
+
+
+def best_frequency(model: LinearisedModel, candidate: PlatformCandidate, products: FrameProducts) -> PlatformScore:
+    """Score of the frequency at which one direction shakes most; p-value by the number of frequencies that can be told
+    apart.
+    """
+    t = model.point.t
+    parameter = next(p for p in candidate.kind.parameters if p.role == "frequency")
+    length, node = np.ptp(t) + 1e-9, candidate.grid[0]
+    free = len(candidate.spec.linear) - candidate.tied
+    high = min(parameter.usual[1], 0.5 / _tick(t))
+    spectrum, frequency = _coarse(model, products, high)
+    inside = (
+        (frequency >= max(parameter.usual[0], SLOWEST / length))
+        & (frequency <= high)
+        & ~_aliased(t, len(spectrum), length, high)
+    )
+    if not inside.any():
+        return Score(
+            candidate,
+            {**node, "frequency": parameter.usual[0]},
+            np.zeros(12),
+            0.0,
+            1.0,
+            free + candidate.extra,
+            1.0,
+            0.0,
+            np.zeros(1),
+        )
+    spectrum, frequency = spectrum[inside], frequency[inside]
+    peaks = np.argsort(-spectrum)[:PEAKS]
+    near = np.unique(np.concatenate([frequency[p] + np.linspace(-1, 1, 21) / (OVERSAMPLED * length) for p in peaks]))
+    normal = normal_of_weighted_directions(products, sinusoid_directions(model, near))
+    deltas, coefficients = (
+        np.array(part) for part in zip(*(rank_one_least_squares(*pair) for pair in zip(normal.b, normal.G)))
+    )
+    best = int(np.argmax(deltas))
+    seen = solve_normal_equations(Normal(*(part[best : best + 1] for part in normal))).seen[0]
+    ratio = residual_dispersion(
+        model.linear, products, sinusoid_directions(model, near[best : best + 1])[0], coefficients[best]
+    ).ratio
+    delta = deltas[best] / ratio
+    p = min(1.0, length * high * float(scipy.special.chdtrc(free, delta)))
+    return Score(
+        candidate,
+        {**node, "frequency": float(near[best])},
+        coefficients[best],
+        float(delta),
+        float(p),
+        free + candidate.extra,
+        ratio,
+        float(seen),
+        deltas / ratio,
+    )
+
+
+def _bins(length: float, high: float) -> tuple[int, float]:
+    """(how many, s of one) of the times on which the coarse spectrum stands."""
+    bins = int(2 ** np.ceil(np.log2(max(length * OVERSAMPLED, 1) * high * FREQUENCIES / OVERSAMPLED)))
+    return bins, length * OVERSAMPLED / bins
+
+
+def _coarse(model: LinearisedModel, products: FrameProducts, high: float) -> tuple[np.ndarray, np.ndarray]:
+    """(delta chi-square of all directions, Hz) up to beyond `high`, nuisances and what frames weigh unevenly left
+    aside.
+    """
+    t = model.point.t
+    modes = sinusoid_directions(model, np.zeros(1))[0, :, :, 6:]
+    beta, power = (
+        np.einsum("fad,fa->fd", modes, products.beta),
+        np.einsum("fad,fab,fbe->de", modes, products.gamma, modes),
+    )
+    own = np.diag(power)
+    half = np.linalg.cholesky(np.linalg.inv(power + SOFT * np.diag(np.maximum(own, SOFT * own.max()))))
+    bins, step = _bins(np.ptp(t) + 1e-9, high)
+    at = np.rint((t - t[0]) / step).astype(int)
+    series = (np.bincount(at, weights=one, minlength=bins)[:bins] for one in (beta @ half).T)
+    return np.sum([2 * np.abs(np.fft.rfft(one, bins)) ** 2 for one in series], axis=0), np.fft.rfftfreq(bins, step)
+
+
+def _aliased(t: np.ndarray, count: int, length: float, high: float) -> np.ndarray:
+    """(count,) bool: frequencies that look like a drift, or like none, at these times."""
+    bins, step = _bins(length, high)
+    window = np.abs(
+        np.fft.rfft(np.bincount(np.rint((t - t[0]) / step).astype(int), minlength=bins)[:bins], bins)
+    ) / len(t)
+    reach, before = SLOWEST * OVERSAMPLED, np.r_[0, np.cumsum(window > ALIAS)]
+    at = np.arange(count)
+    return before[np.minimum(at + reach + 1, len(window))] > before[np.maximum(at - reach, 0)]
+
+
+def _tick(t: np.ndarray) -> float:
+    """s: the step of which all times (F,) are whole multiples; a frequency and its mirror images about 1 / tick look
+    the same.
+    """
+    return np.gcd.reduce(np.rint((t - t[0]) / TICK).astype(int)) * TICK or TICK

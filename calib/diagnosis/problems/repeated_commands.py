@@ -1,0 +1,48 @@
+"""Commands that were given twice: how well poses repeat, and whether what a model leaves is noise or comes again."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy
+from scipy.spatial import cKDTree
+
+from calib.diagnosis.problems.measured_evidence import Repeats
+
+SAME = {"rad": 1e-3, "m": 1e-5}  # commands nearer than this in every axis are one command
+FEWEST = 12  # pairs
+
+
+def repeated_pairs(commands: np.ndarray, units: Sequence[str]) -> np.ndarray:
+    """(p, 2) rows of commands (n, axes), in units "m" or "rad", that are one command."""
+    apart_by = np.array([SAME[unit] for unit in units])
+    return np.array(sorted(cKDTree(commands / apart_by).query_pairs(1.0, p=np.inf)), int).reshape(-1, 2)
+
+
+def repeats_of_pairs(
+    pairs: np.ndarray, moved: tuple[np.ndarray, np.ndarray], left: tuple[np.ndarray, np.ndarray]
+) -> Repeats | None:
+    """Repeats of (p, 2) pairs of rows, or None where there are too few.
+
+    moved : two (p, 6 or 3) m and rad, measured poses of each pair, both less the same; left : two (p, k) what a model
+    leaves of each
+
+    The difference of two poses under one command holds no model error, so its scatter is pure error; of a residual's
+    square, the part that both share is repeatable and not explained.
+    """
+    if len(pairs) < FEWEST:
+        return None
+    off = (moved[0] - moved[1]) / np.sqrt(2)
+    apart = np.linalg.norm(off[:, :3], axis=1)
+    turned = float(np.linalg.norm(off[:, 3:], axis=1).mean()) if off.shape[1] == 6 else None
+    one, two = left
+    product = (one * two).sum(axis=1)
+    again = float(product.sum() / max(((one**2).sum() + (two**2).sum()) / 2, 1e-300))
+    z = float(product.sum() / max(np.sqrt((product**2).sum()), 1e-300))
+    return Repeats(
+        len(pairs),
+        float(apart.mean()),
+        float(np.sqrt((apart**2).mean())),
+        turned,
+        max(again, 0.0),
+        float(scipy.special.ndtr(-z)),
+    )

@@ -1,0 +1,71 @@
+"""Requested effects: which effects of the catalogue, at which places, a diagnosis includes or omits."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from calib.diagnosis.engine.selection_inputs import Candidate, NotAsked, StatedTerms
+from rig.effects.catalogue.effect_list import ALL
+from rig.effects.framework.effect import Effect
+from rig.errors import RigError
+
+
+@dataclass(frozen=True, slots=True)
+class RequestedEffects:
+    """only : "effect" or "effect place" to which the catalogue is confined, empty for all of it; without : what is left
+    out
+    kinds : the catalogue, with what a user adds to it."""
+
+    only: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
+    kinds: tuple[type[Effect], ...] = ALL
+
+    @staticmethod
+    def of(
+        only: Iterable[str] | None, without: Iterable[str], given: StatedTerms, kinds: tuple[type[Effect], ...] = ALL
+    ) -> "RequestedEffects":
+        """Asked with what is assumed besides. Raises RigError where that is left out at the same time."""
+        asked = RequestedEffects(tuple(only or ()), tuple(without), kinds)
+        assumed = tuple(f"{name} {place}" for name, place in given.assumed)
+        out = [text for text, (name, _) in zip(assumed, given.assumed) if {name, text} & set(asked.without)]
+        if out:
+            raise RigError(f"{' and '.join(out)} cannot be assumed and left out at once")
+        return RequestedEffects((*asked.only, *assumed) if asked.only else (), asked.without, kinds)
+
+    def name(self, name: str) -> bool:
+        """Whether an effect is asked for at any place."""
+        return (not self.only or any(text.split(" ")[0] == name for text in self.only)) and name not in self.without
+
+    def touches(self, name: str) -> bool:
+        """Whether anything is said of an effect, or everything is asked for."""
+        return not self.only or any(text.split(" ")[0] == name for text in (*self.only, *self.without))
+
+    def place(self, name: str, place: str) -> bool:
+        """Whether an effect is asked for at a place."""
+        there = {name, f"{name} {place}"}
+        return (not self.only or bool(there & set(self.only))) and not there & set(self.without)
+
+    def check(self, sites: dict[str, tuple[str, ...]]) -> None:
+        """Raise RigError where a place is asked for, or left out, that none of the places (of each effect that can be
+        asked for) is.
+        """
+        for text in (*self.only, *self.without):
+            name, _, place = text.partition(" ")
+            if place and name in sites and place not in sites[name]:
+                raise RigError(
+                    f"{text!r}: {name} cannot sit at {place!r} in this recording; it can at {', '.join(sites[name])}"
+                )
+
+
+def require_assumed_effects_testable(
+    given: StatedTerms, candidates: Sequence[Candidate], not_asked: Sequence[NotAsked]
+) -> StatedTerms:
+    """The stated terms, unchanged. Raises RigError where the recording cannot test an assumed effect."""
+    there = {(c.name, c.place) for c in candidates}
+    for name, place in given.assumed:
+        if (name, place) not in there:
+            reasons = [s.reason for s in not_asked if s.effect == name]
+            raise RigError(
+                f"{name} at {place} is assumed, but this recording cannot be asked for it"
+                + (f": {reasons[0]}" if reasons else "")
+            )
+    return given

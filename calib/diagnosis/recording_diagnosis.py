@@ -1,0 +1,233 @@
+"""A recording -> its Diagnosis, whatever the machine and the instrument: which effect sits where, how large, how sure,
+what nobody can name.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from threadpoolctl import threadpool_limits
+
+from calib.certification.calibration import Calibration
+from calib.diagnosis.engine.cross_validation import CrossValidation
+from calib.diagnosis.engine.excluded_outliers import Outliers
+from calib.diagnosis.engine.finding_confirmation import Finding
+from calib.diagnosis.engine.lack_of_fit import Covariate, LackOfFit
+from calib.diagnosis.engine.problem_interface import Progress
+from calib.diagnosis.engine.selection_inputs import NO_STATED_TERMS, NotAsked, StatedTerms
+from calib.diagnosis.engine.term_selection import Selection, remove_unsupported_findings, select_terms
+from calib.diagnosis.problems.formula_suggestion import Suggestion
+from calib.diagnosis.problems.measured_evidence import (
+    Evidence,
+    HeldOutPoses,
+    IntervalWidening,
+    MeasuredFinding,
+    MeasuredFindings,
+    Misfit,
+    NestedSelection,
+    Noise,
+    RegionValidation,
+    RepeatedCommands,
+    Repeats,
+    TemperatureAlternatives,
+    Tolerable,
+    ToleratedFindings,
+)
+from calib.diagnosis.problems.requested_effects import RequestedEffects
+from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
+from calib.samples.recording_samples import Sampled
+from rig.effects.catalogue.effect_list import ALL
+from rig.effects.framework.effect import Effect
+from rig.effects.texts.user_effect_files import Plugin
+from rig.model.design import Design
+from rig.recording.recording_folder import Part, Recording
+from rig.recording.time_origin import Origin
+
+ROUNDS = 3  # of explaining anew without what turned out to be wild
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosisOptions:
+    """only, without : names of effects, or "effect place", to which the catalogue is confined or which are left out;
+    given : what is in from the start
+    calibration : of another recording, whose joints are taken as known to its covariance: what it has not swallowed
+    shows, and what has changed since; sampled : Sampled of the recording where it was measured before, or None
+    kinds : the catalogue, with what a user adds to it; own : the files that this comes from; said : the operator's
+    words, as options"""
+
+    only: tuple[str, ...] | None = None
+    without: tuple[str, ...] = ()
+    given: StatedTerms = NO_STATED_TERMS
+    calibration: Calibration | None = None
+    sampled: Sampled | None = None
+    kinds: tuple[type[Effect], ...] = ALL
+    own: tuple[Plugin, ...] = ()
+    said: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Diagnosis:
+    """recording : its name; evidence : what was measured; selection : Selection of the terms that explain it
+    design : Design as fitted with the findings, None where nothing was commanded
+    cross_validations : one for each finding; regions : for each axis, [CrossValidation] of the findings with whole
+        regions of its travel held out in turn, none where nobody holds regions out
+    misfits : of all together, by what is looked at; shown_in : in which of them the first finding shows
+    held : [HeldOutPoses], fine stretches first; repeats : Repeats or None
+    left : [LackOfFit]; tolerable : Tolerable; not_asked : [NotAsked]; noise : Noise
+    covariates : [Covariate] that what is left goes with, the one that explained most before first
+    suggestions : formulas for what is left; outliers : rows that were left out of all this
+    origin : of the owner's clock, which moments are told by; parts : (Part, ..) of several recordings together
+    options : DiagnosisOptions that it was asked with; confounds : of the recording, None where nothing was commanded"""
+
+    recording: str
+    evidence: Evidence
+    selection: Selection
+    design: Design | None
+    cross_validations: list[CrossValidation]
+    regions: list[list[CrossValidation]]
+    misfits: dict[str, Misfit]
+    shown_in: str
+    held: list[HeldOutPoses]
+    repeats: Repeats | None
+    left: list[LackOfFit]
+    tolerable: Tolerable
+    not_asked: list[NotAsked]
+    noise: Noise
+    covariates: list[Covariate]
+    suggestions: tuple[Suggestion, ...]
+    outliers: Outliers
+    options: DiagnosisOptions = DiagnosisOptions()
+    origin: Origin = Origin()
+    parts: tuple[Part, ...] = ()
+    confounds: Confounds | None = None
+
+    @property
+    def findings(self) -> list[Finding]:
+        """The findings, in the order of their weight."""
+        return self.selection.findings
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The effects found by the search, with their values."""
+        return self.evidence.effects(self.selection)
+
+    @property
+    def measured_findings(self) -> tuple[MeasuredFinding, ...]:
+        """The findings that were measured before anything was searched."""
+        return self.evidence.measured_findings if isinstance(self.evidence, MeasuredFindings) else ()
+
+    @property
+    def machine_effects(self) -> tuple[Effect, ...]:
+        """All effects that make another machine: measured before the search, and found by it."""
+        before = self.evidence.measured_effects if isinstance(self.evidence, MeasuredFindings) else ()
+        return (*before, *self.effects)
+
+
+class Explained(NamedTuple):
+    """selection : of what explains the evidence; left : [LackOfFit]; tolerable : Tolerable; not_asked : [NotAsked]."""
+
+    selection: Selection
+    left: list[LackOfFit]
+    tolerable: Tolerable
+    not_asked: list[NotAsked]
+
+
+@threadpool_limits.wrap(limits=1)
+def diagnose(
+    recording: Recording, options: DiagnosisOptions = DiagnosisOptions(), progress: Progress | None = None
+) -> Diagnosis:
+    """Diagnosis of a Recording. options : DiagnosisOptions; progress : called with (label, done, of), or None
+
+    Raises NotEnoughData where too little was measured, RigError where what is assumed cannot be asked, and what
+    measuring and calibrating raise
+    """
+    requested = RequestedEffects.of(options.only, options.without, options.given, options.kinds)
+    evidence = _measured_evidence(recording)(
+        recording, requested, options.given, options.calibration, options.sampled, progress
+    )
+    return replace(
+        diagnose_evidence(evidence, recording.name, progress),
+        options=options,
+        origin=recording.origin,
+        parts=recording.parts,
+        confounds=confounds_of_recordings([recording]),
+    )
+
+
+def _measured_evidence(recording: Recording) -> Callable[..., Evidence]:
+    """The function that makes Evidence of a recording of its kind of machine: only what that takes is imported."""
+    if recording.design.mechanism.kind in ("arm", "chain"):
+        from calib.diagnosis.problems.arm.arm_evidence import arm_evidence
+
+        return arm_evidence
+    from calib.diagnosis.problems.platform.platform_evidence import platform_evidence
+
+    return platform_evidence
+
+
+def diagnose_evidence(evidence: Evidence, name: str, progress: Progress | None = None) -> Diagnosis:
+    """Diagnosis of Evidence. name : of the recording"""
+    (selection, left, tolerable, not_asked), outliers = _explained_without_outliers(evidence, progress)
+    if isinstance(evidence, TemperatureAlternatives):
+        selection = evidence.with_temperature_alternatives(selection)
+    held = evidence.held_out_poses(selection, progress) if isinstance(evidence, NestedSelection) else []
+    suggestions = tuple(evidence.suggestions(selection, left, progress))
+    if isinstance(evidence, IntervalWidening):
+        selection = evidence.with_widened_intervals(selection)
+    repeats = evidence.repeats(selection) if isinstance(evidence, RepeatedCommands) else None
+    covariates = evidence.covariates(selection)
+    scatter = evidence.scatter_beyond_noise(selection, left, repeats, covariates)
+    regions: list[list[CrossValidation]] = []
+    if isinstance(evidence, RegionValidation) and selection.findings:
+        regions = evidence.validations_by_region(selection)
+    misfits, shown_in = evidence.misfits(selection, held, repeats)
+    return Diagnosis(
+        recording=name,
+        evidence=evidence,
+        selection=selection,
+        design=evidence.design(selection),
+        cross_validations=selection.problem.cross_validations(selection.fit, [f.number for f in selection.findings]),
+        regions=regions,
+        misfits=misfits,
+        shown_in=shown_in,
+        held=held,
+        repeats=repeats,
+        left=[*left, *scatter],
+        tolerable=tolerable,
+        not_asked=not_asked,
+        noise=evidence.noise(selection),
+        covariates=covariates,
+        suggestions=suggestions,
+        outliers=outliers,
+    )
+
+
+def _explained_without_outliers(evidence: Evidence, progress: Progress | None) -> tuple[Explained, Outliers]:
+    """(Explained without outliers, Outliers): beside what explains the evidence, rows show as wild that a large effect
+    hid; then all is explained anew without them.
+    """
+    known = evidence.gross_outliers()
+    for turn in range(ROUNDS):
+        explained = _explained(evidence, known, progress)
+        # what would show only in the last turn was searched, and is not left out
+        found = known if turn == ROUNDS - 1 else evidence.outliers(explained.selection.fit, known)
+        if found.left_out == known.left_out:
+            break
+        known = found
+    return explained, found
+
+
+def _explained(evidence: Evidence, outliers: Outliers, progress: Progress | None) -> Explained:
+    """Explained of Evidence without outliers."""
+    problem, not_asked = evidence.problem(outliers)
+    selection = select_terms(problem, progress)
+    problem = selection.problem
+    left = problem.lack_of_fit(problem.residual(selection.fit))
+    count = len(selection.findings)
+    selection = remove_unsupported_findings(problem, selection, left)
+    if len(selection.findings) < count:
+        left = problem.lack_of_fit(problem.residual(selection.fit))
+    if not isinstance(evidence, ToleratedFindings):
+        return Explained(selection, left, Tolerable(), not_asked)
+    selection, left, tolerable = evidence.set_apart_tolerable(selection, left)
+    return Explained(selection, left, tolerable, not_asked)

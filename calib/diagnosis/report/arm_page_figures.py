@@ -1,0 +1,185 @@
+"""Figures of an arm's diagnosis page: its outline, each finding at its joint, held-out errors."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calib.diagnosis.problems.arm.arm_evidence import ArmEvidence
+from calib.diagnosis.problems.arm.pose_fit import Fit
+from calib.diagnosis.recording_diagnosis import Diagnosis
+from calib.diagnosis.report import finding_contributions
+from calib.diagnosis.report.arm_outline import arm_outline_figures
+from calib.diagnosis.report.diagnosis_json import FindingEntry
+from calib.diagnosis.report.held_out_figures import SAME_ANGLE, held_out_gain_table, repeat_rows, residual_statistics
+from calib.diagnosis.report.residual_figures import residual_scatter_figure
+from calib.report.pose_figures import mechanism_scene
+from calib.samples.effect_playback import FACTORS
+from rig.model import mechanisms
+from rig.model.design import Arm, Chain
+from rig.report.pages.html_elements import heading, paragraph, table
+from rig.report.pages.plots import Series, plot_panel
+from rig.report.pages.view_3d import Effect, view_3d_html
+
+PLAYED = 4  # findings that are shown in three dimensions
+ROWS = (
+    "geometry alone",
+    "with effects",
+    "of these, every joint near angles it was fitted at",
+    "of these, a joint at angles never fitted",
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmView:
+    """diagnosis : Diagnosis of ArmEvidence; entries : its findings as reported, in the diagnosis' order"""
+
+    diagnosis: Diagnosis
+    entries: tuple[FindingEntry, ...]
+
+    @property
+    def fit(self) -> Fit:
+        """The Fit with all findings."""
+        fit: Fit = self.diagnosis.selection.fit
+        return fit
+
+    @property
+    def evidence(self) -> ArmEvidence:
+        """What was measured."""
+        assert isinstance(self.diagnosis.evidence, ArmEvidence)
+        return self.diagnosis.evidence
+
+    @property
+    def mechanism(self) -> Arm | Chain:
+        """The Arm or Chain as fitted."""
+        design = self.diagnosis.design
+        assert design is not None and isinstance(design.mechanism, (Arm, Chain))
+        return design.mechanism
+
+    def where(self, places: list[str]) -> str:
+        """The arm in outline, joints marked."""
+        fit = self.fit
+        moved: dict[int, dict[str, float]] = {}
+        for number, term in enumerate(fit.terms):
+            if term.candidate.joint is not None:
+                here = moved.setdefault(term.candidate.joint, {})
+                here[term.candidate.name] = float(np.hypot(here.get(term.candidate.name, 0.0), fit.part(number).std()))
+        return arm_outline_figures(self.mechanism, fit.arms.q, moved)
+
+    def plot(self, finding: FindingEntry) -> str | None:
+        """Residuals of all poses turned back into the joint against what gives the finding away; None where it acts on
+        the whole arm.
+        """
+        d = self.diagnosis
+        number = d.findings[next(i for i, entry in enumerate(self.entries) if entry is finding)].number
+        fit = self.fit
+        term = fit.terms[number]
+        joint = term.candidate.joint
+        if joint is None:
+            return None
+        a = (fit.W @ fit.arms.directions(joint))[..., 0]
+        rest = (a * fit.y).sum(axis=1) / np.maximum((a * a).sum(axis=1), 1e-300)
+        moved = fit.part(number) - fit.part(number)[fit.used].mean()
+        covariate = term.candidate.effect(term.node, fit.theta[fit.slices[number]]).covariate(fit.arms.context.moved())
+        x = covariate.values if covariate.values.ndim == 1 else covariate.values[:, joint]
+        both = [v[fit.used] * 1e6 for v in (rest + moved, rest)]
+        return residual_scatter_figure(
+            x[fit.used],
+            covariate.label,
+            both,
+            f"{term.candidate.place}, µ{mechanisms.axis_units(self.mechanism)[joint]}",
+        )
+
+    def in_space(self) -> list[str]:
+        """The arm's poses, with what each finding at a joint does, linear in its size."""
+        d, fit, effects = self.diagnosis, self.fit, list[Effect]()
+        J = np.zeros((len(fit.arms), 6, fit.arms.q.shape[1]))
+        J[:, : fit.arms.joints.shape[1]] = fit.arms.joints  # of positions alone, no rotation is known
+        for finding in d.findings[:PLAYED]:
+            candidate = self.fit.terms[finding.number].candidate
+            if candidate.joint is not None:
+                once = J[:, :, candidate.joint] * fit.part(finding.number)[:, None]
+                sizes = tuple(f"{factor:g} times as found" for factor in FACTORS)
+                effects.append(
+                    Effect(
+                        f"{candidate.name.replace('_', ' ')} at {candidate.place}",
+                        sizes,
+                        np.multiply.outer(FACTORS, once),
+                    )
+                )
+        return view_3d_html(mechanism_scene(self.mechanism, fit.arms.frame, fit.arms.q, tuple(effects)))
+
+    def remaining(self, unknown: list[FindingEntry]) -> list[str]:
+        """Held-out errors, before and after, pose by pose and in a table."""
+        d, rows = self.diagnosis, []
+        for h in d.held:
+            near = h.far <= SAME_ANGLE
+            for label, left in zip(ROWS, (h.before, h.after, h.after[near], h.after[~near])):
+                if len(left):
+                    f = residual_statistics(left)
+                    rows.append(
+                        [
+                            f"{label}, {h.stretches} stretches",
+                            *(f"{f[key] * 1e6:.1f}" for key in ("mean_m", "rms_m", "p95_m", "max_m")),
+                            f"{f['mean_rad'] * 1e6:.1f}" if "mean_rad" in f else "",
+                            f["n"],
+                        ]
+                    )
+        parts: list[str] = [
+            self._errors(),
+            table(("held-out error", "mean, µm", "RMS", "95 %", "max", "mean, µrad", "N"), rows),
+        ]
+        if d.findings:
+            parts += [
+                heading("What each finding brings on poses held out", 3),
+                held_out_gain_table(d),
+                heading("What single poses suffer from", 3),
+                paragraph(
+                    "The poses that all findings together displace most, for each finding a bar, the biggest first. "
+                    "contributions.csv has them for every pose."
+                ),
+                finding_contributions.contribution_figure(self.evidence, d.selection),
+            ]
+        aside = self.evidence.frames_set_aside(d.selection)
+        if len(aside):
+            parts.append(
+                paragraph(
+                    f"{len(aside)} poses agree with no model and count for next to nothing: frames "
+                    f"{', '.join(map(str, aside))}."
+                )
+            )
+        if d.repeats is not None and any(u.depends_on == ("configuration",) for u in d.left):
+            parts.append(
+                paragraph(
+                    f"The same command brings {d.repeats.recurring_share:.0%} of what remains again: that is "
+                    "no noise, and of no form that was tried."
+                )
+            )
+        return parts
+
+    def measurement(self) -> list[tuple[str, Any]]:
+        """Where poses came from, and how well they repeat."""
+        d = self.diagnosis
+        again = repeat_rows(d)
+        if self.fit.scatter[0] > 0:
+            beyond, _ = self.evidence.scatter_beyond_stated(d.selection)
+            again.append(("beyond what the instrument states, poses scatter by", f"{beyond * 1e6:.1f} µm"))
+        arms = self.fit.arms
+        return [
+            ("poses from", self.evidence.source),
+            ("poses", len(arms)),
+            ("time", f"{np.ptp(arms.t) / 60:.1f} min"),
+            ("sensors", ", ".join(arms.channels) or "none"),
+            *again,
+        ]
+
+    def _errors(self) -> str:
+        d = self.diagnosis
+        series = [
+            Series(np.arange(len(left)), np.linalg.norm(left[:, :3], axis=1) * 1e6, label, colour=colour)
+            for left, label, colour in ((d.held[0].before, "geometry alone", 1), (d.held[0].after, "with effects", 0))
+        ]
+        if d.repeats is not None:
+            ends = np.array([0.0, len(d.held[0].after) - 1.0])
+            series.append(Series(ends, np.full(2, d.repeats.mean * 1e6), "the same command again", "line", -1))
+        return plot_panel("held-out errors", ("pose", "position error, µm"), series, log=True)

@@ -1,0 +1,292 @@
+"""Sentences and table rows of a Report for people, in micrometres, microradians and pixels."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib.diagnosis.engine.excluded_outliers import Crowd, LeftOut
+from calib.diagnosis.engine.parameter_values import Value
+from calib.diagnosis.report.diagnosis_json import (
+    ASSUMED,
+    CovariateEntry,
+    FindingEntry,
+    FitEntry,
+    RemarkEntry,
+    SuggestionEntry,
+)
+from rig.formats.number_parsing_and_rounding import UNITS, round_to_digits, separating_digits
+
+SCALES = {unit: UNITS[unit][0] for unit in ("m", "rad", "1/K", "N/m")}  # one unit for all sizes, so that they compare
+LONG_TIME = 1000.0  # s; times from there on, and clocks, are written to a tenth of a second
+NOT_DETERMINED = "not determined"
+LONG = 4  # numbers of a vector that are written out
+CERTAIN = 1e-6  # a chance below which nobody counts
+CONVINCING = 10  # of the information criterion
+SELDOM = 1e-3  # chance of a finding where there is nothing, from which it is one
+
+
+def value_text(value: float, unit: str, with_unit: bool = True, digits: int = 3) -> str:
+    """A value in the unit that people read it in, to so many digits."""
+    scale, name = SCALES.get(unit, (1, unit))
+    text = (
+        "unlimited"
+        if not np.isfinite(value)
+        else f"{value:.1f}"
+        if unit == "s" and abs(value) >= LONG_TIME
+        else round_to_digits(value * scale, digits)
+    )
+    return f"{text} {name}".strip() if with_unit else text
+
+
+def _interval_text(low: float, high: float, unit: str, with_unit: bool = True) -> str:
+    """Text such as "39.1 to 41.2 µm", to as many digits as tell its ends apart."""
+    digits = separating_digits(low, high)
+    return f"{value_text(low, unit, False, digits)} to {value_text(high, unit, with_unit, digits)}"
+
+
+def _ends(p: Value, with_unit: bool = True) -> str:
+    """A number's 95 % interval, as far as the data close it."""
+    if p.ci95 is None or p.open == "both":
+        return NOT_DETERMINED
+    low, high = (value_text(end, p.unit, with_unit) for end in p.ci95)
+    between = _interval_text(p.ci95[0], p.ci95[1], p.unit, with_unit)
+    return f"{low} or more" if p.open == "above" else f"{high} or less" if p.open == "below" else between
+
+
+def _digits(p: Value) -> int:
+    """How many digits a number with a 95 % interval is written to."""
+    return 3 if p.ci95 is None or p.open is not None else separating_digits(*p.ci95)
+
+
+def finding_title(finding: FindingEntry | RemarkEntry) -> str:
+    """Text such as "backlash at strut 4"."""
+    return f"{finding.effect.replace('_', ' ')} at {finding.place}"
+
+
+def finding_size_text(finding: FindingEntry | RemarkEntry) -> str:
+    """The first parameter in words; of a vector its length, of a profile its root mean square; empty where there is
+    none.
+    """
+    for name, p in finding.parameters.items():
+        if isinstance(p.value, (int, float)) and p.ci95 is not None:
+            at = "; at the bound of what makes sense" if p.at_bound is not None else ""
+            sure = NOT_DETERMINED if p.open == "both" else f"95 %: {_ends(p, False)}"
+            return f", {name.replace('_', ' ')} {value_text(p.value, p.unit, digits=_digits(p))} ({sure}{at})"
+        if ", " in p.unit and len(p.value) % 3 == 0 and len(p.value):
+            thirds = np.reshape(np.asarray(p.value, float), (-1, 3))
+            return ", by " + " and ".join(
+                value_text(float(np.linalg.norm(v)), u) for v, u in zip(thirds, p.unit.split(", "))
+            )
+        if name == "profile" and len(p.value):
+            return f", {value_text(np.sqrt(np.mean(np.square(p.value))), p.unit)} RMS"
+    return ""
+
+
+def stated_beforehand_text(finding: FindingEntry) -> str:
+    """Text " (assumed)" for what the operator stated beforehand, else nothing."""
+    return f" ({finding.said})" if finding.said else ""
+
+
+def as_sentence(text: str) -> str:
+    """A text as a sentence: with a capital and a full stop."""
+    return text[0].upper() + text[1:] + "."
+
+
+def excluded_row_texts(one: LeftOut) -> tuple[str, str, str, str]:
+    """Texts (frame, place, how far off, reason) of an excluded row."""
+    return (
+        str(one.frame),
+        one.place,
+        f"{value_text(one.off, one.unit)}, {one.times:.0f} times the scatter of the others",
+        one.reason,
+    )
+
+
+def row_count_text(count: int) -> str:
+    """Text of a count of rows that are off, as the beginning of a sentence."""
+    return "1 row is" if count == 1 else f"{count} rows are"
+
+
+def many_outliers_sentence(found: Crowd) -> str:
+    """Sentence on why so many outliers were not excluded."""
+    return (
+        f"{found.count} of {found.of} {found.what} are far off all others: too many to be mistakes of their "
+        "own, so they were not left out, and "
+        "something is left out of the model"
+    )
+
+
+def held_out_sentence(fit: FitEntry, named: bool) -> str:
+    """Sentence on the held-out error, on stretches that the fit had not seen."""
+    before, after, floor = (
+        value_text(value, fit.unit) for value in (fit.heldout_before, fit.heldout_after, fit.noise_floor)
+    )
+    ratio = f", {fit.heldout_after / fit.noise_floor:.2f} times the noise" if fit.noise_floor else ""
+    if not named:
+        return f"On stretches of the recording that the fit had not seen, {after} are left over{ratio} ({floor})."
+    return (
+        f"On stretches of the recording that the fit had not seen, the misfit falls from {before} to "
+        f"{after}{ratio} ({floor})."
+    )
+
+
+def probability_text(p: float | None) -> str:
+    """Text of a probability, in words."""
+    if p is None:
+        return "not known"
+    return "below 1 in a million" if p < CERTAIN else f"1 in {1 / p:.0f}"
+
+
+def evidence_sentence(finding: FindingEntry) -> str:
+    """The evidence of a finding in a sentence, empty where there is none."""
+    e = finding.evidence
+    if (
+        e.delta_bic is None
+        or e.p_value is None
+        or e.heldout_before is None
+        or e.heldout_after is None
+        or e.unit is None
+    ):
+        return ""
+    errors = f" ({e.gain_sigma:.1f} standard errors)" if e.gain_sigma is not None and np.isfinite(e.gain_sigma) else ""
+    said = [
+        f"held out, {value_text(e.heldout_before, e.unit)} without it and "
+        f"{value_text(e.heldout_after, e.unit)} with it{errors}",
+        f"chance of such a finding where there is nothing: {probability_text(e.p_value)}",
+        f"information criterion better by {e.delta_bic:.0f} ({CONVINCING} is convincing)",
+    ]
+    if finding.said == ASSUMED:
+        shown = e.p_value is not None and e.p_value <= SELDOM and e.delta_bic >= CONVINCING
+        said.append(
+            "it was assumed, and this recording "
+            + ("shows it by itself as well" if shown else "would not have shown it by itself")
+        )
+    return f"How sure: {'; '.join(said)}."
+
+
+def unexplained_sentence(unknown: Sequence[FindingEntry]) -> str:
+    """What is unknown: functions that fit it, scatter that none does."""
+    fitted = [f for f in unknown if f.parameters["depends_on"].value]
+    said = ["Something remains that nothing in the catalogue explains."]
+    said += ["A smooth function fits it; it is given no name."] if fitted else []
+    said += (
+        [
+            "What scatters more than its noise is as likely left out of the model as the noise is stated too "
+            "small: this recording does not tell "
+            "which."
+        ]
+        if len(fitted) < len(unknown)
+        else []
+    )
+    return " ".join(said)
+
+
+def formula_suggestion_sentences(entry: SuggestionEntry) -> str:
+    """What is suggested in place of a name, and how it did where it was not chosen, in sentences."""
+    before, after, floor = (
+        value_text(value, entry.unit) for value in (entry.heldout_before, entry.heldout_after, entry.noise)
+    )
+    alike = sum(set(part) == set(entry.covariates) for part in entry.parts)
+    return (
+        f"Deviation {entry.formula}, where {entry.where}. Held out on whole stretches, by formulas chosen "
+        f"and fitted without them: {before} "
+        f"before, {after} after, {entry.heldout_after / entry.noise:.2f} times the noise ({floor}); {alike} "
+        f"of {len(entry.parts)} times the same "
+        "covariates were chosen. It is a suggestion, and no name."
+    )
+
+
+def suggestion_rows(entry: SuggestionEntry) -> list[tuple[str, str, str]]:
+    """[(parameter, value, 95 % interval)] of what is suggested, with units."""
+    return [
+        (name, f"{p.value:.4g} {p.unit}", f"{p.ci95[0]:.4g} to {p.ci95[1]:.4g}" if p.ci95 else "")
+        for name, p in entry.parameters.items()
+    ]
+
+
+def covariate_table(found: Sequence[CovariateEntry]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """(heads, rows) of what is left against covariates: shares of the squares before and after, and the smallest chance
+    after.
+    """
+    looked_at = list(dict.fromkeys(what for c in found for what in c.explains))
+    heads = ("goes with", *(f"{what}, {when}" for what in looked_at for when in ("before", "after")), "chance, after")
+    rows = []
+    for c in found:
+        shares = [c.explains.get(what) for what in looked_at]
+        cells = [text for s in shares for text in ((f"{s.before:.1%}", f"{s.after:.1%}") if s else ("", ""))]
+        rows.append((c.name.replace("_", " "), *cells, probability_text(min(s.p_value for s in c.explains.values()))))
+    return heads, rows
+
+
+def remark_row(remark: RemarkEntry) -> tuple[str, str, str]:
+    """(what, how large, why it is no finding) of a remark."""
+    text = finding_size_text(remark).removeprefix(", ")
+    unknown = remark.parameters.get("magnitude")
+    return finding_title(remark), text or (value_text(unknown.value, unknown.unit) if unknown else ""), remark.reason
+
+
+def parameter_rows(finding: FindingEntry) -> list[tuple[str, str, str]]:
+    """[(name, value, 95 % interval)]; of long vectors the first few that are anything."""
+    rows = []
+    for name, p in finding.parameters.items():
+        name = name.replace("_", " ")
+        if isinstance(p.value, (int, float)):
+            rows.append((name, value_text(p.value, p.unit, digits=_digits(p)), _interval(p)))
+            continue
+        shown = [i for i, v in enumerate(p.value) if v][: 2 * LONG] if len(p.value) > LONG else range(len(p.value))
+        units = p.unit.split(", ") if ", " in p.unit else [p.unit]
+        for i in shown:
+            own = units[i * len(units) // len(p.value)]
+            if isinstance(p.value[i], str):
+                rows.append((f"{name} {i + 1}", p.value[i], ""))
+                continue
+            rows.append(
+                (
+                    f"{name} {i + 1}",
+                    value_text(p.value[i], own),
+                    _interval_text(p.ci95[0][i], p.ci95[1][i], own) if p.ci95 else "",
+                )
+            )
+    return rows
+
+
+def _interval(p: Value) -> str:
+    if p.ci95 is None:
+        return ""
+    text = _ends(p)
+    return f"{text}; stands at its bound" if p.at_bound is not None else text
+
+
+def finding_line(finding: FindingEntry, few: int = 6) -> str:
+    """A finding in a line for a terminal, in SI units. few : numbers of a parameter that are printed; of more, how many
+    there are
+    """
+    return f"{finding.effect} at {finding.place}: " + ", ".join(
+        _printed(name, p, few) for name, p in finding.parameters.items()
+    )
+
+
+def _printed(name: str, p: Value, few: int) -> str:
+    value, unit = p.value, p.unit
+    if isinstance(value, (int, float)):
+        digits = ".1f" if unit == "s" and abs(value) >= LONG_TIME else ".4g"
+        ends = [f"{end:{digits}}" for end in p.ci95] if p.ci95 else []
+        said = (
+            {
+                None: " to ".join(ends),
+                "above": f"{ends[0]} or more",
+                "below": f"{ends[1]} or less",
+                "both": NOT_DETERMINED,
+            }[p.open]
+            if ends
+            else ""
+        )
+        interval = f" ({said})" if said else ""
+        bound = ", at its bound" if p.at_bound is not None else ""
+        return f"{name} {value:{digits}} {unit}{interval}{bound}"
+    numbers = len(value) and isinstance(value[0], float)
+    if numbers and len(value) <= few:
+        pairs = zip(value, zip(*p.ci95)) if p.ci95 else ((v, None) for v in value)
+        shown = " ".join(f"{v:.3g}" + (f" ({ends[0]:.3g} to {ends[1]:.3g})" if ends else "") for v, ends in pairs)
+        return f"{name} {shown} {unit}"
+    return f"{name} ({len(value)} numbers)" if numbers else f"{name} {', '.join(map(str, value)) or 'nothing known'}"

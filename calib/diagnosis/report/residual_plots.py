@@ -1,0 +1,204 @@
+"""What an effect looks like: residuals against the covariate that gives it away, without the effect and with it."""
+
+import numpy as np
+
+from calib.diagnosis.problems.platform.effect_candidates import affects_images_only
+from calib.diagnosis.problems.platform.excess_scatter import closure_residuals, closures_in_metres
+from calib.diagnosis.problems.platform.held_out_validation import residual_change_column
+from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
+from calib.diagnosis.problems.platform.operating_point import OperatingPoint
+from calib.diagnosis.problems.platform.simultaneous_refinement import Refined
+from calib.diagnosis.report.residual_figures import AFTER, BEFORE, residual_scatter_figure
+from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
+from rig.report.pages.image_plane_figures import Arrows, image_plane_figure, patch_means
+from rig.report.pages.plots import bar_chart, panel_row
+
+CELLS = 14  # of a residual map, across the image
+
+
+def residuals_without_effects(refined: Refined, without: tuple[int, ...] = ()) -> tuple[np.ndarray, np.ndarray]:
+    """(closures (F, axes) m, corners (n, 2) px) residuals without some admitted effects."""
+    model, k = refined.model, refined.point
+    kept = [e for i, e in enumerate(k.effects) if i not in set(without)]
+    if len(kept) == len(k.effects):
+        return model_residuals(model)
+    done = residual_change_column(model, kept)
+    taken = model.linear.project(done).onto
+    grown = [
+        (0 if part is None else part[:, 0]) - (basis @ taken)[:, 0]
+        for part, basis in zip(done.parts, model.linear.columns.parts)
+    ]
+    return closures_in_metres(model, model.closure_residual + grown[CLOSURES]), _in_pixels(
+        model, model.corner_residual + grown[CORNERS]
+    )
+
+
+def model_residuals(model: LinearisedModel) -> tuple[np.ndarray, np.ndarray]:
+    """(closures (F, axes) m, corners (n, 2) px) residuals of a model as it is."""
+    return closure_residuals(model), _in_pixels(model, model.corner_residual)
+
+
+def _in_pixels(model: LinearisedModel, image: np.ndarray) -> np.ndarray:
+    c = model.corners
+    out = np.zeros((len(c.order), 2))
+    if len(c.order):
+        out[c.order] = np.linalg.solve(c.whiten, c.sigma * image.reshape(-1, 2, 1))[..., 0]
+    return out
+
+
+def effect_residual_figures(refined: Refined, number: int) -> str:
+    """Figures of the residuals of one admitted effect, without it and with it."""
+    k, effect = refined.point, refined.point.effects[number]
+    (struts_before, image_before), (struts_after, image_after) = (
+        residuals_without_effects(refined, (number,)),
+        residuals_without_effects(refined),
+    )
+    if not affects_images_only(effect):
+        x, label, y = _strut_view(effect, k, struts_before, struts_after)
+        return residual_scatter_figure(x, label, [v * 1e6 for v in y], "strut, µm")
+    own = _own(effect, k)
+    draw = {
+        "map": lambda: image_residual_figures(k, own, (image_before, image_after)),
+        "time": lambda: _along_time(k, own, image_before, image_after),
+        "scale": lambda: _focal(k, own, image_before, image_after),
+        "outward": lambda: _outward(k, own, image_before, image_after),
+        "markers": lambda: _bars(effect, k, image_before, image_after),
+        "targets": lambda: _bars(effect, k, image_before, image_after),
+    }
+    if effect.view in draw:
+        return draw[effect.view]()
+    way = image_before[own] - image_after[own]
+    size = np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
+    return residual_scatter_figure(
+        size[:, 0],
+        "displacement that it makes, px",
+        [np.einsum("ni,ni->n", v[own], way / size) for v in (image_before, image_after)],
+        "residual along it, px",
+    )
+
+
+def _along_time(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.ndarray) -> str:
+    """Mean residuals of each picture along the way that the effect moves it most."""
+    frame = k.observed.observations.frame[own]
+    along = _mean(frame, before[own] - after[own])
+    way = along[np.argmax(np.linalg.norm(along, axis=1))]
+    way = way / max(np.linalg.norm(way), 1e-12)
+    return residual_scatter_figure(
+        k.t[np.unique(frame)] / 60,
+        "time, min",
+        [_mean(frame, v[own] @ way) for v in (before, after)],
+        "mean of a picture's corners, px",
+    )
+
+
+def _strut_view(
+    effect: Effect, k: OperatingPoint, before: np.ndarray, after: np.ndarray
+) -> tuple[np.ndarray, str, list[np.ndarray]]:
+    """(covariate (m,), its label, [residuals (m,) before, after]) of an effect of the struts."""
+    motion = k.motion(tuple(e for e in k.effects if e is not effect))
+    covariate, direction = effect.covariate(motion), effect.direction(motion)
+    if direction is not None:
+        mode = k.swayed(direction)
+        size = np.maximum((mode**2).sum(axis=1), 1e-300)
+        return (
+            covariate.values,
+            covariate.label,
+            [(mode * v).sum(axis=1) / size * np.sqrt(size.max()) for v in (before, after)],
+        )
+    at = np.arange(k.axes) if effect.place == "clock" else np.flatnonzero(effect.axes(motion.places) > 0)
+    x = covariate.values
+    x = np.broadcast_to(x if x.ndim == 2 else x[:, None], before.shape)
+    return x[:, at].ravel(), covariate.label, [before[:, at].ravel(), after[:, at].ravel()]
+
+
+def _own(effect: Effect, k: OperatingPoint) -> np.ndarray:
+    """Indices of the corners at an effect's place."""
+    o, place = k.observed.observations, effect.site
+    if place.kind == "camera":
+        return np.flatnonzero(o.camera == [c.name for c in k.design.cameras].index(place.name))
+    if place.kind == "marker":
+        return np.flatnonzero(k.observed.markers.id[o.marker] == place.number)
+    if place.kind == "target":
+        return np.flatnonzero(np.array(k.observed.markers.target)[o.marker] == place.name)
+    return np.arange(len(o))
+
+
+def _mean(key: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Means of values (n, ...) by key (n,), in the order of the keys."""
+    _, index, count = np.unique(key, return_inverse=True, return_counts=True)
+    out = np.zeros((len(count), *values.shape[1:]))
+    np.add.at(out, index, values)
+    return out / count.reshape(-1, *[1] * (values.ndim - 1))
+
+
+def _focal(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.ndarray) -> str:
+    """Scale of each picture about its centre against temperature."""
+    o = k.observed.observations
+    matrix = np.stack([c.matrix[:2, 2] for c in k.design.cameras])
+    away = o.uv[own] - matrix[o.camera[own]]
+    key = o.frame[own] * len(matrix) + o.camera[own]
+    keys, first = np.unique(key, return_index=True)
+    scale = [
+        _mean(key, np.einsum("ni,ni->n", v[own], away)) / np.maximum(_mean(key, (away**2).sum(axis=1)), 1e-12) * 1e6
+        for v in (before, after)
+    ]
+    camera = [c.name for c in k.design.cameras]
+    warmth = np.stack([k.logged(f"camera_{name}_temperature_C", "ambient_temperature_C") for name in camera])
+    x = warmth[o.camera[own][first], o.frame[own][first]]
+    return residual_scatter_figure(
+        x, f"temperature, C (dimensions hold at {REFERENCE_TEMPERATURE:g})", scale, "scale of a picture, 1e-6"
+    )
+
+
+def _outward(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.ndarray) -> str:
+    """How far corners lie outward of their marker's middle against its size in the image."""
+    o = k.observed.observations
+    row = k.observed.row[own]
+    middle = _mean(row, o.uv[own])
+    _, index = np.unique(row, return_inverse=True)
+    away = o.uv[own] - middle[index]
+    size = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
+    values = [_mean(row, np.einsum("ni,ni->n", v[own], away) / size) for v in (before, after)]
+    return residual_scatter_figure(
+        np.sqrt(2) * _mean(row, size), "side of the marker in the image, px", values, "corners lie outward by, px"
+    )
+
+
+def _bars(effect: Effect, k: OperatingPoint, before: np.ndarray, after: np.ndarray) -> str:
+    """Residuals of every marker or target of the same body."""
+    o = k.observed.observations
+    by_target = effect.view == "targets"
+    names = np.array(k.observed.markers.target if by_target else [str(i) for i in k.observed.markers.id])[o.marker]
+    labels = sorted(set(names.tolist()), key=lambda n: (len(n), n))
+    groups = [
+        (text, [float(np.sqrt(np.mean(values[names == n] ** 2))) for n in labels], colour)
+        for values, colour, text in ((before, BEFORE, "without it"), (after, AFTER, "with it"))
+    ]
+    return bar_chart(
+        f"residuals of every {'cube' if by_target else 'marker'}, RMS", labels, groups, "px", [effect.site.name]
+    )
+
+
+def image_residual_figures(
+    k: OperatingPoint,
+    own: np.ndarray,
+    both: tuple[np.ndarray, ...],
+    titles: tuple[str, ...] = ("without it", "with it"),
+) -> str:
+    """Figures of mean residuals over one camera's image, one for each of several residuals (n, 2) px."""
+    o = k.observed.observations
+    camera = k.design.cameras[o.camera[own[0]]]
+    cell = camera.width / CELLS
+    drawn = [patch_means(o.uv[own], values[own], cell) for values in both]
+    longest = max(float(np.linalg.norm(drawn[0][1], axis=1).max(initial=0)), 1e-9)
+    return panel_row(
+        *(
+            image_plane_figure(
+                f"{camera.name}, {title}",
+                f"longest arrow of both {longest:.3g} px",
+                (camera.width, camera.height),
+                (Arrows(centre, mean, 1.2 * cell / longest, "px", colour),),
+            )
+            for (centre, mean), title, colour in zip(drawn, titles, (BEFORE, AFTER))
+        )
+    )

@@ -1,0 +1,129 @@
+"""A claim held against poses: noise of each pose averages out, shared noise does not, rotation counts, and a base that
+was moved is recognised.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.certification.calibration import claim_status_text
+from calib.certification.claim_verification import Part, Verification, verify_claim
+from calib.certification.workspace_claim import Claim
+from calib.samples.pose_samples import Samples
+from rig.model.mechanisms import hexapod
+from rig.model.pose import adjoint, exp
+from rig.planning import configuration_sets
+from tests.calib.worlds import rms
+
+POSITION, ROTATION = 20e-6, 60e-6  # m, rad: upper ends of the claim
+
+
+def claimed(position=POSITION, rotation=ROTATION):
+    after = tuple((0.8 * upper, 0.6 * upper, upper) for upper in (position, rotation))
+    return Claim(60, 42, 40, 42, "", "", ((1e-3, 1e-3, 1e-3),) * 2, after, (50.0, 40.0, 60.0), (30.0, 20.0, 40.0))
+
+
+def trial(design, seed, size, own=5e-6, shared=0.0, count=60, turned=None):
+    """(predicted poses, Samples) of a machine whose smooth error is so many times the claim's upper end; own,
+    shared : m, and five times that in rad
+    turned : as size for rotation, the same by default"""
+    rng = np.random.default_rng(seed)
+    commands = configuration_sets.sobol_configurations(design.mechanism.strut_range, count, 0.8, seed)[
+        rng.permutation(count)
+    ]
+    predicted = hexapod.forward(commands, design.mechanism)
+    error = (commands - commands.mean(axis=0)) @ rng.normal(size=(6, 6))
+    position, rotation = rms(error)
+    error *= np.repeat([size * POSITION / position, (size if turned is None else turned) * ROTATION / rotation], 3)
+    sigma, factor = np.repeat([own, 5 * own], 3), np.repeat([shared, 5 * shared], 3)
+    T = predicted * exp(error) * exp(sigma * rng.normal(size=(count, 6)) + factor * rng.normal(size=6))
+    samples = Samples(
+        np.arange(count),
+        np.arange(count) * 10.0,
+        commands,
+        T,
+        np.tile(np.diag(sigma**2), (count, 1, 1)),
+        np.tile(np.diag(factor), (count, 1, 1)),
+    )
+    return predicted, samples
+
+
+def held(predicted, samples, claim=None):
+    return verify_claim(predicted, samples, np.arange(len(samples)), claim or claimed(), np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("own, shared", [(5e-6, 0.0), (12e-6, 0.0), (5e-6, 10e-6)])
+def test_a_claim_that_is_true_is_kept_and_one_wrong_by_half_is_not(design, own, shared):
+    right = [held(*trial(design, seed, 0.9, own, shared)).kept for seed in range(3)]
+    wrong = [held(*trial(design, seed, 1.6, own, shared)).kept for seed in range(3)]
+    assert all(right) and not any(wrong)
+
+
+def test_own_noise_averages_out_over_poses(design):
+    found = held(*trial(design, 1, 0.5, own=40e-6))
+    assert found.kept and found.position.limit < 1.15, "not 2.4 times the whole floor's square"
+
+
+def test_rotation_is_judged_beside_position(design):
+    found = held(*trial(design, 2, 0.5, turned=2.0))
+    assert found.position.kept and not found.rotation.kept and not found.kept
+
+
+def test_what_is_not_measured_is_not_judged(design):
+    predicted, samples = trial(design, 3, 0.8)
+    covariance = samples.covariance.copy()
+    covariance[:, [3, 4, 5], [3, 4, 5]] = np.inf
+    found = held(predicted, replace(samples, covariance=covariance))
+    assert found.rotation is None and found.kept and list(found.parts) == ["position"]
+
+
+@pytest.mark.parametrize("of", ["base", "platform"])
+def test_a_base_that_was_moved_is_no_broken_claim(design, of):
+    predicted, samples = trial(design, 4, 0.7)
+    motion = exp(np.array([0.1, -0.1, 0.06, 0.05, 0.02, -0.08]))
+    T = samples.T_base_platform
+    found = held(predicted, replace(samples, T_base_platform=motion * T if of == "base" else T * motion))
+    assert not found.kept and found.offset.of == of and found.offset.kept
+    assert found.offset.position == pytest.approx(np.linalg.norm(motion.translation), rel=1e-3)
+    assert found.offset.rotation == pytest.approx(motion.rotation.magnitude(), rel=1e-2)
+
+
+def test_a_moved_base_does_not_excuse_what_is_wrong_besides(design):
+    predicted, samples = trial(design, 5, 3.0)
+    motion = exp(np.array([0.1, -0.1, 0.06, 0.05, 0.02, -0.08]))
+    found = held(predicted, replace(samples, T_base_platform=motion * samples.T_base_platform))
+    assert not found.kept and found.offset is not None and not found.offset.kept
+
+
+def test_a_few_visits_of_one_configuration_count_once(design):
+    predicted, samples = trial(design, 6, 0.9, count=4)
+    again = np.tile(np.arange(4), 15)
+    label, claim, rng = again, claimed(), np.random.default_rng(0)
+    few = verify_claim(predicted[again], samples.take(again), label, claim, rng)
+    many = held(*trial(design, 6, 0.9))
+    assert few.position.limit > 1.25 * many.position.limit
+
+
+def test_an_error_that_would_have_been_noticed_is_stated(design):
+    quiet, loud = (held(*trial(design, 7, 0.5, own=own)).position.noticed for own in (1e-6, 60e-6))
+    assert POSITION < quiet < 1.3 * POSITION and loud > 1.5 * quiet
+
+
+def test_the_adjoint_takes_a_tangent_to_the_other_side():
+    T, xi = exp(np.array([0.3, -0.2, 0.5, 0.4, -1.0, 0.2])), 1e-3 * np.arange(6.0)
+    np.testing.assert_allclose((T * exp(xi)).as_matrix(), (exp(adjoint(T) @ xi) * T).as_matrix(), atol=1e-12)
+
+
+def test_a_claim_that_names_something_unexplained_is_refuted_by_half_as_much_again():
+    """What is unexplained differs from one recording to another: an error beyond chance that is within REFUTES refutes
+    no such claim.
+    """
+    part = Part(47e-6, 24e-6, 1.3, 1.13, 40e-6)
+    strict = Verification(60, None, part)
+    assert strict.refutes and claim_status_text(strict) == "NOT kept"
+    named = replace(strict, unexplained=True)
+    assert not named.refutes and not named.kept and "unexplained" in claim_status_text(named)
+    assert replace(named, rotation=replace(part, of_allowed=1.6)).refutes
+    held = replace(named, rotation=replace(part, of_allowed=1.1))
+    assert not held.refutes and claim_status_text(held) == "kept"

@@ -1,0 +1,120 @@
+"""Claims from what was held out: intervals hold the truth where something is left out that no model has, and have a
+width where nothing is fitted.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.certification.additional_pass import Pass, certify_additional_pass
+from calib.certification.calibration import Calibration
+from calib.certification.extension_certification import Asked, certify_extended_correction, claim_without_geometry
+from calib.certification.held_out_error_statistics import HeldErrors
+from calib.certification.workspace_claim import PLACES, ConfigurationInformation, claim_of_mean_squares
+from calib.correction.correction import Correction, commands_with_pose
+from calib.models.arm import error_model
+from calib.models.arm.certification import arm_workspace_claim as promised_arm
+from calib.models.arm.certification import certify_arm as certify_arm
+from rig.model.pose import pose_difference
+from rig.planning.configuration_sets import sobol_configurations
+from tests.calib import arm_worlds as worlds
+from tests.calib.worlds import real, rms, sampled
+from tests.rig.arms import UR10
+
+
+def playing(gap, seed):
+    """Struts that stand at either end of a gap (m), whichever they came to last."""
+    rng = np.random.default_rng(seed + 7)
+    return lambda commands: gap / 2 * rng.choice([-1.0, 1.0], commands.shape)
+
+
+def test_draws_of_a_mean_square_hold_it_whether_few_or_many_tell_it():
+    rng = np.random.default_rng(0)
+    for count in (8, 40):
+        inside = 0
+        for _ in range(200):
+            squares = ((rng.normal(size=(count, 3)) ** 2).sum(axis=1) * rng.chisquare(4, count) / 4)[:, None] * [
+                1.0,
+                1.0,
+            ]  # of unlike places
+            low, high = np.quantile(HeldErrors(squares, np.zeros((count, 2))).draws(400, rng)[:, 0], [0.025, 0.975])
+            inside += low < 3.0 < high
+        assert inside >= 184
+
+
+def test_noise_that_explains_all_leaves_nothing_and_what_was_not_measured_is_nothing():
+    squares = np.column_stack([np.full(20, 3.0), np.full(20, np.nan)])
+    held = HeldErrors(squares, np.column_stack([np.full(20, 3.0), np.full(20, np.nan)]))
+    draws = held.draws(1000, np.random.default_rng(0))
+    assert held.beyond().tolist() == [0.0, 0.0] and (draws[:, 1] == 0).all() and np.quantile(draws[:, 0], 0.975) < 3.0
+
+
+@pytest.mark.parametrize("owners", [0.0, 1e-9])
+def test_a_factor_is_finite_where_noise_explains_all_that_is_left(design, owners):
+    samples, _ = sampled(design, 0, 10, None)
+    claim = claim_of_mean_squares(
+        np.full((100, 2), owners),
+        np.zeros((100, 2)),
+        "here",
+        samples,
+        ConfigurationInformation(10, 0, 0, 0, ""),
+        np.random.default_rng(0),
+    )
+    assert np.isfinite([claim.ratio, claim.measured]).all() and claim.after[0] == (0.0, 0.0, 0.0)
+    with pytest.raises(ValueError, match="ratio of a claim"):
+        replace(claim, ratio=(1.0, np.nan, np.nan))
+
+
+@pytest.mark.parametrize("way", ["alone", "onto"])
+def test_a_claim_of_a_field_or_of_a_pass_holds_what_play_leaves(design, way):
+    m, inside, wide = design.mechanism, 0, []
+    for seed in range(8):
+        play, rng = playing(56e-6, seed), np.random.default_rng(seed)
+        samples, true = sampled(design, seed, 40, play)
+        if way == "alone":
+            done, _ = certify_extended_correction(samples, m, Asked("radial", True), rng)
+        else:
+            before = Calibration(Correction(m, true, (None,) * 6), np.zeros((42, 42)), np.zeros(6), (), (), None, {})
+            done, _, _ = certify_additional_pass(samples, before, Pass("radial"), rng)
+        _, low, high = claim_without_geometry(samples, done, rng).after[0]
+        commands, T = commands_with_pose(sobol_configurations(m.strut_range, 200, 0.8, 77), done.correction)
+        inside += low <= rms(pose_difference(T, real(commands, true, play)))[0] <= high
+        wide.append(high / low)
+    assert inside >= 7 and 1.2 < min(wide) < max(wide) < 4
+
+
+def test_an_arm_whose_noise_is_stated_ten_times_too_small_says_so_and_claims_what_is_left():
+    rng = np.random.default_rng(4)
+    true = worlds.secret(UR10, rng)
+    sigma = np.repeat([2e-5, 1e-4], 3)
+    samples = worlds.tracked(true, UR10, 60, rng, tuple(10 * sigma[[0, 3]]))
+    small = worlds.replace(samples, covariance=samples.covariance / 100)
+    done = certify_arm(small, UR10, worlds.TRACKER, rng)
+    claim = promised_arm(small, done, rng)
+    assert any(
+        "positions of the hand scatter by 0.3" in line and "beyond the 0.0346 mm that is stated" in line
+        for line in claim.unexplained
+    )
+    honest = certify_arm(samples, UR10, worlds.TRACKER, np.random.default_rng(4))
+    assert promised_arm(samples, honest, np.random.default_rng(4)).unexplained == ()
+
+
+@pytest.mark.parametrize("gears", [0.0, 4e-4])
+def test_an_arms_claim_is_never_better_than_poses_held_out_allow(gears):
+    inside = 0
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        true = worlds.secret(UR10, rng)
+
+        def deviation(q, true=true):
+            return gears * np.sin(9 * q + np.arange(6))
+
+        samples = worlds.tracked(true, UR10, 60, rng, deviation=deviation)
+        done = certify_arm(samples, UR10, worlds.TRACKER, rng)
+        claim = promised_arm(samples, done, rng)
+        seen = np.stack([samples.commanded.min(axis=0), samples.commanded.max(axis=0)], axis=1)
+        q = sobol_configurations(seen, PLACES, 0.8)
+        off = pose_difference(done.correction.predict(q), error_model.predicted_target_poses(q + deviation(q), true))
+        inside += claim.after[0][1] <= rms(off)[0] <= claim.after[0][2]
+    assert inside >= 5

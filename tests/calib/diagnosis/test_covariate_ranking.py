@@ -1,0 +1,78 @@
+"""Covariates are ranked by what they explain of the remainder: the one that an effect follows leads before, and nothing
+is left to it after.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.diagnosis.engine.selection_inputs import NO_STATED_TERMS
+from calib.diagnosis.engine.term_selection import select_terms
+from calib.diagnosis.problems.arm.arm_problem import ArmProblem
+from calib.diagnosis.problems.arm.joint_candidates import joint_candidates
+from calib.diagnosis.problems.arm.linearised_poses import linearise_poses
+from calib.diagnosis.problems.arm.pose_fit import fit_poses
+from calib.diagnosis.problems.arm.remainder_covariates import ranked_covariates
+from calib.diagnosis.problems.requested_effects import RequestedEffects
+from calib.diagnosis.report.report_entries import diagnosis_report
+from calib.diagnosis.report.report_sentences import covariate_table
+from rig.effects.framework.machine_motion import Path
+from rig.effects.framework.play_operator import play_operator
+from rig.recording.recording_folder import Sensors
+from tests.calib import arm_worlds
+from tests.calib.diagnosing import diagnosis_of
+from tests.calib.recorded import recorded
+from tests.rig.arms import UR10
+
+
+@pytest.fixture(scope="module")
+def rec(tmp_path_factory, design):
+    found = recorded(tmp_path_factory.mktemp("rec"), design, ["settling_error:strut3:fraction=2e-3"], route="sobol:60")
+    rng = np.random.default_rng(3)
+    odd = {
+        "humidity_percent": 40 + rng.normal(size=len(found.sensors.t)).cumsum() * 0.1,
+        "doors": np.zeros(len(found.sensors.t)),
+    }
+    return replace(found, sensors=Sensors(found.sensors.t, {**found.sensors.channels, **odd}))
+
+
+def test_what_an_effect_follows_leads_and_is_gone_after(rec):
+    told = diagnosis_report(diagnosis_of(rec, ["settling_error"]))
+    names = [c.name for c in told.covariates]
+    assert (
+        names[0] == "step"
+        and {"time", "order", "direction", "dwell", "way travelled", "humidity_percent"} <= set(names)
+        and "doors" not in names
+    )
+    by = {c.name: c.explains for c in told.covariates}
+    assert by["step"]["struts"].before > 0.1 > 0.05 > by["step"]["struts"].after
+    assert by["humidity_percent"]["struts"].p_value > 1e-3 and by["humidity_percent"]["images"].after < 0.01
+    heads, rows = covariate_table(told.covariates)
+    assert heads[0] == "goes with" and len(heads) == len(rows[0]) == 6 and rows[0][0] == "step"
+
+
+def test_a_dwell_counts_from_the_last_move():
+    t, lengths = np.array([0.0, 1.0, 2.0, 5.0, 6.0]), np.array([[1.0], [1.0], [2.0], [2.0], [3.0]])
+    assert Path(t, lengths, np.array([1, 2, 3, 4])).dwell.tolist() == [1.0, 0.0, 3.0, 0.0]
+
+
+def test_of_an_arm_too(arm_with_play):
+    problem, arms = arm_with_play
+    told = {c.name: c for c in ranked_covariates(fit_poses(arms), select_terms(problem).fit, problem.policy.cluster)}
+    assert next(iter(told)) == "direction" and {"time", "order", "step", "way travelled"} <= set(told)
+    assert told["direction"].before["joints"].share > 0.1 > 0.01 > told["direction"].after["joints"].share
+
+
+@pytest.fixture(scope="module")
+def arm_with_play():
+    """(ArmProblem, Arms) of a UR10 with backlash in joint 3 alone."""
+    rng = np.random.default_rng(5)
+    true = arm_worlds.secret(UR10, rng)
+
+    def deviation(q):
+        return (play_operator(q, 3e-4) - q) * (np.arange(6) == 2)
+
+    arms, _ = linearise_poses(arm_worlds.tracked(true, UR10, 150, rng, deviation=deviation), arm_worlds.design(UR10))
+    candidates, _ = joint_candidates(arms, RequestedEffects.of(["backlash"], (), NO_STATED_TERMS))
+    return ArmProblem(arms, candidates), arms

@@ -1,0 +1,165 @@
+"""The search at an arm's joints: its short cuts give what the long way gives, and what comes again is told from
+noise.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.diagnosis.engine.linear_model import Column, LinearModel
+from calib.diagnosis.engine.term_selection import select_terms
+from calib.diagnosis.problems.arm import excess_scatter as arm_excess_scatter
+from calib.diagnosis.problems.arm.arm_evidence import pose_repeatability
+from calib.diagnosis.problems.arm.arm_problem import ArmProblem
+from calib.diagnosis.problems.arm.candidate_search import joint_products, search_candidates, solved_grid, solved_nodes
+from calib.diagnosis.problems.arm.joint_candidates import joint_candidates
+from calib.diagnosis.problems.arm.lack_of_fit import lack_of_fit
+from calib.diagnosis.problems.arm.linearised_poses import linearise_poses
+from calib.diagnosis.problems.arm.pose_fit import Term, fit_poses
+from calib.diagnosis.problems.arm.whitened_columns import Columns, Part
+from calib.diagnosis.problems.requested_effects import RequestedEffects
+from calib.identify.robust_fit import excess_scatter, robust_weights
+from tests.calib import arm_worlds
+from tests.rig.arms import UR10
+
+SIGMA = 2e-5  # m, per axis
+
+
+def seen(deviation, count=200, seed=3, again=0):
+    rng = np.random.default_rng(seed)
+    samples = arm_worlds.tracked(arm_worlds.secret(UR10, rng), UR10, count, rng, deviation=deviation, again=again)
+    return linearise_poses(samples, arm_worlds.design(UR10))[0]
+
+
+def only(joint, function):
+    """What a joint (index) does beyond its command, function(q), the others being true."""
+    return lambda q: function(q)[:, None] * (np.arange(6) == joint)
+
+
+@pytest.fixture(scope="module")
+def searched():
+    arms = seen(only(2, lambda q: 3e-4 * np.sin(7 * q[:, 2])), 150)
+    return fit_poses(arms, (), np.arange(len(arms)) % 7 != 3), joint_candidates(arms, RequestedEffects())[0]
+
+
+@pytest.mark.parametrize("name", ["cyclic_error", "missed_steps"])
+def test_short_cuts_give_the_best_nodes_their_score_and_the_others_a_bound(searched, name):
+    now, candidates = searched
+    candidate = next(c for c in candidates if c.name == name and c.joint == 2)
+    products = joint_products(now, 2)
+    quick, long = solved_grid(now, candidate, products), solved_nodes(now, candidate, products, candidate.grid)
+    top = np.argsort(long.delta_chi2)[-20:]
+    assert quick.delta_chi2[top] == pytest.approx(long.delta_chi2[top], rel=1e-6)
+    assert np.array(quick.coefficients)[top] == pytest.approx(np.array(long.coefficients)[top], abs=1e-9)
+    assert (
+        quick.delta_chi2 <= long.delta_chi2 * (1 + 1e-6)
+    ).all() and quick.delta_chi2.sum() > 0.8 * long.delta_chi2.sum()
+
+
+def test_a_term_struck_out_or_set_beside_is_the_fit_without_or_with_it(searched):
+    now, candidates = searched
+    a, b = [Term.of(s) for s in search_candidates(now, candidates, -np.inf)[:2]]
+    both = now.with_terms([a, b])
+    assert both.without_terms([0, 1]).left == pytest.approx(now.left, abs=1e-12)
+    assert both.without_terms([0]).left == pytest.approx(now.with_terms([b]).left, abs=1e-12)
+    assert both.cost() < now.with_terms([b]).cost() < now.cost()
+    score = search_candidates(now, [a.candidate], -np.inf)[0]
+    assert score.delta_chi2 * score.dispersion == pytest.approx(now.cost() - now.with_terms([a]).cost(), rel=1e-6)
+
+
+def test_a_model_by_its_columns_leaks_what_one_by_its_basis_does(searched):
+    now, candidates = searched
+    linear = now.with_terms([Term.of(search_candidates(now, candidates)[0])]).linear
+    Q = linear.columns.parts[0] @ linear.half  # the columns are an operator; this is written out
+    basis = LinearModel(linear.blocks, Column((Q,)), None, linear.size)
+    rng = np.random.default_rng(0)
+    reach, onto = rng.normal(size=Q.shape[1]), rng.normal(size=(3, Q.shape[1]))
+    assert linear.leakage(reach, onto) == pytest.approx(basis.leakage(reach, onto), abs=1e-9)
+    projections, grams = basis.by_frames()  # as a model of few nuisances is asked
+    assert linear.leakage(reach, onto) == pytest.approx((projections + grams @ reach) @ onto.T, abs=1e-9)
+    few = LinearModel(linear.blocks, Column((np.ascontiguousarray(Q[:, :2]),)), None, linear.size)
+    assert few.leakage(reach[:2], onto[:, :2]) == pytest.approx(
+        (projections[:, :2] + grams[:, :2, :2] @ reach[:2]) @ onto[:, :2].T, abs=1e-9
+    )
+    column = Column((rng.normal(size=(len(Q), 2)),))
+    assert linear.project(column).right == pytest.approx(basis.project(column).right, rel=1e-9)
+    assert linear.project(column).gram == pytest.approx(basis.project(column).gram, rel=1e-9)
+
+
+def test_columns_made_of_joints_and_weights_are_the_columns_written_out():
+    rng = np.random.default_rng(1)
+    n, k = 20, 6
+    directions = rng.normal(size=(n, k, 3))
+    shapes = {None: (n, k, 4)} | {joint: (n, joint) for joint in (2, 1)}
+    parts = (
+        *(Part(joint, rng.normal(size=shape)) for joint, shape in shapes.items()),
+        Part(1, rng.normal(size=(n, 5))),
+    )
+    columns = Columns(directions, parts)
+    plain = np.concatenate(
+        [p.values if p.joint is None else directions[..., [p.joint]] * p.values[:, None, :] for p in parts], axis=2
+    )
+    flat, sizes, moved = plain.reshape(n * k, -1), rng.normal(size=(12, 3)), rng.normal(size=(n, k, 2))
+    assert columns.gram() == pytest.approx(flat.T @ flat) and columns.at(sizes) == pytest.approx(plain @ sizes)
+    assert columns.onto(moved) == pytest.approx(flat.T @ moved.reshape(n * k, 2))
+    assert columns.along(moved) == pytest.approx(np.swapaxes(moved, 1, 2) @ plain)
+    assert columns.cross(columns.without_parts([0, 2])) == pytest.approx(
+        flat.T @ np.delete(flat, [0, 1, 2, 3, 6], axis=1)
+    )
+    assert columns.operator() @ sizes == pytest.approx(flat @ sizes) and columns.operator().T @ flat == pytest.approx(
+        flat.T @ flat
+    )
+
+
+def test_wild_poses_neither_widen_the_scatter_nor_count():
+    rng = np.random.default_rng(4)
+    left, own = SIGMA * rng.normal(size=(400, 6)), np.tile(SIGMA**2 * np.eye(6), (400, 1, 1))
+    assert excess_scatter(left, own) == pytest.approx(0, abs=0.3 * SIGMA)
+    left[::33] += 10 * SIGMA
+    assert excess_scatter(left, own) == pytest.approx(0, abs=0.6 * SIGMA)
+    assert excess_scatter(10 * left, own) == pytest.approx(
+        10 * SIGMA, rel=0.1
+    )  # a sigma that is stated too small by ten
+    weight = robust_weights((left**2).sum(axis=1) / SIGMA**2, 6)
+    assert (weight[::33] < 0.1).all() and np.delete(weight, np.s_[::33]).mean() > 0.99
+
+
+def test_an_effect_at_the_end_of_a_recording_is_not_taken_for_wild_poses():
+    arms = seen(None, 150)
+    late = np.arange(150) >= 140
+    arms = replace(arms, left=arms.left + arms.joints[..., 2] * 2e-3 * late[:, None])
+    chosen = select_terms(ArmProblem(arms, joint_candidates(arms, RequestedEffects(("missed_steps",)))[0])).fit
+    assert [(t.candidate.name, t.candidate.place) for t in chosen.terms] == [("missed_steps", "joint 3")]
+    assert not chosen.aside.any() and chosen.theta[chosen.slices[0]] == pytest.approx(2e-3, rel=0.05)
+
+
+def test_sinusoid_is_found_with_its_order(searched):
+    now, candidates = searched
+    problem = ArmProblem(now.arms, candidates)
+    chosen = select_terms(problem)
+    assert [(t.candidate.name, t.candidate.place) for t in chosen.fit.terms] == [("cyclic_error", "joint 3")]
+    assert chosen.fit.terms[0].node["order"] == pytest.approx(7, abs=0.1)
+    assert np.hypot(*chosen.fit.theta[chosen.fit.slices[0]]) == pytest.approx(3e-4, rel=0.1)
+    proof = problem.cross_validations(chosen.fit, [0])[0]
+    assert proof.after < 0.7 * proof.before and proof.gain > 2
+
+
+def test_repeats_tell_noise_from_what_comes_again():
+    quiet = pose_repeatability(fit_poses(seen(None, again=60)))
+    assert quiet.pairs == 60 and quiet.rms == pytest.approx(SIGMA * np.sqrt(3), rel=0.15) and quiet.p_value > 1e-3
+    wavy = pose_repeatability(fit_poses(seen(only(1, lambda q: 2e-4 * np.sin(9 * q[:, 1] + 5 * q[:, 3])), again=60)))
+    assert (
+        wavy.rms == pytest.approx(SIGMA * np.sqrt(3), rel=0.15) and wavy.recurring_share > 0.8 and wavy.p_value < 1e-4
+    )
+    assert pose_repeatability(fit_poses(seen(None))) is None
+
+
+def test_what_the_catalogue_lacks_is_unknown_at_its_joint():
+    arms = seen(only(2, lambda q: 2e-4 * np.sin(q[:, 0])), again=60)
+    chosen = select_terms(ArmProblem(arms, joint_candidates(arms, RequestedEffects())[0])).fit
+    assert chosen.terms == ()
+    left = [*lack_of_fit(chosen, 5), *arm_excess_scatter.excess_scatter(chosen, pose_repeatability(chosen), [])]
+    assert left[0].place == "joint 3" and left[0].depends_on == ("pose",)
+    assert left[0].magnitude == pytest.approx(np.std(2e-4 * np.sin(arms.q[:, 0])), rel=0.3)
+    assert left[-1].place == "rig" and left[-1].depends_on == ("configuration",)
