@@ -1,4 +1,8 @@
-"""Held-out poses of recordings with their errors, and the repeatability of poses visited again."""
+"""Held-out poses of recordings with their errors, and the repeatability of poses visited again.
+
+Only exposures of a machine at rest count, and of each configuration the first visit alone speaks for poses at large:
+the others are repeats, from which repeatability is read.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

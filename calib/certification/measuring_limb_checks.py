@@ -1,4 +1,9 @@
-"""Fitted measuring limbs: six give the platform's pose, and each redundant limb checks it."""
+"""Fitted measuring limbs: six give the platform's pose, and each redundant limb checks it.
+
+A check's own joints and zero are fitted to the poses that the six told while vision held them, so that what it does
+not close by later is no matter of vision's frame: some limb reads otherwise than it did. Source: Merlet, Parallel
+Robots, 2nd ed., ch. 9 (redundant sensors).
+"""
 
 from dataclasses import dataclass, field, replace
 

@@ -1,4 +1,19 @@
-"""Promise of a pose error bound from held-out poses, whole and by cell, and conformity with tolerances."""
+"""Promise of a pose error bound from held-out poses, whole and by cell, and conformity with tolerances.
+
+The promise is one statement of position and rotation. Each pose has a depth, the greater of its position error and
+its rotation error, each in a unit that was fixed before the held-out poses were measured; the limit of depth, times
+the units, bounds both. So the 59 configurations of one limit suffice, and nothing is divided between two. Each
+configuration counts once. The limit is that of the poses' own errors (calib.certify.noise_free_errors), to whose
+margin is added, in squares, what one draw of the errors that all poses of a recording share could hide, and what the
+scale of the targets is uncertain by. docs/mathematics.md (24) and (26)
+
+One decision is made of all tolerances. Judged is the depth below which the `coverage` of all poses lies, each pose's
+depth the greater of its position and rotation errors over their tolerances: 1 is as good as required. It is accepted
+only where even the upper limit is within 1, refused only where even the lower is beyond it, both one-sided with
+GUARD: the guard band between is as wide as the limits are apart, and a decision, of one tolerance or of two, is wrong
+in 2.5 % of cases at the most. Errors of the targets' scale are in no held-out pose, so that a position is accepted
+only where the scale was certified. docs/mathematics.md (28); JCGM 106:2012, 8.3 (guarded acceptance).
+"""
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass

@@ -1,4 +1,9 @@
-"""Joint fit of cameras, lenses and hexapod geometry to corners, and the correction refined by it."""
+"""Joint fit of cameras, lenses and hexapod geometry to corners, and the correction refined by it.
+
+No frame has unknowns of its own: its pose is the forward kinematics of its command. Two steps (poses first,
+parameters after, calib/models/platform/identification.py) agree with this to second order where the poses' shared
+errors are solved for with the parameters, and fall behind it where they are pooled with the poses' own.
+"""
 
 from dataclasses import dataclass, replace
 

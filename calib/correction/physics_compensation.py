@@ -1,4 +1,9 @@
-"""Compensation of known physics: effects kept with a calibration, and commands that undo them."""
+"""Compensation of known physics: effects kept with a calibration, and commands that undo them.
+
+The one forward model of motion (rig.model.motion_simulation) says what commands become, by their whole history, the
+sensors and the pose. Sought are commands that become what the geometry asks for at every wanted pose: a fixed point
+over the whole route at once, in which the step of an axis grows while it has no effect, as it has none within a gap.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,4 +1,12 @@
-"""Evidence of a change between visits: hypotheses, onsets and verdict (Shiryaev-Roberts procedure)."""
+"""Evidence of a change between visits: hypotheses, onsets and verdict (Shiryaev-Roberts procedure).
+
+The likelihood of all visits with a change since visit k, over that without, averaged over what may change and how
+much, is summed over k > 1. While nothing changes the sum grows by one a visit in expectation, so that an alarm at A
+comes after A quiet visits or more on average. The first visit has none before it and is held against the calibration
+alone, all its numbers together. A change that nobody names is bet on by each visit's own p-value: p^-1/2 / 2, whose
+mean is one while nothing changes. Source: Pollak, Optimal detection of a change in distribution, Annals of Statistics
+1985; Vovk and Wang, E-values, ibid. 2021
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,9 @@
-"""Normal equations of a visit in places, geometry and machine changes (wear, temperature, load)."""
+"""Normal equations of a visit in places, geometry and machine changes (wear, temperature, load).
+
+Unknowns, in this order: six for each camera and target (or for the instrument), the geometry's 42, the eight of
+calib.drift.machine_changes.
+Poses and lenses, which every visit has for itself, are eliminated.
+"""
 
 from dataclasses import dataclass, replace
 

@@ -1,5 +1,11 @@
 """A diagnosis -> the questions that an experiment could settle, by what was measured: only what that takes is
 imported.
+
+Poses of an instrument are as sure as its others; of cameras, as their images will tell, with what cameras and lenses
+add to all alike.
+
+Geometry and the sizes of all that is admitted are as sure as the recordings so far leave them; a lag's or a
+friction's own shape is taken as found.
 """
 
 from collections.abc import Sequence

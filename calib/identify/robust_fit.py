@@ -1,4 +1,10 @@
-"""Robust fits, outlier rows, and the excess of scatter over an instrument's covariance."""
+"""Robust fits, outlier rows, and the excess of scatter over an instrument's covariance.
+
+All that may be smooth is first fitted by weights that fall to nothing with the residual (Tukey's biweight, from the
+start that Huber's weights reach), so that no wild row hides itself or another. A short event is not wild: the row
+before or after it, or one at nearly the same configuration, shows the same. Source: Maronna, Martin and Yohai, Robust
+statistics, 2006, ch. 5.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,10 @@
-"""State of the on-line filter, the steps from one state to the next, and its JSON file."""
+"""State of the on-line filter, the steps from one state to the next, and its JSON file.
+
+A step makes a new state: to go back is to keep one.
+
+Source of the steps: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, docs/mathematics.md
+(22).
+"""
 
 import json
 from dataclasses import dataclass

@@ -1,4 +1,7 @@
-"""Learners of the 42 parameters pose by pose (forgetting, Kalman, gradient), and their JSON file."""
+"""Learners of the 42 parameters pose by pose (forgetting, Kalman, gradient), and their JSON file.
+
+They watch for nothing: each says how far a pose was from what it expected, and follows it.
+"""
 
 import json
 from abc import ABC, abstractmethod

@@ -1,4 +1,12 @@
-"""Poses from accepted measuring limbs, recorded or live, checked now and then by vision."""
+"""Poses from accepted measuring limbs, recorded or live, checked now and then by vision.
+
+The limbs are learnt on as struts are, from vision's poses, beginning with what their acceptance knows: then what
+detects a strut that missed steps (change_detection.py) detects a limb that slipped. One pose of vision that agrees
+with nothing is vision's mistake; several in a row are not.
+
+Every few poses vision checks; where the struts tell otherwise than the limbs, in whatever pose, it looks at the next
+ones too, so that a limb that slips between two checks is not believed until the next.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass

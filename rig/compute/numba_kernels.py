@@ -1,4 +1,7 @@
-"""Numba kernels: lazy compilation on the first call, and the private folder that caches compiled kernels."""
+"""Numba kernels: lazy compilation on the first call, and the private folder that caches compiled kernels.
+
+They are loaded as code.
+"""
 
 import inspect
 import os

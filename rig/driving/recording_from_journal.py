@@ -1,4 +1,10 @@
-"""Recording files written from a run's journal as it grows: commands.csv, frames.csv, sensors.csv."""
+"""Recording files written from a run's journal as it grows: commands.csv, frames.csv, sensors.csv.
+
+The journal is the truth and these files follow from it; a run that goes on writes them anew first. Between a
+departure and an arrival commands.csv has the way as the struts were commanded along it; where that is not known (a
+move that another process saw the end of) they are taken to have moved evenly. All cameras of a frame share its time,
+the middle of their exposures: the struts stand meanwhile, and the journal keeps each camera's own.
+"""
 
 import os
 from collections.abc import Iterable

@@ -1,4 +1,7 @@
-"""Numbers parsed strictly from text, and rounded to significant digits with a readable unit."""
+"""Numbers parsed strictly from text, and rounded to significant digits with a readable unit.
+
+Python takes more (1_0, nan, other scripts' digits, spaces).
+"""
 
 import math
 import re

@@ -1,4 +1,8 @@
-"""Poses (SciPy's RigidTransform) with tangents, translation first, covariances, and conversions to vectors."""
+"""Poses (SciPy's RigidTransform) with tangents, translation first, covariances, and conversions to vectors.
+
+Frames: T_a_b maps b's coordinates to a. Tangent xi = (x, y, z, rx, ry, rz) in m and rad stands on the right:
+T = T_mean * exp(xi), so it lives in b's frame.
+"""
 
 import copyreg
 from collections.abc import Callable

@@ -1,4 +1,9 @@
-"""Transition of an arm into another posture: hand still, hand straight, or to the best posture visited."""
+"""Transition of an arm into another posture: hand still, hand straight, or to the best posture visited.
+
+Source: patent on force measurement with redundant manipulators, [0021], [0022].
+
+Source: patent on force measurement with redundant manipulators, [0023].
+"""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,8 @@
-"""Wrench at the hand from joint torques: the table of torques read, external torques, least squares."""
+"""Wrench at the hand from joint torques: the table of torques read, external torques, least squares.
+
+Source: patent on force measurement with redundant manipulators, [0009]-[0012]: expected torques of weight and motion
+are taken from the measured ones; what is left is J^T f.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,17 @@
-"""Content hashes of frames, by which data already used for learning or fitting are recognised."""
+"""Content hashes of frames, by which data already used for learning or fitting are recognised.
+
+What one camera saw in one frame is marked by its content: the image file's bytes, the corners found in it (marker,
+corner, u, v), or, of an outside instrument, the pose's numbers; what measuring limbs read at it likewise. Neither the
+frame's number, nor its time, nor the camera's name, nor the rest of rig.toml is part of a mark: data that are copied,
+renumbered, cut short or told by another clock are the same data. What occurs twice within one recording (a black
+image, a pose told to few digits) tells it from nothing and is no mark.
+
+Marks go on through every step. A folder that `rig measure` made keeps, frame by frame, the marks of what it was
+measured from, in its manifest; so the raw recording is known again in what was measured from it, and the other way
+round. A calibration and an on-line state keep the marks of all that they were learnt from. Two things hold the same
+data where they share a mark: what was measured anew of the same machine differs in every image by its noise, so that
+chance does not do that.
+"""
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator

@@ -1,4 +1,9 @@
-"""Combinations of fields: the sum of several passes, and a map restricted to part of its space."""
+"""Combinations of fields: the sum of several passes, and a map restricted to part of its space.
+
+Source: configuration-space patent, [0035] (corrections in some regions of the configuration space or the workspace)
+
+Source: configuration-space patent, [0035]
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar

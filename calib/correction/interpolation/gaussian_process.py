@@ -1,4 +1,14 @@
-"""Gaussian process interpolation of noisy correction summands, and the likelihood of its parameters."""
+"""Gaussian process interpolation of noisy correction summands, and the likelihood of its parameters.
+
+Of the symmetric matrices one half is computed: distances once, the exponentials of all pairs in one go, the sums with
+the inverse in one pass. Source: Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, eqs 5.8 and
+5.9
+
+The summand of a strut is the sum of a function of that strut's own command (screw, encoder, scale) and a function of
+the whole configuration; how large and how smooth either is, is found by maximum likelihood. Far from any sample it
+fades to zero, which leaves the fitted geometry alone. Source: Rasmussen and Williams, Gaussian Processes for Machine
+Learning, 2006, eqs 2.25, 2.30, 5.9.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self

@@ -1,4 +1,14 @@
-"""Grid of samples and interpolation on it: n-linear, or barycentric on the simplices of a cell."""
+"""Grid of samples and interpolation on it: n-linear, or barycentric on the simplices of a cell.
+
+The levels W(0, i) < W(1, i) < .. < W(Q(i), i) of actuator i may leave out the ends of its stroke. Source:
+configuration-space patent, [0031], [0032], [0144], [0145].
+
+Source: configuration-space patent, [0028], [0088] (fig. 6 and 7 are its two axes' functions)
+
+A place in a cell lies in the simplex whose vertices are met on going through the cell along the axes in the order of
+the place's coordinates, the largest first; neighbouring cells are cut alike where they meet. Sources:
+configuration-space patent, [0033], [0034]; Kuhn, Some combinatorial lemmas in topology, 1960.
+"""
 
 from dataclasses import dataclass, field, replace
 from itertools import product

@@ -1,4 +1,11 @@
-"""Regression fields by least squares: polynomials, and sums of one piecewise linear function per axis."""
+"""Regression fields by least squares: polynomials, and sums of one piecewise linear function per axis.
+
+How many knots an axis gets is what the samples bear out (Bayesian information criterion). Source: configuration-space
+patent, [0137]; the on-line learning patent for Stewart platforms, [0011] to [0015], learns along one axis after the
+other likewise
+
+Source: configuration-space patent, [0137] (a suitable fit of the values)
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace

@@ -1,4 +1,12 @@
-"""Inner products of columns frame by frame, the normal equations made of them, and fast sums against sinusoids."""
+"""Inner products of columns frame by frame, the normal equations made of them, and fast sums against sinusoids.
+
+A candidate moves each frame in a few directions (an axis longer, a camera's mount moved) by weights; so a search over
+thousands of hypotheses costs sums over frames alone.
+
+Each pose's values are spread onto an even grid by a short kernel, the grid is transformed, and the kernel's own
+transform divided out. Source: Barnett, Magland and af Klinteberg, SIAM J. Sci. Comput. 41, 2019, C479-C504 (type 1;
+kernel eq. 1.8, upsampling 2).
+"""
 
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,4 +1,13 @@
-"""Correction of an arm: commands for wanted poses on the joint solution nearest those visited."""
+"""Correction of an arm: commands for wanted poses on the joint solution nearest those visited.
+
+A solver that starts far away comes down on one solution or another by how its first steps are rounded; along short
+steps, each damped, the joints follow the hand, and the same joints come out in whatever frame poses are given.
+Source: Nakamura and Hanafusa, Inverse kinematic solutions with singularity robustness, ASME JDSMC 1986 (the damping)
+
+Source: lecture on the manipulator Jacobian, compensation by the differential error transform (steps (1), (2) and on),
+and the configuration-space patent for the summands on top. To make up for any error takes six joints: with fewer the
+hand is brought as near as it comes, see rig.model.mechanisms.deficient_arm, and what is left is for `rest` to say.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass

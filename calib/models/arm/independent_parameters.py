@@ -1,4 +1,10 @@
-"""Independent parameters of an arm: by its structure, and by the rank of the data (pivoted QR)."""
+"""Independent parameters of an arm: by its structure, and by the rank of the data (pivoted QR).
+
+A complete model of R joints that turn and P that slide has 4 R + 2 P + 6 parameters, of which an instrument of whole
+poses tells all: of a slide only the direction counts. Which ones stand for the others is chosen in an order: the
+places of base and tool, zeros, angles, then lengths. Sources: Mooring, Roth and Driels, Fundamentals of manipulator
+calibration, 1991 (the count); Hayati, CDC 1983 (beta for d where axes are parallel)
+"""
 
 from dataclasses import dataclass, replace
 

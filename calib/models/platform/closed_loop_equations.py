@@ -1,4 +1,14 @@
-"""Closed-loop equations of struts: residuals and Jacobians, compiled for hexapods, and for two struts."""
+"""Closed-loop equations of struts: residuals and Jacobians, compiled for hexapods, and for two struts.
+
+Each strut closes a loop: commanded length + zero = |R a + t - b|. At constant command a change of the 42 parameters
+moves the pose by J_p = A^-1 D, where A is the struts' Jacobian to the pose and D the loops' to the parameters. Taking
+both at the predicted pose, not at the measured one, keeps the measured pose's noise out of them. Source: Masory, Wang
+and Zhuang, On the accuracy of a Stewart platform, ICRA 1993; the on-line learning patent for Stewart platforms, eq. 1
+[0024].
+
+Only the hinge's place in the plane is the struts' to give; what was measured across the plane, and how the plate on
+the hinge is turned, is no part of the fit.
+"""
 
 from typing import NamedTuple
 

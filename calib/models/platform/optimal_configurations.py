@@ -1,4 +1,13 @@
-"""Optimal configurations for a hexapod's parameters: D-optimal, or fewest for a promised accuracy."""
+"""Optimal configurations for a hexapod's parameters: D-optimal, or fewest for a promised accuracy.
+
+Criteria: "determinant" (D-optimal: the volume of the parameters' uncertainty), "noise" (the noise amplification index
+of Nahvi and Hollerbach, ICRA 1996: smallest singular value squared over the greatest). Source of the exchange:
+Fedorov, Theory of Optimal Experiments, 1972.
+
+What counts is the position error that the parameters leave once they are fitted to the poses so far, its mean square
+over the workspace (I-optimal), exchanged against candidates all over the strokes. Source: Atkinson, Donev and Tobias,
+Optimum Experimental Designs, 2007, ch. 10
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,9 @@
-"""Accuracy of a platform's parameters: combinations that poses determine, and errors of stated values."""
+"""Accuracy of a platform's parameters: combinations that poses determine, and errors of stated values.
+
+The widths of these draws, one for the joints' coordinates and one for the zeros, are found by the evidence, so that
+what the poses do not tell rests on a tolerance that they bear out, and what is promised of it too. Source: MacKay,
+Bayesian interpolation, Neural Computation 1992.
+"""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,9 @@
-"""Camera interface (Source, Frame, CameraError), and the offset of a camera's clock to the host's clock."""
+"""Camera interface (Source, Frame, CameraError), and the offset of a camera's clock to the host's clock.
+
+Each pair of readings of the host's clock, before and after something that the camera stamped, says that offset = host
+- camera lies between them. Bounds of several meet in a narrower one (Cristian, Distributed Computing 3, 1989); old
+bounds widen with the drift that two clocks may have.
+"""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,9 @@
-"""Client of an emulated camera: requests images over TCP from the emulator that renders them."""
+"""Client of an emulated camera: requests images over TCP from the emulator that renders them.
+
+A request is one line, `expose CAMERA SECONDS`. The answer is one line of JSON, {"width", "height", "bits", "age"} or
+{"error"}, and the pixels, row by row (12 bits: two bytes each, low byte first). age (s): how long before the answer
+began to be sent the exposure was.
+"""
 
 import json
 import socket

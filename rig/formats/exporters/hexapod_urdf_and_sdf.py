@@ -1,4 +1,19 @@
-"""URDF (a tree) and SDF (with closed loops) of a hexapod, its struts as simulators model them."""
+"""URDF (a tree) and SDF (with closed loops) of a hexapod, its struts as simulators model them.
+
+A strut's frame stands in its base joint: x along the cardan's first axis, which lies in the base plate, tangential,
+(-y, x, 0) of the joint; y, the second, perpendicular to it and to the strut at home; tilted about y by a fixed angle,
+z runs along the strut.
+
+Strut 1 carries the platform; a simulator closes the loops at the tips of the others.
+
+Joints l1 .. l6 are what is commanded, m; strut_N_turn and strut_N_tilt are the cardans, zero at home; platform_x, _y,
+_z the ball of strut 1. Loops to close, as points that coincide: frame strut_N_tip of strut N and frame
+platform_joint_N of the platform, N = 2 .. 6. Source: the URDF specification, <joint>
+
+A slide l1 .. l6 is zero at home, as every joint of SDF is where its links stand: what is commanded is its position
+plus the length commanded at home, of which its limits know. Masses are SDF's default, 1 kg for each link, until
+somebody states them. Source: SDFormat 1.9 specification, <joint>
+"""
 
 from dataclasses import dataclass
 from xml.sax.saxutils import quoteattr

@@ -1,4 +1,13 @@
-"""LinuxCNC settings of a hexapod (genhexkins), and compensation tables as LinuxCNC files or a CSV grid."""
+"""LinuxCNC settings of a hexapod (genhexkins), and compensation tables as LinuxCNC files or a CSV grid.
+
+There a strut's joint position is its whole length, joint centre to joint centre, plus the screw's correction; the
+components `offset`, one per strut, take the zeros off on the way to the motor, so that it is told what it would be
+told here. Source: genhexkins(9), offset(9) of LinuxCNC.
+
+LinuxCNC adds to a joint's position what its table has there, nominal less actual, joined by straight lines; a file of
+COMP_FILE_TYPE 0 has a line for each nominal position: it, the actual position going up, and going down. Source:
+LinuxCNC, INI configuration, [JOINT_n] COMP_FILE
+"""
 
 import numpy as np
 

@@ -1,4 +1,12 @@
-"""Recording as a Rerun file, its poses as a TUM trajectory, its tables as Parquet."""
+"""Recording as a Rerun file, its poses as a TUM trajectory, its tables as Parquet.
+
+Rerun's image coordinates begin at the first pixel's corner, ours in its middle: half a pixel is added. Its pinhole
+knows no distortion: images are shown as they were taken, corners as they were found in them; a projection into an
+image is off by what the lens bends.
+
+TUM: a line for each pose, `t x y z qx qy qz qw`, s and m, the quaternion's real part last, of the platform in the
+base frame. Source: TUM RGB-D benchmark, file formats
+"""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,11 @@
-"""Dynamics of an arm: joint torques of weight and motion (Newton-Euler), mass matrix, change of momentum."""
+"""Dynamics of an arm: joint torques of weight and motion (Newton-Euler), mass matrix, change of momentum.
+
+Source: Luh, Walker and Paul, On-line computational scheme for mechanical manipulators, 1980 (sliding joints: there
+    too).
+
+d(M v)/dt = tau + C^T v - g + J^T f, which needs no acceleration. Source: De Luca and Mattone, Actuator failure
+detection and isolation using generalized momenta, ICRA 2003.
+"""
 
 from dataclasses import dataclass
 

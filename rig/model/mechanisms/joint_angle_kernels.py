@@ -1,4 +1,11 @@
-"""Compiled kernels for joint angles of six-joint arms: vectors, rotations, shoulder and elbow solutions."""
+"""Compiled kernels for joint angles of six-joint arms: vectors, rotations, shoulder and elbow solutions.
+
+Forward, the hand's three points A, B, C turn about the axes where these stand at zero, the last joint first. Inverse,
+each joint is read from a point or a direction that the joints behind it cannot move, and then turned back before the
+next is read. Vectors are tuples of three numbers, so that nothing is allocated. Where two readings of a joint fall
+together, the small quantity between them is taken from factors and differences that keep its digits. Source: patent
+CN111488654A, claims 1-5.
+"""
 
 from math import atan2, sqrt
 

@@ -1,4 +1,11 @@
-"""Numerical inverse of arms without closed form: solutions from many starts, nearest ones of few joints."""
+"""Numerical inverse of arms without closed form: solutions from many starts, nearest ones of few joints.
+
+Position comes first; rotation is brought as near as the joints' motions that keep the position allow. A calibrated
+arm is led in as many directions as its owner's figures give it: in others it moves by a thousandth of what its joints
+do, and to make up for a tilt that no joint is there for would take turns of them. Sources: Nakamura, Hanafusa and
+Yoshikawa, Task-priority based redundancy control, IJRR 1987; Sugihara, T-RO 2011 (the damping); the lecture on the
+manipulator Jacobian: to make up for any error of a pose takes six joints
+"""
 
 from collections.abc import Callable
 from typing import NamedTuple

@@ -1,4 +1,8 @@
-"""Compiled closed-form inverses of six-joint arms: spherical wrist, or three parallel axes."""
+"""Compiled closed-form inverses of six-joint arms: spherical wrist, or three parallel axes.
+
+All branches: two shoulders, two elbows, two wrists. Points and axes are those at zero, in the global frame. Source:
+patent CN111488654A, claim 5 (there for parallel axes 2, 3, 4; the spherical wrist is read by the same steps).
+"""
 
 import numpy as np
 

@@ -1,4 +1,8 @@
-"""Shipped arms (rig/arms): names, files, and rig.toml layouts with cameras and cubes."""
+"""Shipped arms (rig/arms): names, files, and rig.toml layouts with cameras and cubes.
+
+The arm is to move about one posture, far from its singular ones, in which hand and cubes stay in view: its limits are
+narrowed to that.
+"""
 
 from importlib.resources import files
 from pathlib import Path
