@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.checks.user_mistake import Mistake, sort_mistakes
+from rig.checks.mistake_report import Mistake, sort_mistakes
 from rig.errors import FileError, RigError
 from rig.formats.input_files import read_bytes
 from rig.formats.output_files import Outputs, write_bytes

@@ -12,7 +12,7 @@ import numpy as np
 
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_text import Kinds, parse_effect, require_existing_place, require_nonzero_effect
+from rig.effects.texts.effect_notation import Kinds, parse_effect, require_existing_place, require_nonzero_effect
 from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design, Sensor

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.texts.effect_text import Kinds
+from rig.effects.texts.effect_notation import Kinds
 from rig.errors import FileError, RigError
 from rig.model import motion_simulation
 from rig.planning.plan import Plan

@@ -16,7 +16,7 @@ from rig.model.cube_remounting import quarter_turns, rig_toml_with_turns
 from rig.model.design import Camera, Design, Instrument, MeasuringLimbs
 from rig.model.mechanism_kinds import require_axes
 from rig.model.pose import exp, pose_to_vector, transform_points
-from rig.planning.plan import Plan, add_payload_channel
+from rig.planning.plan import Plan, sensors_with_payload
 from rig.recording.corner_and_pose_tables import DISTANCE, POSE_COLUMNS
 from rig.recording.recording_folder import LIMB, Corners, Sensors
 from rig.recording.recording_tables import write_corners, write_table
@@ -81,7 +81,7 @@ def simulate(world: worlds.World, plan: Plan, rng: np.random.Generator, given: S
         true, log = worlds.draw_temperatures(
             plan.commands.t[-1], rng, worlds.strut_count(require_axes(world.true.mechanism))
         )
-        sensors, log = add_payload_channel(plan, true), add_payload_channel(plan, log)
+        sensors, log = sensors_with_payload(plan, true), sensors_with_payload(plan, log)
     else:
         sensors = log = given
     run = motion_simulation.run_machine(

@@ -15,7 +15,7 @@ from calib.models.chain.identification import identify_chain
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import sample_recording
 from rig.cli import command_line
-from rig.effects.texts.effect_text import parse_effect, require_existing_place
+from rig.effects.texts.effect_notation import parse_effect, require_existing_place
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats import csv_table, machine_json
 from rig.formats.rig_toml import design_file

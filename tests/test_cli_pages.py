@@ -11,7 +11,7 @@ import pytest
 
 from calib.samples.effect_playback import FACTORS, effect_displacements, scaled_effect
 from rig.cli.command_line import main
-from rig.effects.texts.effect_text import parse_effect
+from rig.effects.texts.effect_notation import parse_effect
 from rig.planning import plan
 from rig.report.pages.page_and_svg_templates import Page, write_page
 from rig.report.pages.page_index import list_pages, read_page_summary

@@ -19,7 +19,7 @@ from rig.cli.shared.run_preparation import draw_markers, warm_up
 from rig.cli.shared.run_terminal_display import Block, Lines, view_lines
 from rig.driving.cameras.camera_interface_and_clock import Frame
 from rig.driving.clock import SimulatedClock
-from rig.driving.operator_loop import Shot
+from rig.driving.move_and_record_loop import Shot
 from rig.driving.run_journal import Departure, Ended, Exposed, Readings
 from rig.driving.run_steps_and_progress import steps_of_plan
 from rig.formats.rig_toml import design_file

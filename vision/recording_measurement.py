@@ -128,7 +128,7 @@ def solve_with_doubted_places(
     t : (F,) s
     """
     if markers.stage.any():
-        stages_and_remounted_cubes.require_stated_places(places)
+        stages_and_remounted_cubes.require_stated_marker_places(places)
         return stages_and_remounted_cubes.separate_stage_measurements(
             measure(
                 stages_and_remounted_cubes.separate_stage_frames(observed, markers),

@@ -24,7 +24,7 @@ def _stage_numbers(markers: MarkerMap) -> list[int]:
     return np.unique(markers.stage[markers.stage > 0]).tolist()
 
 
-def require_stated_places(places: str) -> None:
+def require_stated_marker_places(places: str) -> None:
     """Require stated places of markers on a rig with targets on stages: RigError where places are free."""
     if places == "free":
         raise RigError(

@@ -24,14 +24,14 @@ from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.files.calibration_from_recording import SEED, calibration_with_provenance
 from calib.models.arm import calibration_page as arm_page
 from calib.models.arm import certification as arm_certification
-from calib.models.arm.extension_certification import stated_model_summands
+from calib.models.arm.extended_correction_certification import stated_model_summands
 from calib.models.chain import calibration_page as chain_page
 from calib.models.chain import certification as chain_certification
 from calib.online.limb_pose_source import sample_by_limbs
 from calib.report import calibration_page as platform_page
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled, sample_recording
-from rig.effects.texts.effect_text import Kinds
+from rig.effects.texts.effect_notation import Kinds
 from rig.effects.texts.user_effect_files import catalogue_with_files
 from rig.errors import RigError
 from rig.model.design import Design

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from calib.checks.recording_preparation import pose_mistakes
 from rig.api import CheckResult, check_files
-from rig.checks.user_mistake import sort_mistakes
+from rig.checks.mistake_report import sort_mistakes
 from vision.checks import find_corner_mistakes
 from vision.checks.cube_layout_remarks import cube_layout_remarks
 

@@ -20,7 +20,7 @@ from calib.correction.pose_space_map import NAMES
 from calib.correction.summand_extension import pose_coordinate_indices, single_step_errors
 from calib.files import calibration_file
 from calib.models.arm import certification as arm_certification
-from calib.models.arm import extension_certification as arm_extension
+from calib.models.arm import extended_correction_certification as arm_extension
 from calib.models.arm.certification import Certified as ArmCertified
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled

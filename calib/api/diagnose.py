@@ -26,7 +26,7 @@ from calib.diagnosis.report.report_entries import diagnosis_report, write_diagno
 from calib.experiment.diagnosis_questions import diagnosis_questions
 from calib.files import calibration_file
 from calib.samples.recording_samples import Sampled, sample_recording
-from rig.effects.texts.effect_text import Kinds, parse_effect_and_place, require_known_effect
+from rig.effects.texts.effect_notation import Kinds, parse_effect_and_place, require_known_effect
 from rig.effects.texts.user_effect_files import Plugin, catalogue_with_files
 from rig.errors import RigError
 from rig.formats import json_file

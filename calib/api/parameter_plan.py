@@ -2,7 +2,7 @@
 
 from functools import partial
 
-from calib.api.plan_result import SEED, SHOWN, PlanOptions, PlanResult, planned_geometry
+from calib.api.plan_result import SEED, SHOWN, PlanOptions, PlanResult, geometry_and_excluded_configurations
 from calib.certification.platform_certification import Progress
 from calib.experiment.informative_configurations import FEWEST, informative_configurations
 from calib.models.platform.optimal_configurations import choose_d_optimal_configurations
@@ -26,7 +26,7 @@ def plan_for_parameters(design: Design, options: PlanOptions, progress: Progress
         )
     if not isinstance(mechanism, Hexapod):
         return _plan_of_any(design, mechanism, options, progress)
-    mechanism, avoided = planned_geometry(options, mechanism)
+    mechanism, avoided = geometry_and_excluded_configurations(options, mechanism)
     chosen = choose_d_optimal_configurations(
         mechanism,
         options.count,

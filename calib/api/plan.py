@@ -5,7 +5,16 @@ from itertools import combinations
 import numpy as np
 
 from calib.api.parameter_plan import plan_for_parameters
-from calib.api.plan_result import FOR_PARAMETERS, LEAST, MOVES, SEED, SHOWN, PlanOptions, PlanResult, planned_geometry
+from calib.api.plan_result import (
+    FOR_PARAMETERS,
+    LEAST,
+    MOVES,
+    SEED,
+    SHOWN,
+    PlanOptions,
+    PlanResult,
+    geometry_and_excluded_configurations,
+)
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.diagnosis.engine.hypothesis_separation import Separation
 from calib.diagnosis.problems.arm.effect_separation import arm_effect_separation as arm_effect_separation
@@ -14,11 +23,11 @@ from calib.models.platform.optimal_configurations import fewest_configurations
 from calib.samples.confounded_conditions import confounds_of_configurations
 from rig import api
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_text import parse_effect, require_existing_place
+from rig.effects.texts.effect_notation import parse_effect, require_existing_place
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import quantity_text
 from rig.model.design import Design, Hexapod
-from rig.planning.plan import Plan, add_payload_channel, axis_strokes, build_plan
+from rig.planning.plan import Plan, axis_strokes, build_plan, sensors_with_payload
 from rig.recording.recording_folder import Sensors
 
 
@@ -51,7 +60,7 @@ def _keeping_promise(design: Design, promise: float, options: PlanOptions, progr
     """PlanResult of the fewest configurations that keep a promise (m); of none where it is met without any."""
     if not isinstance(design.mechanism, Hexapod):
         raise RigError(f"plans for a promise are for hexapods, not for a mechanism of kind {design.mechanism.kind!r}")
-    mechanism, avoided = planned_geometry(options, design.mechanism)
+    mechanism, avoided = geometry_and_excluded_configurations(options, design.mechanism)
     found = fewest_configurations(
         mechanism, promise, options.sigma, options.given, SEED, lambda done, of: progress("choosing", done, of), avoided
     )
@@ -119,7 +128,7 @@ def _separations(design: Design, effects: list[Effect], options: PlanOptions) ->
         end = tried.commands.t[-1]
         sensors = options.log(end) if options.log is not None else Sensors(np.array([0.0, end]), {})
         separation = platform_effect_separation if struts else arm_effect_separation
-        with_payload = add_payload_channel(tried, sensors)
+        with_payload = sensors_with_payload(tried, sensors)
         found = separation(text, design, tried.commands, tried.t, with_payload, effects, options.sigma)
         out.append((found, tried))
     return out

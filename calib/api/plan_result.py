@@ -137,7 +137,7 @@ class PlanResult:
         write_plan_page(path, file, self, links)
 
 
-def planned_geometry(options: PlanOptions, mechanism: Hexapod) -> tuple[Hexapod, Avoided | None]:
+def geometry_and_excluded_configurations(options: PlanOptions, mechanism: Hexapod) -> tuple[Hexapod, Avoided | None]:
     """(geometry, which configurations are not to be visited) by the calibration that is named; the mechanism as it is
     where none is. Raises RigError for a calibration of another kind of mechanism
     """

@@ -23,10 +23,10 @@ from calib.certification.platform_certification import (
     SURELY,
     Certified,
     Progress,
-    draw_and_add_machines,
     silent_progress,
     strut_deviation_sizes_of_samples,
     uncertified_geometry,
+    with_drawn_machines,
 )
 from calib.certification.workspace_claim import (
     DRAWS,
@@ -137,7 +137,7 @@ def certify_extended_correction(
     if field is not None:
         done = replace(done, found=_without(samples, nominal, found, field, request.alone))
     elif sizes is not None:  # the geometry as it is, of which more is known
-        return draw_and_add_machines(samples, replace(done, left=None), sizes, rng), tried
+        return with_drawn_machines(samples, replace(done, left=None), sizes, rng), tried
     return _with_scatter(samples, done, rng), tried
 
 

@@ -122,7 +122,7 @@ def certify_platform(
         loss = [np.einsum("ni,nij,nj->n", e, weight, e) for e in (np.nan_to_num(after), np.nan_to_num(more[0]))]
         if is_significant_gain(loss[0] - loss[1]):
             done = Certified(correction, found, label, compare_errors(before, more[0], covariance, rng, label[good]))
-    return draw_and_add_machines(samples, done, sizes, rng)
+    return with_drawn_machines(samples, done, sizes, rng)
 
 
 def uncertified_geometry(nominal: Struts, identified: Identified, label: np.ndarray) -> Certified:
@@ -177,7 +177,7 @@ def strut_deviation_sizes_of_samples(samples: Samples, geometry: Certified, rng:
     )
 
 
-def draw_and_add_machines(samples: Samples, certified: Certified, sizes: Sizes, rng: np.random.Generator) -> Certified:
+def with_drawn_machines(samples: Samples, certified: Certified, sizes: Sizes, rng: np.random.Generator) -> Certified:
     """Certified with machines drawn from its samples and added."""
     correction, found = certified.correction, _each_configuration(samples, certified)[1]
     noise = draw_fit_variance_ratio(found, correction.nominal, COUNT, rng)

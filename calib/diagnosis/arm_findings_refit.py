@@ -11,8 +11,8 @@ from calib.diagnosis.platform_findings_refit import Findings, sensor_medians_and
 from calib.diagnosis.problems.temperature_smoothing import smooth_temperatures
 from calib.models.arm.certification import UNPLACED, Certified, start_arm
 from calib.models.arm.error_model import parameter_names
+from calib.models.arm.geometry_and_joint_effects_fit import History, JointFit, Prior, fit_geometry_and_effects
 from calib.models.arm.instrument_observations import sample_observations
-from calib.models.arm.joint_physics_fit import History, JointFit, Prior, fit_geometry_and_effects
 from calib.samples.recording_samples import Sampled
 from rig.effects.framework.fit_coordinates import coordinates_of_effects
 from rig.errors import RigError

@@ -12,7 +12,7 @@ from calib.correction.physics_compensation import Physics, Unknown
 from calib.diagnosis.engine.chance_probability import Z95
 from calib.diagnosis.engine.lack_of_fit import LackOfFit
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
-from calib.diagnosis.problems.platform.exchanged_markers import correct_marker_swaps
+from calib.diagnosis.problems.platform.exchanged_or_turned_faces import correct_marker_swaps
 from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording, without_distant_corners
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refined, refine
 from calib.diagnosis.recording_diagnosis import Diagnosis
@@ -25,7 +25,7 @@ from rig.effects.catalogue.marker_swap import MarkerSwap
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of_effects
 from rig.effects.framework.place import Place
-from rig.effects.texts.effect_text import Kinds
+from rig.effects.texts.effect_notation import Kinds
 from rig.errors import FileError
 from rig.formats import json_file, machine_json
 from rig.formats.checked_entries import Entries

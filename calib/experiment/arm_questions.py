@@ -17,7 +17,7 @@ from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.joint_candidates import joint_candidate
 from calib.diagnosis.problems.arm.linearised_poses import Arms, Geometry, linearise_planned_poses
 from calib.diagnosis.problems.arm.nonlinear_parameters import has_continuous_parameters, optimise_nonlinear_parameters
-from calib.diagnosis.problems.arm.pose_fit import Fit, Term
+from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
 from calib.diagnosis.problems.arm.whitened_columns import Columns, Part
 from calib.diagnosis.problems.platform.temperature_alternatives import WARM
 from calib.diagnosis.recording_diagnosis import Diagnosis

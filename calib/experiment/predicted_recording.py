@@ -11,7 +11,7 @@ from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Design
 from rig.model.pose import exp
-from rig.planning.plan import Plan, add_payload_channel
+from rig.planning.plan import Plan, sensors_with_payload
 from rig.recording.corner_and_pose_tables import Corners
 from rig.recording.recording_folder import PAYLOAD, Sensors
 from vision.corner_observations import observations_from_corners
@@ -44,7 +44,7 @@ def predicted_sensor_log(log: Sensors | None, plan: Plan, temperature_rise: floa
     """Predicted sensor log of a plan's recording: temperatures of the first log raised, payload as planned."""
     if log is None:
         return (
-            add_payload_channel(plan, Sensors(np.array([0.0, plan.commands.t[-1]]), {}))
+            sensors_with_payload(plan, Sensors(np.array([0.0, plan.commands.t[-1]]), {}))
             if (plan.payload[:, 1] > 0).any()
             else None
         )
@@ -54,7 +54,7 @@ def predicted_sensor_log(log: Sensors | None, plan: Plan, temperature_rise: floa
         for name, values in log.channels.items()
         if name != PAYLOAD
     }
-    return add_payload_channel(plan, Sensors(log.t[:end], first))
+    return sensors_with_payload(plan, Sensors(log.t[:end], first))
 
 
 def fitted_design(fit: Refined, design: Design) -> Design:

@@ -34,7 +34,7 @@ from calib.models.machine_models import model_of
 from calib.samples.confounded_conditions import confounds_from_entries
 from calib.workspace.workspace_cells import workspace_dict, workspace_from_entries
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.texts.effect_text import Kinds
+from rig.effects.texts.effect_notation import Kinds
 from rig.formats import json_file, remote_folders
 from rig.formats.checked_entries import Entries
 from rig.formats.input_files import read_bytes

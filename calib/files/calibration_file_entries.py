@@ -9,7 +9,7 @@ import numpy as np
 from calib.correction.physics_compensation import Physics, Unknown
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.fit_coordinates import coordinates_of_effects
-from rig.effects.texts.effect_text import Kinds, effect_from_dict, effect_to_dict, require_existing_place
+from rig.effects.texts.effect_notation import Kinds, effect_from_dict, effect_to_dict, require_existing_place
 from rig.errors import FileError, RigError
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.input_files import short_repr

@@ -43,7 +43,9 @@ def checked_limb_poses(
     """
     accepted = measuring_limbs_file.accepted_limbs(source.path, recording.design)
     found = measuring_limb_poses.limb_poses(recording, accepted)
-    checked = measuring_limb_poses.check_limb_poses(recording, accepted, found, source.every, progress)
+    checked = measuring_limb_poses.check_limb_poses_by_redundancy_and_vision(
+        recording, accepted, found, source.every, progress
+    )
     if checked.disagreement is not None and checked.frame is not None:
         write_withdrawal(source.path, accepted, str(recording.folder), checked.frame, checked.disagreement.reason)
         raise RigError(

@@ -161,7 +161,7 @@ def _is_checked_by_vision(found: Samples, nominal: Hexapod, every: int) -> np.nd
     return look
 
 
-def check_limb_poses(
+def check_limb_poses_by_redundancy_and_vision(
     recording: Recording,
     accepted: Accepted,
     poses: LimbPoses,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.checks.user_mistake import Mistake
+from rig.checks.mistake_report import Mistake
 
 UNITS = {
     "milliseconds": 1e3,

@@ -8,8 +8,8 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.checks.mistake_report import Mistake
 from rig.checks.units_and_conventions import poses_in_other_conventions
-from rig.checks.user_mistake import Mistake
 from rig.errors import RigError
 from rig.formats import csv_table
 from rig.model.design import Hexapod

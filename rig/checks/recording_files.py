@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from rig.checks import clock_mistakes, environment_values, rig_toml_values, units_and_conventions
-from rig.checks.user_mistake import Mistake, sort_mistakes
+from rig.checks.mistake_report import Mistake, sort_mistakes
 from rig.formats import remote_folders
 from rig.formats.input_files import read_text
 from rig.formats.output_files.folder_manifest import file_digest

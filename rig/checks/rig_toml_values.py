@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rig.checks.user_mistake import Mistake
+from rig.checks.mistake_report import Mistake
 from rig.model.design import Arm, Camera, Design
 from rig.model.mechanism_kinds import has_links
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.checks.user_mistake import Mistake
+from rig.checks.mistake_report import Mistake
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_kinds import has_links, has_struts

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.checks import clock_mistakes, rig_toml_values
-from rig.checks.user_mistake import Mistake, sort_mistakes
+from rig.checks.mistake_report import Mistake, sort_mistakes
 from rig.errors import FileError, RigError
 from rig.formats import csv_table, remote_folders
 from rig.formats.input_files import read_text

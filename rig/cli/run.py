@@ -167,14 +167,14 @@ def _dry_run(design: Design, planned: tuple[Step, ...]) -> None:
 
 def move_checker(design: Design) -> Callable[[np.ndarray, np.ndarray], None]:
     """Checker of moves: (start, goal (axes,) m) -> None, raises Unreachable where the driver would refuse the move."""
-    from rig.driving import straight_moves
+    from rig.driving import straight_move_profile
     from rig.model.mechanism_kinds import require_struts
 
     c, m = design.driver(), require_struts(design.mechanism)
 
     def check(start: np.ndarray, goal: np.ndarray) -> None:
-        straight_moves.require_safe_path(
-            start, straight_moves.require_lengths_in_range(goal, m), m, c.margin, c.max_step
+        straight_move_profile.require_safe_path(
+            start, straight_move_profile.require_lengths_in_range(goal, m), m, c.margin, c.max_step
         )
 
     return check
@@ -209,7 +209,7 @@ def _run(arguments: Namespace, design: Design, planned: tuple[Step, ...], settle
         warm_up,
     )
     from rig.driving.clock import SystemClock
-    from rig.driving.operator_loop import Operator
+    from rig.driving.move_and_record_loop import Operator
     from rig.driving.run_journal import Began, Journal
     from rig.driving.run_steps_and_progress import check_steps
 

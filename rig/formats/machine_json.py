@@ -9,7 +9,7 @@ import numpy as np
 
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_text import Kinds, effect_from_dict, effect_to_dict, require_existing_place
+from rig.effects.texts.effect_notation import Kinds, effect_from_dict, effect_to_dict, require_existing_place
 from rig.errors import FileError, RigError
 from rig.formats import json_file
 from rig.formats.checked_entries import LARGEST_RIG, Entries

@@ -333,7 +333,7 @@ def planned_axis_speeds(design: Design) -> np.ndarray:
     )
 
 
-def add_payload_channel(plan: Plan, sensors: Sensors) -> Sensors:
+def sensors_with_payload(plan: Plan, sensors: Sensors) -> Sensors:
     """Sensors with the plan's payload added as a channel."""
     if not (plan.payload[:, 1] > 0).any():
         return replace(sensors, channels={**sensors.channels, PAYLOAD: np.zeros(len(sensors.t))})

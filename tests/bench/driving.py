@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from rig.driving.clock import SystemClock
-from rig.driving.driver import Driver
 from rig.driving.emulators.emulator_construction import home_lengths
 from rig.driving.protocols.protocol_interface import Segment
 from rig.driving.serial_port import SerialPort
+from rig.driving.strut_driver import Driver
 from rig.formats.rig_toml import design_file
 from rig.planning.layout import hexapod_and_two_strut_layout
 

@@ -21,7 +21,7 @@ from rig.driving.cameras.camera_interface_and_clock import Frame
 from rig.driving.cameras.settling_check import parse_settling
 from rig.driving.cameras.synchronised_grab_and_exposure import Shutter
 from rig.driving.clock import SystemClock
-from rig.driving.operator_loop import Bench, Operator
+from rig.driving.move_and_record_loop import Bench, Operator
 from rig.driving.run_journal import Began, Journal
 from rig.driving.run_steps_and_progress import steps_of_plan
 from rig.formats.rig_toml import design_file

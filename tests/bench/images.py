@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.diagnosis.problems.platform.effect_strength import platform_effect_strengths
+from calib.diagnosis.problems.platform.effect_strength import platform_effect_signal_to_noise
 from calib.diagnosis.report.report_entries import diagnosis_report, write_diagnosis
 from calib.samples.recording_samples import Sampled, sample_recording
 from rig.model.pose import pose_difference
@@ -154,7 +154,7 @@ def strength(case: blind_cases.DrawnCase) -> list[float]:
             recording_folder.load_recording(Path(folder) / "rec"), corners=blind_cases.simulated_corners(case)
         )
     world = case.simulation.world
-    return platform_effect_strengths(written, world.true, case.noise, world.effects, case.simulation.sensors)[
+    return platform_effect_signal_to_noise(written, world.true, case.noise, world.effects, case.simulation.sensors)[
         : len(case.hidden)
     ].tolist()
 

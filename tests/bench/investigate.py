@@ -20,7 +20,7 @@ from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.experiment.experiment_choice import Experiment, available_plans, choose_experiment, evaluate_experiment
 from calib.experiment.experiment_information import NAME
 from calib.experiment.platform_questions import platform_questions as questions
-from rig.effects.texts.effect_text import parse_effect, require_existing_place
+from rig.effects.texts.effect_notation import parse_effect, require_existing_place
 from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design

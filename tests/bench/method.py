@@ -20,7 +20,7 @@ from calib.correction.summand_extension import (
 )
 from calib.diagnosis.platform_findings_refit import findings_of_diagnosis
 from calib.samples.recording_samples import sample_recording
-from rig.effects.texts.effect_text import parse_effect
+from rig.effects.texts.effect_notation import parse_effect
 from rig.formats.rig_toml import design_file
 from rig.planning.layout import hexapod_and_two_strut_layout
 from tests.calib.diagnosing import diagnosis_of

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.effects.texts.effect_text import parse_effect
+from rig.effects.texts.effect_notation import parse_effect
 from rig.planning import plan
 from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
 from rig.recording import recording_folder

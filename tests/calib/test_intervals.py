@@ -21,7 +21,7 @@ from calib.diagnosis.problems.platform.simultaneous_refinement import Refined, r
 from calib.diagnosis.report import report_sentences
 from calib.diagnosis.report.diagnosis_json import FindingEntry
 from rig.effects.framework.fit_coordinates import coordinates_of_effects
-from rig.effects.texts.effect_text import parse_effect
+from rig.effects.texts.effect_notation import parse_effect
 from rig.model.manufacturing_tolerances import SIDES
 from synthetic import blind_image_settings
 from tests.calib.recorded import recorded

@@ -35,7 +35,7 @@ WATCHED = (
     "rig.report.pages.run_page_server",
     "calib.files.calibration_file_entries",
     "calib.files.calibration_file_entries",
-    "rig.effects.texts.effect_text",
+    "rig.effects.texts.effect_notation",
     "calib.files.calibration_file",
     "calib.online.filter_state",
     "synthetic.diagnosis_score",

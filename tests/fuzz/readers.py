@@ -17,7 +17,12 @@ from calib.files import calibration_file
 from calib.online.information_filter import Online
 from rig.cli import blind
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.texts.effect_text import effect_from_dict, parse_effect, require_existing_place, require_known_effect
+from rig.effects.texts.effect_notation import (
+    effect_from_dict,
+    parse_effect,
+    require_existing_place,
+    require_known_effect,
+)
 from rig.errors import RigError
 from rig.formats import csv_table, importers
 from rig.formats.importers import image_file_frames as frames

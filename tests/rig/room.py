@@ -8,10 +8,10 @@ from rig.driving.cameras.camera_interface_and_clock import CameraError, Frame
 from rig.driving.cameras.settling_check import parse_settling
 from rig.driving.cameras.synchronised_grab_and_exposure import Shutter
 from rig.driving.clock import SimulatedClock
-from rig.driving.operator_loop import Bench, Operator
+from rig.driving.move_and_record_loop import Bench, Operator
 from rig.driving.run_journal import Arrival, Began, Journal
 from rig.driving.run_steps_and_progress import steps_of_plan
-from rig.driving.straight_moves import trapezoidal_profile
+from rig.driving.straight_move_profile import trapezoidal_profile
 from rig.planning.plan import build_plan
 
 SPEED, RAMP = 0.05, 0.2  # m/s, s

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.problems.arm.effect_strength import arm_effect_strengths
+from calib.diagnosis.problems.arm.effect_strength import arm_effect_signal_to_noise
 from rig.cli import command_line
 from rig.recording import recording_folder
 from synthetic import blind_arm_cases
@@ -53,7 +53,7 @@ def test_an_effects_strength_grows_with_it_and_shrinks_with_the_noise(case):
     (effect,) = done.world.effects
 
     def strength(factor, sigma):
-        return arm_effect_strengths(
+        return arm_effect_signal_to_noise(
             done.world.true,
             done.plan.commands,
             done.plan.t,

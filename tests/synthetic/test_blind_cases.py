@@ -15,7 +15,7 @@ from rig.cli import command_line
 from rig.cli.shared import blind_case_process
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.framework.effect_validity import check_effect
-from rig.effects.texts.effect_text import parse_effect
+from rig.effects.texts.effect_notation import parse_effect
 from rig.errors import FileError
 from rig.model import manufacturing_tolerances, motion_simulation
 from rig.planning import plan
@@ -133,7 +133,7 @@ def test_the_truth_is_closed_to_a_diagnosis(tmp_path):
             "else p.read_text())"
         )
         code = (
-            "from rig.cli.shared.child_processes import forbid_folder as forbid; "
+            "from rig.cli.shared.child_processes import forbid_own_reading_of_folder as forbid; "
             f"forbid({str(tmp_path / 'truth')!r}); {look}"
         )
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
@@ -336,7 +336,7 @@ def test_what_is_no_campaign_is_said(tmp_path):
 
 
 def test_strength_is_the_signal_after_calibration_has_had_its_share(design, rig_text, tmp_path):
-    from calib.diagnosis.problems.platform.effect_strength import platform_effect_strengths
+    from calib.diagnosis.problems.platform.effect_strength import platform_effect_signal_to_noise
 
     effects = (parse_effect("backlash:strut2:gap=5e-5"), parse_effect("scale_error:strut3:scale=1e-12"))
     rng = np.random.default_rng(8)
@@ -347,7 +347,7 @@ def test_strength_is_the_signal_after_calibration_has_had_its_share(design, rig_
     for noise in (0.04, 0.08):
         recording_simulation.write_recording(done, tmp_path / "rec", rig_text, rng, noise)
         found.append(
-            platform_effect_strengths(
+            platform_effect_signal_to_noise(
                 recording_folder.load_recording(tmp_path / "rec"), done.world.true, noise, effects, done.sensors
             )
         )
@@ -357,7 +357,7 @@ def test_strength_is_the_signal_after_calibration_has_had_its_share(design, rig_
     assert found[1][0] == pytest.approx(found[0][0] / 2, rel=0.05)
     window, exchanged = parse_effect("refraction:cam1:thickness=0.01"), parse_effect("marker_swap:8:turn=1")
     alone, beside = (
-        platform_effect_strengths(
+        platform_effect_signal_to_noise(
             recording_folder.load_recording(tmp_path / "rec"), done.world.true, 0.04, (window, *more), done.sensors
         )
         for more in ((), (exchanged,))

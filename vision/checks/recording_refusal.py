@@ -4,8 +4,8 @@ line.
 
 from collections.abc import Callable, Iterable
 
+from rig.checks.mistake_report import Mistake
 from rig.checks.recording_files import recording_file_mistakes
-from rig.checks.user_mistake import Mistake
 from rig.errors import RigError
 from rig.model.cube_remounting import WORDS, quarter_turns
 from rig.recording.recording_folder import Corners, Recording
@@ -32,7 +32,7 @@ def refuse_mistakes(mistakes: Iterable[Mistake], anyway: bool, notice: Notice) -
 
 
 def refuse_spoilt_files(recording: Recording, anyway: bool, notice: Notice) -> None:
-    """Judge what a recording's files and some of its images show. Raises as `refuse_mistakes` does"""
+    """Refuse a recording whose files or sampled images are spoilt, unless `anyway`."""
     refuse_mistakes(recording_file_mistakes(recording), anyway, notice)
     for name, quarters in quarter_turns(recording.design).items():
         notice(

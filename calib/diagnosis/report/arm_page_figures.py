@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from calib.diagnosis.problems.arm.arm_evidence import ArmEvidence
-from calib.diagnosis.problems.arm.pose_fit import Fit
+from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report import finding_contributions
 from calib.diagnosis.report.arm_outline import arm_outline_figures

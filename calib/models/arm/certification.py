@@ -35,6 +35,7 @@ from calib.certification.workspace_claim import (
 from calib.identify.robust_fit import CONSISTENT, MOST, outlier_rows
 from calib.models.arm import error_model, joint_profiles
 from calib.models.arm.correction import ArmCorrection
+from calib.models.arm.geometry_and_joint_effects_fit import JointFit
 from calib.models.arm.held_out_scatter import (
     held_out_arm_parameter_error_squares,
     held_out_geometry_errors,
@@ -51,7 +52,6 @@ from calib.models.arm.identification import (
 from calib.models.arm.independent_parameters import PLAUSIBLE
 from calib.models.arm.instrument_observations import KINDS, Observations, sample_observations
 from calib.models.arm.instrument_placement import place_arm
-from calib.models.arm.joint_physics_fit import JointFit
 from calib.samples.pose_samples import Samples
 from rig.model.design import Arm, Instrument
 from rig.model.pose import pose_difference

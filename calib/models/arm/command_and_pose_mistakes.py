@@ -14,9 +14,9 @@ from scipy.spatial.transform import RigidTransform
 from calib.models.arm import error_model, instrument_placement
 from calib.models.arm.instrument_observations import Observations, position_observations
 from calib.models.arm.instrument_placement import nearest_rotation, rigid_transform, solve_rotation_placement
+from rig.checks.mistake_report import Mistake, sort_mistakes
 from rig.checks.platform_commands_and_poses import LIKELY, written_pose_columns
 from rig.checks.units_and_conventions import poses_in_other_conventions
-from rig.checks.user_mistake import Mistake, sort_mistakes
 from rig.errors import RigError
 from rig.model.design import Arm, Instrument
 from rig.model.mechanism_kinds import has_links

@@ -41,7 +41,7 @@ def draw_blind_case(out: Path, index: int, settings: dict) -> None:
 
 def _drawn_case(index: int, settings: dict, folder: Path) -> tuple[Callable[..., None], np.ndarray]:
     """(what writes the truth of a hexapod's case, its effects' strengths), its recording written."""
-    from calib.diagnosis.problems.platform.effect_strength import platform_effect_strengths
+    from calib.diagnosis.problems.platform.effect_strength import platform_effect_signal_to_noise
     from rig.recording import recording_folder
     from synthetic import blind_cases as blind
 
@@ -57,7 +57,7 @@ def _drawn_case(index: int, settings: dict, folder: Path) -> tuple[Callable[...,
     blind.write_recording(case, folder)
     world, written = case.simulation.world, recording_folder.load_recording(folder)
     written = written if case.image_settings is None else replace(written, corners=blind.simulated_corners(case))
-    values = platform_effect_strengths(written, world.true, case.noise, world.effects, case.simulation.sensors)[
+    values = platform_effect_signal_to_noise(written, world.true, case.noise, world.effects, case.simulation.sensors)[
         : len(case.hidden)
     ]
     return partial(blind.write_truth, case), values
@@ -65,14 +65,14 @@ def _drawn_case(index: int, settings: dict, folder: Path) -> tuple[Callable[...,
 
 def _drawn_arm_case(index: int, settings: dict, folder: Path) -> tuple[Callable[..., None], np.ndarray]:
     """The same of an arm's case."""
-    from calib.diagnosis.problems.arm.effect_strength import arm_effect_strengths
+    from calib.diagnosis.problems.arm.effect_strength import arm_effect_signal_to_noise
     from synthetic import blind_arm_cases as blind_arm
 
     case = blind_arm.draw_arm_case(settings["seed"], index, settings["frames"], settings["hide"], settings["effects"])
     blind_arm.write_recording(case, folder)
     done = case.simulation
     seen = case.sigma[: 1 if "positions" in case.hard else 2]
-    return partial(blind_arm.write_truth, case), arm_effect_strengths(
+    return partial(blind_arm.write_truth, case), arm_effect_signal_to_noise(
         done.world.true, done.plan.commands, done.plan.t, seen, done.world.effects, done.sensors
     )
 
@@ -80,9 +80,9 @@ def _drawn_arm_case(index: int, settings: dict, folder: Path) -> tuple[Callable[
 def run_command_without(folder: str, words: Sequence[str]) -> int:
     """Exit status of a command of `rig` to which a folder is closed."""
     from rig.cli.command_line import main
-    from rig.cli.shared.child_processes import forbid_folder
+    from rig.cli.shared.child_processes import forbid_own_reading_of_folder
 
-    forbid_folder(folder)
+    forbid_own_reading_of_folder(folder)
     return main(list(words))
 
 

@@ -14,7 +14,7 @@ from rig.report.verdict import State
 
 if TYPE_CHECKING:
     from calib.files.calibration_file import Calibration
-    from rig.effects.texts.effect_text import Kinds
+    from rig.effects.texts.effect_notation import Kinds
     from rig.effects.texts.user_effect_files import Plugin
 
 

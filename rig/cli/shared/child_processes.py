@@ -21,7 +21,7 @@ WATCHED = (
 )  # events whose first argument is a path
 
 
-def forbid_folder(folder: str | Path) -> None:
+def forbid_own_reading_of_folder(folder: str | Path) -> None:
     """Forbid this process to read a folder: PermissionError from now on (PEP 578; irrevocable)."""
     closed = os.path.realpath(folder)
 

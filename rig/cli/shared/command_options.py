@@ -114,7 +114,7 @@ def page_path(arguments: Namespace) -> Path | None:
 
 def page_links(arguments: Namespace, place: Path) -> list[Link]:
     """Links of a command's page: to the index above it and to the pages of the command's inputs."""
-    from rig.report.pages.page_index import page_links as links
+    from rig.report.pages.page_index import index_and_source_links as links
 
     return links(place, arguments.outputs.inputs)
 

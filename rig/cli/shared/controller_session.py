@@ -9,8 +9,8 @@ import numpy as np
 
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_lock import Occupied
-from rig.driving.driver import Driver
 from rig.driving.driver_reports import Status
+from rig.driving.strut_driver import Driver
 from rig.errors import FileError, RigError
 from rig.formats.rig_toml import design_file
 from rig.model.controller_settings import port_problem

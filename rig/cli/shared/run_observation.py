@@ -16,7 +16,7 @@ from calib.online.measuring_limb_poses import Disagreement, LiveLimbPoses
 from calib.online.run_learning import Learner, Learnt, LimbWatch
 from rig.cli.online import change_sentence
 from rig.driving.clock import Clock
-from rig.driving.operator_loop import Shot
+from rig.driving.move_and_record_loop import Shot
 from rig.driving.run_journal import Departure, Ended, Exposed, Readings, Remark, Resumed, Row
 from rig.driving.run_steps_and_progress import Step, step_distances
 from rig.errors import NotConverged, RigError
@@ -83,8 +83,8 @@ class Stopping:
 
 
 class RunObserver:
-    """See rig.driving.operator_loop.Watcher. start : (axes,) m; live, learner : None where frames are not measured or
-    poses not learnt from `displays` : who shows it."""
+    """See rig.driving.move_and_record_loop.Watcher. start : (axes,) m; live, learner : None where frames are not
+    measured or poses not learnt from `displays` : who shows it."""
 
     def __init__(
         self,

@@ -25,10 +25,10 @@ from rig.driving.cameras import CameraError, open_camera
 from rig.driving.cameras.settling_check import Settling
 from rig.driving.cameras.synchronised_grab_and_exposure import CLIPPED, Shutter, set_exposure_for_markers
 from rig.driving.clock import Clock
-from rig.driving.driver import Driver
-from rig.driving.operator_loop import Bench
+from rig.driving.move_and_record_loop import Bench
 from rig.driving.sensor_port import Sensing
-from rig.driving.straight_moves import Way, trapezoidal_profile
+from rig.driving.straight_move_profile import Way, trapezoidal_profile
+from rig.driving.strut_driver import Driver
 from rig.errors import RigError
 from rig.formats.output_files import write_bytes
 from rig.model import mechanisms

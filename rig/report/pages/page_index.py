@@ -112,7 +112,7 @@ def refresh_indices(written: Iterable[Path]) -> None:
             write_index_page(place, index.parent)
 
 
-def page_links(place: Path, sources: Iterable[Path] = ()) -> list[Link]:
+def index_and_source_links(place: Path, sources: Iterable[Path] = ()) -> list[Link]:
     """Links of a page at a place: to the index above it, and to the pages of its sources, folders or files."""
     index, own = _index_above(place), place.resolve()
     near = [

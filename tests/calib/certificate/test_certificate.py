@@ -27,7 +27,7 @@ from calib.files import calibration_file
 from calib.samples.recording_samples import sample_recording
 from rig.cli.command_line import main
 from rig.effects.framework.fit_coordinates import coordinates_of_effects
-from rig.effects.texts.effect_text import parse_effect
+from rig.effects.texts.effect_notation import parse_effect
 from rig.model import motion_simulation
 from rig.model.pose import exp, pose_difference
 from rig.planning import configuration_sets, plan

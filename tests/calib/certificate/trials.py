@@ -97,7 +97,7 @@ def trial(design, seed, level=(0.95, 0.95), sizes=SIZES, kinds=None, noise=1.0):
     )
     route = plan.plan_of_configurations(goals, strokes.mean(axis=1), plan.planned_axis_speeds(design))
     warmth, _ = secret_machine.draw_temperatures(float(route.commands.t[-1]), rng)
-    sensors = plan.add_payload_channel(route, warmth)
+    sensors = plan.sensors_with_payload(route, warmth)
     while True:
         names = tuple(rng.choice(KINDS, rng.integers(0, 3), replace=False).tolist()) if kinds is None else kinds
         secret = secret_machine.draw_machine(design, rng)

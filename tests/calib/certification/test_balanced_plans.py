@@ -11,7 +11,7 @@ from calib.certification.held_out_errors import errors_before_and_after_correcti
 from calib.certification.platform_certification import certify_platform, platform_workspace_claim
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import sample_recording
-from rig.effects.texts.effect_text import parse_effect, require_existing_place, require_nonzero_effect
+from rig.effects.texts.effect_notation import parse_effect, require_existing_place, require_nonzero_effect
 from rig.formats.rig_toml import design_file
 from rig.planning import plan
 from rig.recording import recording_folder

@@ -15,7 +15,7 @@ from calib.diagnosis.report.report_entries import diagnosis_report
 from calib.diagnosis.report.residual_plots import effect_residual_figures, model_residuals, residuals_without_effects
 from calib.diagnosis.report.rig_outline import MARKS, rig_outline_figure
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
-from rig.effects.texts.effect_text import parse_effect
+from rig.effects.texts.effect_notation import parse_effect
 from rig.planning import plan
 from rig.recording import recording_folder
 from rig.recording.recording_tables import write_poses

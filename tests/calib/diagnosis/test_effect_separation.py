@@ -5,8 +5,8 @@ import pytest
 
 from calib.diagnosis.problems.platform.effect_separation import platform_effect_separation
 from rig.cli import command_line
-from rig.effects.texts.effect_text import parse_effect
-from rig.planning.plan import add_payload_channel, build_plan
+from rig.effects.texts.effect_notation import parse_effect
+from rig.planning.plan import build_plan, sensors_with_payload
 from synthetic.secret_machine import draw_temperatures
 
 SIGMA = (1e-5, 1e-4)
@@ -20,7 +20,7 @@ def told_apart(design, text, *effects):
         design,
         plan.commands,
         plan.t,
-        add_payload_channel(plan, sensors),
+        sensors_with_payload(plan, sensors),
         [parse_effect(e) for e in effects],
         SIGMA,
     )

@@ -16,7 +16,7 @@ from calib.diagnosis.engine.term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.joint_candidates import joint_candidates
 from calib.diagnosis.problems.arm.lack_of_fit import lack_of_fit as arm_left
-from calib.diagnosis.problems.arm.pose_fit import fit_poses
+from calib.diagnosis.problems.arm.projected_pose_residuals import fit_poses
 from calib.diagnosis.problems.arm.unlisted_joint_effects import suggest_joint_formulas as arm_suggestions
 from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
 from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording

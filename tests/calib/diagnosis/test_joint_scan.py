@@ -16,7 +16,7 @@ from calib.diagnosis.problems.arm.candidate_search import joint_products, search
 from calib.diagnosis.problems.arm.joint_candidates import joint_candidates
 from calib.diagnosis.problems.arm.lack_of_fit import lack_of_fit
 from calib.diagnosis.problems.arm.linearised_poses import linearise_poses
-from calib.diagnosis.problems.arm.pose_fit import Term, fit_poses
+from calib.diagnosis.problems.arm.projected_pose_residuals import Term, fit_poses
 from calib.diagnosis.problems.arm.whitened_columns import Columns, Part
 from calib.diagnosis.problems.requested_effects import RequestedEffects
 from calib.identify.robust_fit import excess_scatter, robust_weights

@@ -5,7 +5,7 @@ coil wholly wound up.
 import pytest
 
 from rig.effects.catalogue import effect_list
-from rig.effects.texts.effect_text import parse_effect
+from rig.effects.texts.effect_notation import parse_effect
 from tests.calib.diagnosing import diagnosis_of
 from tests.calib.recorded import recorded
 

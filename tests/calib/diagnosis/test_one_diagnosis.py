@@ -14,7 +14,7 @@ from calib.diagnosis.engine.term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.finding_parameters import _under, temperature_offsets
 from calib.diagnosis.problems.arm.joint_candidates import NO_CORNERS, POSES_ALONE, joint_candidates
-from calib.diagnosis.problems.arm.pose_fit import Term, fit_poses
+from calib.diagnosis.problems.arm.projected_pose_residuals import Term, fit_poses
 from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
 from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem

@@ -11,7 +11,7 @@ import pytest
 from calib.certification.calibration import Calibration
 from calib.certification.platform_certification import certify_platform
 from calib.diagnosis.engine.chance_probability import scan_p_value
-from calib.diagnosis.problems.platform import exchanged_markers
+from calib.diagnosis.problems.platform import exchanged_or_turned_faces
 from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.lack_of_fit import lack_of_fit
@@ -22,7 +22,7 @@ from calib.diagnosis.problems.platform.simultaneous_refinement import refine
 from calib.diagnosis.problems.requested_effects import RequestedEffects
 from calib.diagnosis.report.report_entries import diagnosis_report
 from calib.samples.recording_samples import sample_recording
-from rig.effects.texts.effect_text import parse_effect
+from rig.effects.texts.effect_notation import parse_effect
 from rig.planning import plan
 from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
 from rig.recording import recording_folder
@@ -111,9 +111,9 @@ def test_what_is_hidden_is_found(tmp_path, design, text, name, parameter, value)
 def test_faces_exchanged_are_named(tmp_path, design):
     rec = recorded(tmp_path, design, ["marker_swap:8:other=6,turn=1"])
     point, _, _ = operating_point_of_recording(rec)
-    found = exchanged_markers.find_marker_swaps(point)
+    found = exchanged_or_turned_faces.find_marker_swaps(point)
     assert len(found) == 1 and {found[0].place, f"marker {int(found[0].other)}"} == {"marker 8", "marker 6"}
-    left = exchanged_markers.correct_marker_swaps(point, found)
+    left = exchanged_or_turned_faces.correct_marker_swaps(point, found)
     assert np.abs(left.seen.observations.uv - left.pixels()).max() < 3
 
 

@@ -7,7 +7,7 @@ from calib.diagnosis.engine.frame_inner_products import Normal, solve_normal_equ
 from calib.diagnosis.engine.lack_of_fit import LackOfFit, delta_chi2_by_column_count
 from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
-from rig.effects.texts.effect_text import parse_effect
+from rig.effects.texts.effect_notation import parse_effect
 from rig.formats.rig_toml import design_file
 from rig.planning import plan
 from rig.recording import recording_folder

@@ -10,7 +10,7 @@ from calib.diagnosis.problems.platform.interval_widening import temperature_log_
 from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine
 from calib.diagnosis.problems.temperature_smoothing import smooth_temperatures
-from rig.effects.texts.effect_text import parse_effect
+from rig.effects.texts.effect_notation import parse_effect
 from rig.recording.recording_folder import Sensors
 from synthetic.secret_machine import draw_temperatures
 from tests.calib.diagnosing import diagnosis_of

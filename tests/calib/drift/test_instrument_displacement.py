@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.drift.instrument_displacement import remove_instrument_displacement
-from rig.effects.texts.effect_text import parse_effect
+from rig.effects.texts.effect_notation import parse_effect
 from rig.model.design import Instrument
 from rig.model.pose import exp
 from rig.planning import plan

@@ -13,7 +13,7 @@ from calib.experiment.arm_questions import arm_questions
 from calib.experiment.experiment_choice import evaluate_experiment
 from rig.cli.command_line import main
 from rig.effects.catalogue.time_offset import TimeOffset
-from rig.effects.texts.effect_text import parse_effect
+from rig.effects.texts.effect_notation import parse_effect
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference

@@ -14,7 +14,7 @@ from calib.experiment.experiment_information import (
 )
 from calib.experiment.experiment_question import Hypothesis, PerFrame
 from calib.experiment.platform_outcome_prediction import PlatformQuestion, predict_outcomes_by_frame
-from rig.effects.texts.effect_text import parse_effect
+from rig.effects.texts.effect_notation import parse_effect
 from rig.planning.plan import build_plan
 from tests.calib.recorded import recorded
 

@@ -18,7 +18,7 @@ from calib.models.chain import error_model as chains
 from calib.models.corrected_pose_covariance import corrected_pose_covariance
 from calib.models.platform.identification import geometric_parameters
 from rig.effects.framework.fit_coordinates import coordinates_of_effects
-from rig.effects.texts.effect_text import parse_effect
+from rig.effects.texts.effect_notation import parse_effect
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats import csv_table
 from rig.formats.rig_toml import design_file

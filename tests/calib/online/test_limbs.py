@@ -156,7 +156,7 @@ def test_learning_from_limbs_alone_agrees_with_vision_within_its_covariance(acce
 def test_a_limb_that_slips_30_um_is_noticed_within_five_poses(accepted, again, limb, every):
     at = 22
     read = slipped(again, limb, 3e-5, at)
-    found = measuring_limb_poses.check_limb_poses(
+    found = measuring_limb_poses.check_limb_poses_by_redundancy_and_vision(
         read, accepted, measuring_limb_poses.limb_poses(read, accepted), every
     )
     assert found.disagreement is not None and found.disagreement.limb == limb and at <= found.frame < at + 5
@@ -180,11 +180,13 @@ def test_limbs_that_slip_while_they_are_held_against_vision_are_not_accepted(lim
 
 
 def test_limbs_that_stay_agree_and_few_poses_are_looked_at(accepted, again):
-    found = measuring_limb_poses.check_limb_poses(again, accepted, measuring_limb_poses.limb_poses(again, accepted), 5)
+    found = measuring_limb_poses.check_limb_poses_by_redundancy_and_vision(
+        again, accepted, measuring_limb_poses.limb_poses(again, accepted), 5
+    )
     assert found == measuring_limb_poses.Checked(8, None, None)
     unseen = replace(again, corners=None)
     assert (
-        measuring_limb_poses.check_limb_poses(
+        measuring_limb_poses.check_limb_poses_by_redundancy_and_vision(
             unseen, accepted, measuring_limb_poses.limb_poses(again, accepted), 5
         ).count
         == 0

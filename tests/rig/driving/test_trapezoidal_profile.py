@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig.driving.straight_moves import trapezoidal_profile
+from rig.driving.straight_move_profile import trapezoidal_profile
 
 
 @pytest.mark.parametrize(

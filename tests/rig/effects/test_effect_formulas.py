@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.effects.catalogue.servo_lag import first_order_lag
 from rig.effects.framework.play_operator import play_operator
-from rig.effects.texts.effect_text import parse_effect
+from rig.effects.texts.effect_notation import parse_effect
 from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Camera, Platform

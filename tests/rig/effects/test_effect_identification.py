@@ -8,7 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.effects.texts.effect_text import effect_from_dict, parse_effect, require_existing_place, require_known_effect
+from rig.effects.texts.effect_notation import (
+    effect_from_dict,
+    parse_effect,
+    require_existing_place,
+    require_known_effect,
+)
 from rig.errors import RigError
 from rig.model.design import Planar2
 from rig.planning import plan

@@ -7,7 +7,7 @@ import pytest
 
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.framework.effect_validity import check_effect
-from rig.effects.texts.effect_text import effect_from_dict, effect_to_dict, parse_effect
+from rig.effects.texts.effect_notation import effect_from_dict, effect_to_dict, parse_effect
 from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference

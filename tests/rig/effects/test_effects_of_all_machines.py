@@ -13,7 +13,7 @@ from rig.effects.framework.effect import MOTION_STAGES, Context
 from rig.effects.framework.effect_validity import check_effect
 from rig.effects.framework.machine_motion import Path
 from rig.effects.framework.parameter import Drawing
-from rig.effects.texts.effect_text import parse_effect
+from rig.effects.texts.effect_notation import parse_effect
 from rig.errors import RigError
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Actuator, Arm, Design, Planar2, Platform

@@ -13,7 +13,7 @@ import pytest
 from rig.cli.command_line import main
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_text import effect_from_dict, effect_to_dict, parse_effect
+from rig.effects.texts.effect_notation import effect_from_dict, effect_to_dict, parse_effect
 from rig.effects.texts.user_effect_files import catalogue_with_files, load_effect_file
 from rig.errors import FileError
 from rig.model import motion_simulation

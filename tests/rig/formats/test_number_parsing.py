@@ -7,7 +7,7 @@ import pytest
 from rig.cli import certify
 from rig.cli.command_line import main
 from rig.cli.go import parse_pose
-from rig.effects.texts.effect_text import parse_effect
+from rig.effects.texts.effect_notation import parse_effect
 from rig.errors import FileError, RigError
 from rig.formats import csv_table
 from rig.formats.importers.csv_dialect import NUMBER

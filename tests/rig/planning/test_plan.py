@@ -129,7 +129,7 @@ def test_payload_steps_are_logged(design):
 
     found = plan.build_plan(design, "payload:4")
     _, log = draw_temperatures(found.commands.t[-1], np.random.default_rng(0))
-    sensors = plan.add_payload_channel(found, log)
+    sensors = plan.sensors_with_payload(found, log)
     load = sensors.at(found.t, "payload_mass_kg")
     assert load[:4].tolist() == [0] * 4 and (load[4:8] > 1).all() and load[8:].tolist() == [0] * 4
 

@@ -12,7 +12,7 @@ import pytest
 
 from rig.cli.command_line import main
 from rig.effects.framework.parameter import Drawing
-from rig.effects.texts.effect_text import parse_effect
+from rig.effects.texts.effect_notation import parse_effect
 from rig.model import motion_simulation
 from rig.model.pose import exp, pose, pose_to_vector
 from rig.recording import recording_folder as recording

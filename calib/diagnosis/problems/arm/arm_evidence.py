@@ -24,7 +24,7 @@ from calib.diagnosis.problems.arm.joint_candidates import JointCandidate, joint_
 from calib.diagnosis.problems.arm.linearised_poses import FEWEST, Arms, Geometry, linearise_poses
 from calib.diagnosis.problems.arm.nested_selection import COARSE, FINE, nested_held_out_poses
 from calib.diagnosis.problems.arm.outlier_poses import GATE, GROSS, outlier_poses
-from calib.diagnosis.problems.arm.pose_fit import Fit
+from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
 from calib.diagnosis.problems.arm.remainder_covariates import ranked_covariates
 from calib.diagnosis.problems.arm.unlisted_joint_effects import suggest_joint_formulas
 from calib.diagnosis.problems.formula_suggestion import Suggestion

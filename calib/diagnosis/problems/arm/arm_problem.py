@@ -23,7 +23,7 @@ from calib.diagnosis.problems.arm.candidate_search import candidate_with_nodes, 
 from calib.diagnosis.problems.arm.joint_candidates import JointCandidate, JointScore
 from calib.diagnosis.problems.arm.linearised_poses import Arms, Geometry
 from calib.diagnosis.problems.arm.nonlinear_parameters import has_continuous_parameters
-from calib.diagnosis.problems.arm.pose_fit import Fit, Term, fit_poses
+from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_poses
 from calib.diagnosis.problems.arm.term_simplification import (
     FINE,
     QUICK,

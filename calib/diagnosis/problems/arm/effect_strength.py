@@ -14,7 +14,7 @@ from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Sensors
 
 
-def arm_effect_strengths(
+def arm_effect_signal_to_noise(
     true_design: Design,
     commands: Commands,
     t: np.ndarray,

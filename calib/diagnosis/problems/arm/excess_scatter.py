@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.diagnosis.engine.lack_of_fit import ALPHA, Covariate, LackOfFit, detect_excess_scatter
-from calib.diagnosis.problems.arm.pose_fit import Fit
+from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
 from calib.diagnosis.problems.measured_evidence import Repeats
 
 SHARE = 0.05  # of the squares left, from which a covariate is named beside the scatter

@@ -14,7 +14,7 @@ from calib.diagnosis.engine.parameter_values import Value, bounded_value, moment
 from calib.diagnosis.problems.arm.joint_candidates import SPAN, Form, JointCandidate, joint_candidate
 from calib.diagnosis.problems.arm.linearised_poses import Arms
 from calib.diagnosis.problems.arm.nonlinear_parameters import onset_time_interval, term_parameter_covariance
-from calib.diagnosis.problems.arm.pose_fit import Fit, Term
+from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
 from rig.model import motion_simulation
 from rig.recording.recording_folder import Sensors
 from rig.recording.time_origin import Origin

@@ -5,7 +5,7 @@ import numpy as np
 from calib.diagnosis.engine.lack_of_fit import ALPHA, LackOfFit, Test, significant_lack_of_fit, test_lack_of_fit
 from calib.diagnosis.problems.arm.candidate_search import joint_products
 from calib.diagnosis.problems.arm.linearised_poses import Arms
-from calib.diagnosis.problems.arm.pose_fit import Fit
+from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
 from rig.effects.catalogue.compliance import independent_columns
 
 KNOTS = 8  # of a smooth function of time

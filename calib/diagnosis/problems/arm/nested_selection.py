@@ -11,7 +11,7 @@ from calib.diagnosis.engine.finding_confirmation import labelled_progress
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.engine.term_selection import fit_selected_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
-from calib.diagnosis.problems.arm.pose_fit import fit_poses
+from calib.diagnosis.problems.arm.projected_pose_residuals import fit_poses
 from calib.diagnosis.problems.measured_evidence import HeldOutPoses
 from rig.compute.parallel_map import parallel_map
 

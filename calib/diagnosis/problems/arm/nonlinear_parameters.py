@@ -15,7 +15,7 @@ from calib.diagnosis.engine.frame_inner_products import normal_of_weighted_direc
 from calib.diagnosis.engine.selection_inputs import Node
 from calib.diagnosis.problems.arm.candidate_search import joint_products, solved_nodes
 from calib.diagnosis.problems.arm.joint_candidates import Form, JointCandidate
-from calib.diagnosis.problems.arm.pose_fit import Fit, Term
+from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
 from rig.effects.framework.parameter import Parameter
 
 SEARCHED = ("size", "log", "even")  # roles of parameters that have a value between those of a grid

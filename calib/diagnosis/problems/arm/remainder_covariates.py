@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.diagnosis.engine.lack_of_fit import Covariate, Share, explained_share, rank_covariates
 from calib.diagnosis.problems.arm.candidate_search import joint_products
-from calib.diagnosis.problems.arm.pose_fit import Fit
+from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
 from calib.diagnosis.problems.remainder_covariates import motion_functions, time_and_sensor_functions
 
 JOINTS = "joints"

@@ -10,7 +10,7 @@ from calib.diagnosis.engine.selection_inputs import NO_STATED_TERMS, SelectionPo
 from calib.diagnosis.problems.arm.candidate_search import search_candidates
 from calib.diagnosis.problems.arm.joint_candidates import OWN_ANGLE, SPAN, Form, JointCandidate
 from calib.diagnosis.problems.arm.nonlinear_parameters import has_continuous_parameters, optimise_nonlinear_parameters
-from calib.diagnosis.problems.arm.pose_fit import Fit, Term, fit_poses
+from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_poses
 from rig.effects.framework.diagnosis_interface import COUNT
 
 FINE = 0.3  # step between orders, of what a joint's travel resolves

@@ -19,7 +19,7 @@ from calib.diagnosis.engine.selection_inputs import ARM
 from calib.diagnosis.problems.arm.candidate_search import joint_products
 from calib.diagnosis.problems.arm.joint_candidates import joint_candidate
 from calib.diagnosis.problems.arm.nonlinear_parameters import has_continuous_parameters, term_parameter_covariance
-from calib.diagnosis.problems.arm.pose_fit import Fit, Term, fit_poses
+from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_poses
 from calib.diagnosis.problems.arm.term_simplification import optimise_terms
 from calib.diagnosis.problems.formula_suggestion import (
     AGREE,

@@ -18,7 +18,7 @@ from vision.corner_observations import observations_from_corners
 from vision.targets import marker_map
 
 
-def platform_effect_strengths(
+def platform_effect_signal_to_noise(
     recording: Recording, true_design: Design, noise: float, effects: tuple[Effect, ...], sensors: Sensors
 ) -> np.ndarray:
     """(effects,) signal-to-noise of each effect in a platform's corners, cameras and geometry projected out.

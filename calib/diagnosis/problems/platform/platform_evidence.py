@@ -29,7 +29,7 @@ from calib.diagnosis.problems.measured_evidence import (
 )
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, platform_candidates
 from calib.diagnosis.problems.platform.excess_scatter import closure_residuals, excess_scatter
-from calib.diagnosis.problems.platform.exchanged_markers import correct_marker_swaps, find_marker_swaps
+from calib.diagnosis.problems.platform.exchanged_or_turned_faces import correct_marker_swaps, find_marker_swaps
 from calib.diagnosis.problems.platform.held_out_validation import cross_validate_blocks, cross_validate_region
 from calib.diagnosis.problems.platform.interval_widening import widen_intervals
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS

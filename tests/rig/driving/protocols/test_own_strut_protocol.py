@@ -14,10 +14,10 @@ import pytest
 
 from rig.driving.clock import SimulatedClock, SystemClock
 from rig.driving.controller_link import Link
-from rig.driving.driver import Driver
 from rig.driving.protocols.own_strut_protocol import Struts, decode_frame, encode_frame
 from rig.driving.protocols.protocol_interface import Segment
 from rig.driving.serial_port import SerialPort
+from rig.driving.strut_driver import Driver
 from rig.errors import ControllerFault, NoAnswer, PositionLost
 from tests.conftest import ROOT
 from tests.rig.wire import ScriptedPort

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.effects.texts.effect_text import parse_effect
+from rig.effects.texts.effect_notation import parse_effect
 from rig.errors import RigError
 from rig.formats.exporters import arm_urdf, geometry_json_and_csv, linuxcnc_and_compensation_tables
 from rig.model import motion_simulation

@@ -7,14 +7,14 @@ from typing import Any, TextIO, TypeVar
 
 import numpy as np
 
-from rig.driving import protocols, straight_moves
+from rig.driving import protocols, straight_move_profile
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_link import Link, Port
 from rig.driving.driver_reports import Arrival, Status
 from rig.driving.operator_advice import ANEW, CANNOT_HOME, OUT_OF_RANGE, TRUST, operator_advice
 from rig.driving.protocols.protocol_interface import Dialogue, Segment, State, Verdict
 from rig.driving.serial_port import SerialPort, find_usb_port
-from rig.driving.straight_moves import straight_move_segment
+from rig.driving.straight_move_profile import straight_move_segment
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Unreachable
 from rig.model import mechanisms
 from rig.model.design import Design
@@ -105,7 +105,7 @@ class Driver:
         """
         self._asked(self._protocol.hello)
         try:
-            self._left = straight_moves.require_lengths_in_range(self.lengths(), self.mechanism)
+            self._left = straight_move_profile.require_lengths_in_range(self.lengths(), self.mechanism)
         except Unreachable as error:
             raise Unreachable(
                 "what the controller reads cannot be believed", error.index, [str(error), OUT_OF_RANGE]
@@ -144,8 +144,8 @@ class Driver:
         """Lengths (n,) m that may be gone to from start (n,) m: ranges, step, workspace, singularities. Raises
         Unreachable.
         """
-        lengths = straight_moves.require_lengths_in_range(lengths, self.mechanism)
-        straight_moves.require_safe_path(
+        lengths = straight_move_profile.require_lengths_in_range(lengths, self.mechanism)
+        straight_move_profile.require_safe_path(
             start, lengths, self.mechanism, self.controller.margin, self.controller.max_step
         )
         return lengths
@@ -159,7 +159,7 @@ class Driver:
         """
         if not 0 < share <= 1:
             raise ValueError(f"share must be above 0 and at most 1, got {share}")
-        target = straight_moves.require_lengths_in_range(lengths, self.mechanism)
+        target = straight_move_profile.require_lengths_in_range(lengths, self.mechanism)
         with self._busy:
             start = self._ready()
             self.check(target, start)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from rig.driving.clock import SimulatedClock
-from rig.driving.driver import Driver
 from rig.driving.emulators.controller_faults import ALWAYS, KINDS
 from rig.driving.emulators.emulator_construction import home_lengths
+from rig.driving.strut_driver import Driver
 from rig.errors import ControllerFault, MotionError, PositionLost, RigError, Stalled, Unreachable
 from tests.rig.driven import STEP, order, truly
 from tests.rig.judge import bench, judged

@@ -27,12 +27,12 @@ from rig.driving.run_journal import (
     sync_folder_to_disk,
 )
 from rig.driving.run_steps_and_progress import Progress, Step, interrupted_move_result, progress_from_journal
-from rig.driving.straight_moves import Way
+from rig.driving.straight_move_profile import Way
 from rig.errors import RigError, Stopped
 
 
 class Machine(Protocol):
-    """What the loop needs of a driver; see rig.driving.driver.Driver."""
+    """What the loop needs of a driver; see rig.driving.strut_driver.Driver."""
 
     def lengths(self) -> np.ndarray:
         """(axes,) m, as the controller reads them."""

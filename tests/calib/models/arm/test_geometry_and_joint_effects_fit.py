@@ -16,13 +16,13 @@ from calib.files import calibration_file
 from calib.models.arm import error_model
 from calib.models.arm.certification import start_arm
 from calib.models.arm.correction import ArmCorrection
+from calib.models.arm.geometry_and_joint_effects_fit import History, Prior, fit_geometry_and_effects
 from calib.models.arm.instrument_observations import sample_observations
-from calib.models.arm.joint_physics_fit import History, Prior, fit_geometry_and_effects
 from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.recording_samples import sample_recording
 from rig.cli.command_line import main
 from rig.effects.framework.fit_coordinates import coordinates_of_effects
-from rig.effects.texts.effect_text import parse_effect
+from rig.effects.texts.effect_notation import parse_effect
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference

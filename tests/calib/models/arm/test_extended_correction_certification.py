@@ -15,7 +15,7 @@ from calib.correction.interpolation.interpolation_methods import field_from_entr
 from calib.files import calibration_file
 from calib.models.arm import error_model
 from calib.models.arm.certification import arm_pose_covariance
-from calib.models.arm.extension_certification import (
+from calib.models.arm.extended_correction_certification import (
     certify_extended_arm,
     claim_without_geometry,
     joint_space_summands,
