@@ -32,7 +32,9 @@ AWAY, HAND = 1.0, 0.1  # m, of where an instrument stands and of its target on t
 
 
 def draw_geometry(stated: Design, rng: np.random.Generator, size: float) -> Hexapod | Planar2 | Arm | Chain:
-    """True geometry of a stated design's mechanism drawn at random. size : multiplies every deviation"""
+    """True geometry of a stated design's mechanism drawn at random. size : multiplies every deviation.
+    Raises RigError for a kind that cannot be simulated
+    """
     m = stated.mechanism
     if has_struts(m):
         drawn = {

@@ -25,7 +25,7 @@ def _stage_numbers(markers: MarkerMap) -> list[int]:
 
 
 def require_stated_marker_places(places: str) -> None:
-    """Require stated places of markers on a rig with targets on stages: RigError where places are free."""
+    """Require stated places of markers on a rig with targets on stages. Raises RigError where places are free."""
     if places == "free":
         raise RigError(
             "places of markers cannot be adjusted on a rig with targets on stages of a chain: the stated "
@@ -105,7 +105,7 @@ def measure_without_remounted_cubes(
 ) -> Measurement:
     """Measurement without the corners on remounted cubes, which are listed as outliers.
 
-    measure : of Observations. Raises what it raises
+    on_remounted_cube : (n,) bool, of each corner; measure : of Observations. Raises what it raises
     """
     if not on_remounted_cube.any():
         return measure(observations)

@@ -24,7 +24,7 @@ RATE = (1e-4, 5000.0)  # frames per s
 
 
 def time_range_mistakes(times: dict[str, np.ndarray]) -> Iterator[Mistake]:
-    """Mistakes of time ranges: files whose times do not overlap.
+    """Mistakes of time ranges: files whose times (n,) s do not overlap.
 
     A file whose span is a unit's multiple of the others' is in that unit; one that does not overlap has another origin.
     """

@@ -109,9 +109,9 @@ def run(arguments: Namespace) -> None:
     from synthetic.api import simulate
 
     _protect_inputs(arguments)
+    done, progress = simulate(arguments.design, _options(arguments)), Progress()  # what is wrong with it is said first
     out = arguments.outputs.folder(arguments.out)
     truth = arguments.outputs.file(arguments.truth) if arguments.truth else None
-    done, progress = simulate(arguments.design, _options(arguments)), Progress()
     done.write(out, lambda k, of: progress("drawing", k, of))
     if truth is not None:
         done.write_truth(truth)

@@ -64,6 +64,28 @@ def stated_lens_sigmas(camera: Camera) -> np.ndarray:
     )
 
 
+def _prints(
+    printing: Printing,
+    state: State,
+    rows: list[int],
+    add: Callable[[int, list[float], float, list[tuple[str, str]]], slice],
+) -> Prints:
+    """Unknowns of how each marker was printed. add : (count, scales, prior, names) -> the columns"""
+    parts = printing.parts
+    own = {
+        row: add(
+            len(parts),
+            printing.sigma(state.placed.side[row]).tolist(),
+            1.0,
+            [(f"print {state.placed.id[row]}", NAMES[part]) for part in parts],
+        )
+        for row in rows
+    }
+    sides = SIDE in parts
+    shared = add(int(sides), [printing.side * SIDES.sigma] * sides, 1.0, [("prints", NAMES[SIDE])] * sides)
+    return Prints(parts, own, shared)
+
+
 def adjustment_unknowns(
     observations: Observations,
     state: State,
@@ -124,24 +146,8 @@ def adjustment_unknowns(
             targets[name] = add(
                 6, _place_prior(state.placed.side[own].mean()), 1.0, [(f"target {name}", part) for part in PARTS]
             )
-    prints = NONE
-    if printing is not None and not markers and not targets:
-        parts = printing.parts
-        own_prints = {
-            row: add(
-                len(parts),
-                printing.sigma(state.placed.side[row]).tolist(),
-                1.0,
-                [(f"print {state.placed.id[row]}", NAMES[part]) for part in parts],
-            )
-            for row in rows.tolist()
-        }
-        sides = SIDE in parts
-        prints = Prints(
-            parts,
-            own_prints,
-            add(int(sides), [printing.side * SIDES.sigma] * sides, 1.0, [("prints", NAMES[SIDE])] * sides),
-        )
+    printed = printing is not None and not markers and not targets
+    prints = _prints(printing, state, rows.tolist(), add) if printed and printing is not None else NONE
     used = np.zeros((len(observations.frames), local), bool)
     used[np.unique(observations.frame[observations.on_platform]), :6] = True
     for i, columns in local_poses.items():

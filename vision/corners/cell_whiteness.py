@@ -134,7 +134,10 @@ def cell_whiteness(
 def wide_edge_cell_whiteness(
     cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting: Meeting, table_x: np.ndarray, table_y: np.ndarray
 ) -> Share:
-    """Whiteness in cells whose edges are so wide that cells beyond the neighbours count."""
+    """Whiteness in cells whose edges are so wide that cells beyond the neighbours count.
+
+    cells : (n, n) grey levels; X, Y : px, where they begin; table_x, table_y : (k,) of the edge's spread
+    """
     sx, sy, rho, px, py = meeting
     last = cells.shape[0] - 1
     h = (

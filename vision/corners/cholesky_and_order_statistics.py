@@ -9,7 +9,10 @@ from vision.corners.numba_compilation import kernel
 
 @kernel
 def cholesky_factor(H: np.ndarray, first: int, size: int, L: np.ndarray) -> bool:
-    """Write the Cholesky factor of H[first:first + size, first:first + size] into L; False if not definite."""
+    """Write the Cholesky factor of H[first:first + size, first:first + size] into L; False if not definite.
+
+    H, L : (n, n)
+    """
     for i in range(size):
         for j in range(i + 1):
             total = H[first + i, first + j]

@@ -41,7 +41,10 @@ def empty_outline_buffers(most_pixels: int) -> OutlineBuffers:
 
 @kernel
 def write_outline_quadrangle(traced: OutlineBuffers, pixels: int, found: np.ndarray, row: int) -> int:
-    """Write the corners of a traced outline to found[row] if it is a convex quadrangle; returns 1 or 0."""
+    """Write the corners of a traced outline to found[row] if it is a convex quadrangle; returns 1 or 0.
+
+    found : (k, 8) px
+    """
     x, y, corners = traced.x, traced.y, traced.corners
     away = AWAY * pixels
     count = _straightened(traced, _corners(traced, pixels, away * away), away * away)

@@ -47,7 +47,10 @@ def hand_points(arm: Arm) -> np.ndarray:
 
 
 def forward_steps(q: np.ndarray, arm: Arm) -> list[Step]:
-    """[Step] of the forward kinematics of any Arm: points at zero, then after each joint, the last first."""
+    """[Step] of the forward kinematics of any Arm at q (axes,) rad or m.
+
+    Points at zero, then after each joint, the last first
+    """
     to_global = global_frame(arm).inv()
     chain = (to_global * RigidTransform.from_matrix(mechanism.frames(np.zeros(len(q)), arm))).as_matrix()
     abc = hand_points(arm)

@@ -25,7 +25,9 @@ LONGEST = 0.25  # of a travel, of one step
 
 
 def stages_and_values(values: np.ndarray, chain: Chain) -> Iterator[tuple[Stage, np.ndarray]]:
-    """(stage, its values (..., axes)) of each stage, from commanded values (..., axes of all)."""
+    """(stage, its values (..., axes)) of each stage, from commanded values (..., axes of all).
+    Raises ValueError for another number of values
+    """
     values = np.asarray(values, float)
     if values.shape[-1:] != (len(chain.axes),):
         raise ValueError(f"expected values (..., {len(chain.axes)}) m or rad, got shape {values.shape}")
@@ -129,7 +131,7 @@ def _misses(x: np.ndarray, target: RigidTransform, going: np.ndarray, chain: Cha
 
 
 def limits(values: np.ndarray, chain: Chain) -> np.ndarray:
-    """Excess of commanded values over their limits: negative below, positive above, 0 inside."""
+    """Excess (..., axes) m or rad of commanded values over their limits: negative below, positive above, 0 inside."""
     return np.concatenate(
         [KINDS[stage.kind].limits(own, stage) for stage, own in stages_and_values(values, chain)], axis=-1
     )

@@ -141,7 +141,9 @@ def best_six_legs(legs: Legs, T: RigidTransform) -> np.ndarray:
 
 
 def leg_closures(legs: Legs, lengths: np.ndarray, six: np.ndarray) -> Closures:
-    """Closures of leg lengths (n, k) m: errors of the other legs at poses from the chosen six (6,)."""
+    """Closures of leg lengths (n, k) m: errors of the other legs at poses from the chosen six (6,).
+    Raises RigError where the six leave the platform loose at a pose
+    """
     checks = np.setdiff1d(np.arange(len(legs.names)), six)
     T = mechanism.forward(lengths[:, six], legs.six(six))
     told, J, to_base = leg_length_jacobians(legs, T)
