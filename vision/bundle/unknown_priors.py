@@ -97,8 +97,8 @@ def adjustment_unknowns(
     """Unknowns of an adjustment with their priors, and the Estimate to start from.
     Raises ValueError for an unknown name in `free`.
 
-    stated : State whose markers stand where their owner says; lens_prior_sigmas : of a Camera's stated lens, (4 +
-        terms,) as `stated_lens_sigmas` has it
+    stated : State whose markers stand where their owner says; lens_prior_sigmas : (4 + terms,) of a
+        Camera's stated lens, as `stated_lens_sigmas` has it, px
     printing : how far markers are taken to be off where they are not free, or None
     """
     if set(free) - set(GROUPS):

@@ -139,7 +139,7 @@ def test_how_sure_each_pose_is_stands_beside_the_commands_of_every_machine(tmp_p
         )
     said = command(capsys)("correct", tmp_path / "c.json", "--poses", tmp_path / "w.csv", "--out", tmp_path / "k.csv")
     assert "stated standard uncertainty of the poses: 0.0" in said
-    stated = recording_folder.load_poses(tmp_path / "k.poses.csv", commanded=True)
+    stated = recording_folder.load_poses(tmp_path / "k.poses.csv", are_commands=True)
     done = calib.correct(calibration, wanted)
     np.testing.assert_allclose(
         stated.covariance, corrected_pose_covariance(calibration, wanted, done.values), rtol=1e-6, atol=1e-18
