@@ -124,8 +124,8 @@ def plan(design: Design, parts: str = "standard", seed: int = 0) -> PlannedConfi
     mechanism = design.mechanism
     goals = np.array([step.goal for step in steps_of_plan(build_plan(design, parts, seed)) for _ in range(step.frames)])
     span = None
-    if mechanism.kind == "hexapod":
-        moved = pose_difference(mechanism.home, mechanisms.kinematics_of(mechanism).forward(goals, mechanism))
+    if mechanism.home_pose is not None:
+        moved = pose_difference(mechanism.home_pose, mechanisms.kinematics_of(mechanism).forward(goals, mechanism))
         span = np.array([moved.min(axis=0), moved.max(axis=0)])
     return PlannedConfigurations(design, parts, goals, span)
 

@@ -303,7 +303,7 @@ def test_quiet_commands_keep_the_result_that_was_asked_for(tmp_path, capsys):
 
 def test_help_of_every_command_opens_no_library():
     code = (
-        "import sys; from rig.cli.command_line import COMMANDS, command_line_parser; command_line(COMMANDS)\n"
+        "import sys; from rig.cli.command_line import COMMANDS, command_line_parser; command_line_parser(COMMANDS)\n"
         "print(sorted({'scipy', 'cv2', 'numba', 'matplotlib', 'pyrender', 'serial', 'shtab'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"

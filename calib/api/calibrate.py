@@ -98,7 +98,7 @@ class CalibrationResult:
         of an arm whose poses do not determine its joints
         """
         nominal, samples = self.calibration.correction.nominal, self.sampled.samples
-        if nominal.kind == "arm":
+        if nominal.link_rows is not None:
             if samples.measured in arm_certification.UNPLACED:
                 raise RigError(arm_certification.UNPLACED[samples.measured])
             found = stated_model_summands(samples, nominal)
@@ -109,7 +109,7 @@ class CalibrationResult:
 
 def has_summands(design: Design) -> bool:
     """Whether a calibration of a design's machine has correction values axis by axis (ksf.csv)."""
-    return design.mechanism.kind != "chain"
+    return not design.mechanism.bodies
 
 
 def calibrate(
@@ -152,7 +152,7 @@ def _calibrated(
     rng = np.random.default_rng(SEED)
     if options.extend is not None:
         return _extended(recording, sampled, options, options.extend, rng, progress)
-    if recording.design.mechanism.kind == "chain":
+    if recording.design.mechanism.bodies:
         done = chain_certification.certify_chain(
             sampled.samples, require_chain(recording.design.mechanism), rng, progress
         )
@@ -161,7 +161,7 @@ def _calibrated(
         return CalibrationResult(
             _searched(made, recording, sampled, options, progress), recording, sampled, sampled.samples, done
         )
-    if recording.design.mechanism.kind == "arm":
+    if recording.design.mechanism.link_rows is not None:
         return _arm(recording, sampled, findings, kinds, options, rng, progress)
     return _platform(recording, sampled, findings, kinds, options, rng, progress)
 

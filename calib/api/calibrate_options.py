@@ -53,17 +53,19 @@ class CalibrateOptions:
 
     def refuse_unsuited(self, design: Design) -> None:
         """Raise RigError for what a design's machine takes none of."""
-        kind = design.mechanism.kind
-        if self.with_findings and kind == "chain":
+        mechanism = design.mechanism
+        if self.with_findings and mechanism.bodies:
             raise RigError(
                 f"{'--find' if self.find else '--diagnosis'} is for platforms on struts and for arms; a chain is "
                 "corrected by its geometry"
             )
         if self.extend is not None:
             self.extend.refuse_unsuited(design)
-        elif self.joint and kind in ("arm", "chain"):
+        elif self.joint and mechanism.axes and mechanism.strut_joints is None:
             raise RigError(
-                f"--joint solves a hexapod's cameras and struts together; a mechanism of kind {kind!r} takes none of it"
+                f"--joint solves a hexapod's cameras and struts together; "
+                f"a mechanism of kind {mechanism.kind!r} takes none "
+                "of it"
             )
 
 

@@ -28,7 +28,7 @@ from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_kinds import Struts, require_arm, require_struts
+from rig.model.mechanism_kinds import Struts, has_links, require_arm, require_struts
 
 SPACES = ("configuration", "pose", "both")
 
@@ -59,7 +59,7 @@ class ExtendOptions:
         """Raise RigError where a pass cannot be of a design's machine, or stand on its calibration."""
         if self.onto is None:
             return
-        if design.mechanism.kind == "arm":
+        if design.mechanism.link_rows is not None:
             raise RigError(
                 "--onto is a pass on top of a calibration of struts; an arm's is extended in one go, by all of "
                 "its recordings"
@@ -96,7 +96,7 @@ def certify_correction_extension(
     """Extended, of a machine on struts or an arm. Raises RigError for a chain, and for a part that bounds nothing"""
     samples, ask = sampled.samples, Asked(options.way, options.alone)
     base = "the owner's model alone" if options.alone else "the fitted geometry"
-    if design.mechanism.kind == "arm":
+    if has_links(design.mechanism):
         arm = require_arm(design.mechanism)
         of_arm, tried = arm_extension.certify_extended_arm(samples, arm, sampled.instrument, ask, rng, progress)
         claim_of = arm_extension.claim_without_geometry if options.alone else arm_certification.arm_workspace_claim

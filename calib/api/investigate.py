@@ -115,12 +115,12 @@ def investigate(
 
 def _require_observed(design: Design) -> None:
     """Raise RigError for a machine that cannot be investigated."""
-    if design.mechanism.kind not in ("hexapod", "planar2", "arm"):
+    if len(design.mechanism.stages) != 1:
         raise RigError(
             "an investigation is of a platform on struts or of an arm, not of a mechanism of kind "
             f"{design.mechanism.kind!r}"
         )
-    if design.mechanism.kind == "arm" and design.instrument is None and not (design.cameras and design.targets):
+    if design.mechanism.link_rows is not None and design.instrument is None and not (design.cameras and design.targets):
         raise RigError(
             "an investigation of an arm takes an [instrument] that measures its poses, or cameras and "
             "targets that show them"

@@ -8,7 +8,8 @@ from calib.experiment.informative_configurations import FEWEST, informative_conf
 from calib.models.platform.optimal_configurations import choose_d_optimal_configurations
 from calib.models.platform.parameter_accuracy import PLAUSIBLE, parameter_combinations, standard_error_along
 from rig.errors import RigError
-from rig.model.design import Arm, Chain, Design, Free, Hexapod, Planar2
+from rig.model.design import Arm, Chain, Design, Planar2
+from rig.model.mechanism_kinds import has_axes, has_plates
 from vision.predict import visible_marker_counts
 from vision.targets import marker_map
 
@@ -20,11 +21,11 @@ def plan_for_parameters(design: Design, options: PlanOptions, progress: Progress
     Raises RigError for a body that nothing commands, and for options that are of hexapods alone
     """
     mechanism = design.mechanism
-    if isinstance(mechanism, Free):
+    if not has_axes(mechanism):
         raise RigError(
             f"plans for parameters are for what is commanded, not for a mechanism of kind {mechanism.kind!r}"
         )
-    if not isinstance(mechanism, Hexapod):
+    if not has_plates(mechanism):
         return _plan_of_any(design, mechanism, options, progress)
     mechanism, avoided = geometry_and_excluded_configurations(options, mechanism)
     chosen = choose_d_optimal_configurations(

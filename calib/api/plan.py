@@ -26,7 +26,8 @@ from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_notation import parse_effect, require_existing_place
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import quantity_text
-from rig.model.design import Design, Hexapod
+from rig.model.design import Design
+from rig.model.mechanism_kinds import has_plates
 from rig.planning.plan import Plan, axis_strokes, build_plan, sensors_with_payload
 from rig.recording.recording_folder import Sensors
 
@@ -58,7 +59,7 @@ def plan(design: Design, options: PlanOptions = FOR_PARAMETERS, progress: Progre
 
 def _keeping_promise(design: Design, promise: float, options: PlanOptions, progress: Progress) -> PlanResult:
     """PlanResult of the fewest configurations that keep a promise (m); of none where it is met without any."""
-    if not isinstance(design.mechanism, Hexapod):
+    if not has_plates(design.mechanism):
         raise RigError(f"plans for a promise are for hexapods, not for a mechanism of kind {design.mechanism.kind!r}")
     mechanism, avoided = geometry_and_excluded_configurations(options, design.mechanism)
     found = fewest_configurations(
@@ -120,7 +121,7 @@ def _separating(design: Design, texts: tuple[str, str], options: PlanOptions) ->
 
 def _separations(design: Design, effects: list[Effect], options: PlanOptions) -> list[tuple[Separation, Plan]]:
     """[(Separation of two effects, Plan)] of the parts of plans alone and two by two."""
-    struts = isinstance(design.mechanism, Hexapod)
+    struts = has_plates(design.mechanism)
     moves = [text for text in MOVES if struts or not text.startswith("axes")]
     out = []
     for text in (*moves, *(",".join(pair) for pair in combinations(moves, 2))):

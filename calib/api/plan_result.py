@@ -16,6 +16,7 @@ from calib.samples.confounded_conditions import Confounds
 from calib.workspace.reachable_poses import is_pose_lost
 from rig.errors import RigError
 from rig.model.design import Design, Hexapod
+from rig.model.mechanism_kinds import has_plates
 from rig.recording.recording_folder import Sensors
 from rig.recording.recording_tables import write_configurations, write_table
 from rig.report.pages.html_elements import result_html
@@ -144,7 +145,7 @@ def geometry_and_excluded_configurations(options: PlanOptions, mechanism: Hexapo
     if options.calibration is None:
         return mechanism, None
     correction = options.calibration.correction
-    if correction.fitted.kind != "hexapod":
+    if not has_plates(correction.fitted):
         raise RigError(
             f"{options.name} is a calibration of a mechanism of kind {correction.fitted.kind!r}, not of a hexapod"
         )

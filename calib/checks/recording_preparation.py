@@ -54,7 +54,7 @@ def prepare_recordings(
         notice(line)
     recording = found.recording
     if is_measured_by_instrument(recording):
-        if recording.design.mechanism.kind in ("hexapod", "planar2"):
+        if recording.design.mechanism.strut_joints is not None:
             recording, places = remove_instrument_displacement(recording)
             for place in places:
                 notice(place.line(every[place.recording].name))

@@ -156,7 +156,8 @@ def diagnose(
 
 def _measured_evidence(recording: Recording) -> Callable[..., Evidence]:
     """The function that makes Evidence of a recording of its kind of machine: only what that takes is imported."""
-    if recording.design.mechanism.kind in ("arm", "chain"):
+    mechanism = recording.design.mechanism
+    if mechanism.axes and mechanism.strut_joints is None:
         from calib.diagnosis.problems.arm.arm_evidence import arm_evidence
 
         return arm_evidence

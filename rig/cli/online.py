@@ -68,11 +68,12 @@ def run(arguments: Namespace) -> None:
     from calib.checks.recording_preparation import prepare_recording
     from calib.online.limb_pose_source import sample_by_limbs
     from calib.samples.recording_samples import sample_recording
+    from rig.model.mechanism_kinds import require_hexapod
 
     look = prepare_recording(recording, arguments.anyway, notice)
-    mechanism = recording.design.mechanism
-    if mechanism.kind != "hexapod":
-        raise RigError(f"on-line learning is for hexapods, not for a mechanism of kind {mechanism.kind!r}")
+    mechanism = require_hexapod(
+        recording.design.mechanism, "on-line learning is for hexapods, not for a mechanism of kind {kind!r}"
+    )
     state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
     page = page_path(arguments)
 

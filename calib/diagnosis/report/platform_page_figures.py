@@ -21,7 +21,6 @@ from calib.diagnosis.report.rig_outline import rig_outline_figure
 from calib.report.pose_figures import rig_scene
 from calib.samples.effect_playback import effect_displacements
 from rig.effects.framework.place import Place
-from rig.model.mechanism_geometry import Free
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_elements import heading
 from rig.report.pages.plots import bar_chart, panel_row
@@ -62,7 +61,7 @@ class PlatformView:
         """The rig's poses, with what each finding that moves the platform does at sizes of it."""
         k = self.refined.point
         effects, values = tuple[Shown, ...](), None
-        if k.commands is not None and not isinstance(k.design.mechanism, Free):
+        if k.commands is not None and k.design.mechanism.axes:
             tried = [
                 effect_displacements(k.design, k.commands, k.t, k.effects, which, k.sensors)
                 for which in range(min(len(k.effects), PLAYED))
