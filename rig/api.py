@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.checks.mistake_report import Mistake, sort_mistakes
 from rig.errors import FileError, RigError
 from rig.formats.input_files import read_bytes
@@ -87,8 +88,8 @@ class PlannedConfigurations:
 
     design: Design
     parts: str
-    values: np.ndarray
-    span: np.ndarray | None
+    values: Floats
+    span: Floats | None
 
     def __str__(self) -> str:
         return f"{len(self.values)} configurations of {self.parts}"

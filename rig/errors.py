@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
+from rig.formats.json_tree import Json
+
 if TYPE_CHECKING:
-    import numpy as np
+    from rig.arrays import Floats, Integers
 
 SCHEME = r"(?:[a-z][a-z0-9+.-]*::)*[a-z][a-z0-9+.-]+:"  # of a URL, as fsspec chains them
 FOLDED = re.compile(rf"^({SCHEME})/(?=[^/])")  # what pathlib makes of SCHEME//
@@ -22,7 +24,7 @@ def url(path: str | PathLike[str]) -> str:
 class RigError(Exception):
     """Anything a rig, its files or its physics refuse; the message stands alone in front of a user."""
 
-    def __reduce__(self) -> tuple:
+    def __reduce__(self) -> tuple[Any, ...]:
         """What one process hands another of it, whatever the kind's constructor takes."""
         return _handed, (type(self), self.args, vars(self))
 
@@ -53,7 +55,7 @@ class NotConverged(RigError):
     index : (k,) positions in the batch; lengths : (k, 6) m; residual : (k,) m, what was left
     """
 
-    def __init__(self, message: str, index: np.ndarray, lengths: np.ndarray, residual: np.ndarray) -> None:
+    def __init__(self, message: str, index: Integers, lengths: Floats, residual: Floats) -> None:
         self.index, self.lengths, self.residual = index, lengths, residual
         super().__init__(message)
 
@@ -64,7 +66,7 @@ class Unreachable(RigError):
     index : (k,) positions in the batch; violations : one line of text per pose
     """
 
-    def __init__(self, message: str, index: Sequence[int] | np.ndarray, violations: list[str]) -> None:
+    def __init__(self, message: str, index: Sequence[int] | Integers, violations: list[str]) -> None:
         self.index, self.violations = index, violations
         super().__init__("\n".join([message, *(f"  {line}" for line in violations)]))
 
@@ -107,7 +109,7 @@ class Stopped(MotionError):
     """A motion that was stopped because somebody asked."""
 
 
-def _handed(kind: type[RigError], arguments: tuple, attributes: dict) -> RigError:
+def _handed(kind: type[RigError], arguments: tuple[Any, ...], attributes: Json) -> RigError:
     error = kind.__new__(kind, *arguments)
     vars(error).update(attributes)
     return error

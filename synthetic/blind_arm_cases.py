@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.parameter import Drawing, log_uniform
@@ -19,7 +20,8 @@ from rig.model.design import Design, Instrument
 from rig.model.mechanism_kinds import require_arm
 from rig.model.pose import exp
 from rig.planning.configuration_sets import sobol_configurations
-from rig.planning.plan import Plan, build_plan, plan_of_configurations
+from rig.planning.plan import build_plan, plan_of_configurations
+from rig.planning.plan_construction_and_table import Plan
 from rig.recording.recording_folder import Commands, Sensors
 from synthetic import recording_simulation as simulation
 from synthetic import secret_machine
@@ -60,7 +62,7 @@ class DrawnArmCase:
     make: str
     simulation: simulation.Simulation
     text: str
-    sigma: np.ndarray
+    sigma: Floats
     hard: tuple[str, ...]
     plan: str
     rng: np.random.Generator
@@ -135,7 +137,7 @@ def _hardships(make: str, rng: np.random.Generator) -> tuple[str, ...]:
     return tuple(sorted(str(name) for name in rng.choice(able, int(rng.integers(1, 3)), replace=False)))
 
 
-def _level(design: Design, count: int, rng: np.random.Generator) -> np.ndarray:
+def _level(design: Design, count: int, rng: np.random.Generator) -> Floats:
     """(count, 6) rad of an arm with three parallel axes whose hand points down all the time and turns about the
     vertical alone.
     """

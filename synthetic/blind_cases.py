@@ -19,7 +19,8 @@ from rig.model import mechanisms, motion_simulation
 from rig.model.design import Camera, Design
 from rig.model.mechanism_kinds import require_axes
 from rig.planning.layout import hexapod_and_two_strut_layout
-from rig.planning.plan import Plan, build_plan
+from rig.planning.plan import build_plan
+from rig.planning.plan_construction_and_table import Plan
 from rig.recording.corner_and_pose_tables import Corners
 from rig.recording.recording_folder import Sensors
 from synthetic import blind_image_settings, secret_machine, unlisted_physics

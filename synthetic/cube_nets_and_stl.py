@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.errors import RigError
 from rig.model.design import Design
 
@@ -165,7 +166,7 @@ def _ends(face: str, side: str) -> frozenset[tuple[float, ...]]:
     return frozenset(tuple((middle + s * along).tolist()) for s in (-1.0, 1.0))
 
 
-def _axis(name: str) -> np.ndarray:
+def _axis(name: str) -> Floats:
     """(3,) unit vector of "+x" and the like."""
     return (1.0 if name[0] == "+" else -1.0) * np.eye(3)["xyz".index(name[1])]
 

@@ -9,7 +9,7 @@ from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.texts.effect_notation import Kinds
 from rig.errors import FileError, RigError
 from rig.model import motion_simulation
-from rig.planning.plan import Plan
+from rig.planning.plan_construction_and_table import Plan
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Sensors
 from synthetic import secret_machine

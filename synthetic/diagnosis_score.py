@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy
@@ -11,6 +12,7 @@ from rig.effects.catalogue.effect_list import BY_NAME
 from rig.formats import json_file
 from rig.formats.checked_entries import Entries
 from rig.formats.input_files import short_repr
+from rig.formats.json_tree import Json
 
 STRONG = 7.0  # signal-to-noise from which an effect must be found
 Group = tuple[str, list["Figure"], dict[str, int]]  # (effect or strength, detected .. covered, {taken for: times})
@@ -25,7 +27,7 @@ class Hidden:
 
     effect: str
     place: str
-    parameters: dict
+    parameters: Json
     strength: float
 
 
@@ -37,8 +39,8 @@ class Found:
 
     effect: str
     place: str
-    parameters: dict
-    alternatives: list
+    parameters: Json
+    alternatives: list[Any]
 
     def names(self) -> list[str]:
         """Effects that it leaves possible, its own first."""
@@ -56,13 +58,13 @@ class Case:
     index: int
     kind: str
     disturbance: str | None
-    hidden: list
-    found: list
+    hidden: list[Any]
+    found: list[Any]
     unexplained: bool
     ratio: float
     seconds: float
     failed: str | None = None
-    remarks: tuple = ()
+    remarks: tuple[Any, ...] = ()
 
     @property
     def named(self) -> list[Found]:
@@ -291,7 +293,7 @@ def figures_by_strength(cases: list[Case]) -> list[Group]:
 
 
 def _grouped(cases: list[Case], group: Callable[[Hidden], str | None]) -> list[Group]:
-    rows: dict[str, list] = {}
+    rows: dict[str, list[Any]] = {}
     for c in cases:
         for h in c.hidden if c.failed is None else ():
             name = group(h)
@@ -330,7 +332,7 @@ def confusion_table(cases: list[Case]) -> dict[str, dict[str, int]]:
 
 
 def _count(names: Iterable[str]) -> dict[str, int]:
-    out: dict = {}
+    out: Json = {}
     for name in names:
         out[name] = out.get(name, 0) + 1
     return out

@@ -10,12 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.driving.cameras.emulated_camera_client import USUAL
 from rig.driving.clock import Clock
 from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.pose import transform_points
-from rig.planning.plan import Plan
+from rig.planning.plan_construction_and_table import Plan
 from rig.recording.recording_folder import Commands, Sensors
 from synthetic import secret_machine as worlds
 from synthetic.image_simulation import Images, render_image
@@ -27,7 +28,7 @@ SOON, LATE = (
     0.02,
     20.0,
 )  # s between looks at the history for what the struts did up to a moment, and until that is given up
-Told = Callable[[], tuple[np.ndarray, np.ndarray]]
+Told = Callable[[], tuple[Floats, Floats]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +52,7 @@ class EmulatedCameras:
         )
         self._start: float | None = None
 
-    def image(self, name: str, t: float, exposure: float) -> np.ndarray:
+    def image(self, name: str, t: float, exposure: float) -> Floats:
         """The image of a camera exposed at t (s, the history's clock) for so long (s; USUAL gives the stated
         brightness).
 
@@ -66,7 +67,7 @@ class EmulatedCameras:
             self._now(t), 0, names.index(name), replace(self._images, sensor=sensor), self._seed + self._count
         )
 
-    def pose(self, t: float) -> np.ndarray:
+    def pose(self, t: float) -> Floats:
         """(4, 4) T_base_platform as it truly is at t (s)."""
         return self._now(t).run.T_base_platform.as_matrix()[0]
 
@@ -124,7 +125,7 @@ class HistoryFromFile:
         self._path, self._at, self._rest = Path(path), 0, ""
         self._rows: list[list[float]] = []
 
-    def __call__(self) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(self) -> tuple[Floats, Floats]:
         """((k,) s, (k, n) m) so far. Raises RigError where there is nothing yet."""
         with open(self._path, encoding="utf-8") as file:
             file.seek(self._at)

@@ -1,17 +1,19 @@
 """Image sensor: grey levels from radiance by optics, vignetting, shot and read noise, quantisation (EMVA 1288)."""
 
 from functools import lru_cache
+from typing import cast
 
 import cv2
 import numpy as np
 
+from rig.arrays import Floats
 from rig.model.design import Sensor
 
 KEPT = 4  # of what the last cameras' optics do; a falloff is as large as a picture
 BLACK = 4.0  # grey level of no light, so that noise is not cut off
 
 
-def expose_image(radiance: np.ndarray, sensor: Sensor, rng: np.random.Generator, samples: int = 1) -> np.ndarray:
+def expose_image(radiance: Floats, sensor: Sensor, rng: np.random.Generator, samples: int = 1) -> Floats:
     """Image (height, width) uint8 or uint16 exposed by a sensor to a radiance 0..1.
 
     sensor : rig.model.design.Sensor; rng : numpy Generator; samples : of the radiance to the pixel each way. Optics act
@@ -21,11 +23,15 @@ def expose_image(radiance: np.ndarray, sensor: Sensor, rng: np.random.Generator,
     linear camera model).
     """
     if sensor.defocus:
-        radiance = cv2.filter2D(radiance, cv2.CV_32F, _disc(sensor.defocus * samples), borderType=cv2.BORDER_REPLICATE)
+        radiance = cast(
+            Floats, cv2.filter2D(radiance, cv2.CV_32F, _disc(sensor.defocus * samples), borderType=cv2.BORDER_REPLICATE)
+        )
     if sensor.blur:
-        radiance = cv2.GaussianBlur(radiance, (0, 0), sensor.blur * samples)
+        radiance = cast(Floats, cv2.GaussianBlur(radiance, (0, 0), sensor.blur * samples))
     if samples > 1:
-        radiance = cv2.resize(radiance, None, fx=1 / samples, fy=1 / samples, interpolation=cv2.INTER_AREA)
+        radiance = cast(
+            Floats, cv2.resize(radiance, None, fx=1 / samples, fy=1 / samples, interpolation=cv2.INTER_AREA)
+        )
     light = sensor.gain * radiance
     if sensor.vignetting:
         light = light * _falloff(radiance.shape, sensor.vignetting)
@@ -42,7 +48,7 @@ def expose_image(radiance: np.ndarray, sensor: Sensor, rng: np.random.Generator,
 
 
 @lru_cache(KEPT)
-def _disc(radius: float) -> np.ndarray:
+def _disc(radius: float) -> Floats:
     """A uniform disc of a radius (px), each pixel weighted by the part of it that the disc covers: one pixel alone
     where it is a point.
     """
@@ -54,9 +60,9 @@ def _disc(radius: float) -> np.ndarray:
 
 
 @lru_cache(KEPT)
-def _falloff(shape: tuple[int, ...], lost: float) -> np.ndarray:
+def _falloff(shape: tuple[int, ...], lost: float) -> Floats:
     """(height, width) share of the light that arrives: 1 in the middle, 1 - lost in the corners, with the square of the
     radius.
     """
     v, u = (np.linspace(-1, 1, n, dtype=np.float32) for n in shape)
-    return 1 - np.float32(lost / 2) * (v[:, None] ** 2 + u**2)
+    return cast(Floats, 1 - np.float32(lost / 2) * (v[:, None] ** 2 + u**2))

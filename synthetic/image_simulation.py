@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats
 from rig.compute import dask_cluster
 from rig.compute.worker_processes import process_map, worker_count
 from rig.effects.framework.effect import Effect
@@ -153,7 +154,7 @@ def _draw(item: tuple[int, int]) -> None:
     write_bytes(path, cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, images.compression])[1].tobytes())
 
 
-def _exposed(f: int, i: int, sensor: Sensor) -> np.ndarray:
+def _exposed(f: int, i: int, sensor: Sensor) -> Floats:
     """The image of (frame, camera index) by a sensor."""
     seed, exposures = _state["seed"], _state["exposures"]
     rng = np.random.default_rng([seed & 0xFFFFFFFF, seed >> 32, f, i])
@@ -164,7 +165,7 @@ def _exposed(f: int, i: int, sensor: Sensor) -> np.ndarray:
     return expose_image(radiance, sensor, rng, SAMPLES)
 
 
-def render_image(simulation: Simulation, frame: int, camera: int, images: Images, seed: int) -> np.ndarray:
+def render_image(simulation: Simulation, frame: int, camera: int, images: Images, seed: int) -> Floats:
     """Image of one frame by one camera, rendered in this process, uint8 or uint16 (12 bits).
 
     simulation : Simulation, possibly another of the same world each time; images : Images; seed : of the noise
@@ -199,7 +200,7 @@ def _sub_exposures(sensor: Sensor) -> list[float]:
     return (((np.arange(sensor.exposures) + 0.5) / sensor.exposures - 0.5) * sensor.exposure).tolist()
 
 
-def _picture(camera: Camera, i: int, f: int, shift: float, stages: list[RigidTransform]) -> np.ndarray:
+def _picture(camera: Camera, i: int, f: int, shift: float, stages: list[RigidTransform]) -> Floats:
     """Radiance seen by a camera, the exposure shifted (s), what moves at stages; rows of a rolling shutter at their own
     times.
     """
@@ -228,11 +229,11 @@ def _row_time(camera: Camera, effects: Iterable[Effect]) -> float:
     return stated + sum((float(effect.late(camera, np.array(camera.height / 2 + 1.0))) for effect in effects), 0.0)
 
 
-def _view(camera: Camera, t: float, stages: list[RigidTransform]) -> np.ndarray:
+def _view(camera: Camera, t: float, stages: list[RigidTransform]) -> Floats:
     """Radiance seen by a camera at time t (s), its mount and focal length as the effects have them then."""
     sensors = _state["simulation"].sensors
 
-    def channel(*names: str) -> np.ndarray:
+    def channel(*names: str) -> Floats:
         return np.array([sensors.at([t], *names)[0]])
 
     mount, focal = np.zeros(6), 1.0

@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats, Integers
 from rig.model.design import Design
 from synthetic.rig_meshes import (
     PLATE,
@@ -18,9 +19,7 @@ from synthetic.rig_meshes import (
 OWN_DEPTH = 2e-3  # m; what is nearer to the marker than this is the marker itself
 
 
-def is_occluded(
-    design: Design, stages: list[RigidTransform], frame: np.ndarray, eye: np.ndarray, points: np.ndarray
-) -> np.ndarray:
+def is_occluded(design: Design, stages: list[RigidTransform], frame: Integers, eye: Floats, points: Floats) -> Floats:
     """Whether each point (k,) is occluded from an eye: the straight line between them is blocked.
 
     design : Design as it really is; stages : where each stage's platform stands, RigidTransform (F,), the last alone
@@ -33,7 +32,7 @@ def is_occluded(
     ends = points - (points - eye) / length * OWN_DEPTH
     poses = body_matrices(stages)
 
-    def within(body: str) -> tuple[np.ndarray, np.ndarray]:
+    def within(body: str) -> tuple[Floats, Floats]:
         """(eyes, ends) (k, 3) m in the frame of a body."""
         return (eye, ends) if body == "base" else (_into(poses[body][frame], eye), _into(poses[body][frame], ends))
 
@@ -63,12 +62,12 @@ def is_occluded(
     return blocked
 
 
-def _into(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+def _into(matrix: Floats, points: Floats) -> Floats:
     """Points (k, 3) in each one's body frame, matrix (k, 4, 4)."""
     return ((points - matrix[:, :3, 3])[:, None] @ matrix[:, :3, :3])[:, 0]
 
 
-def _through_rod(p: np.ndarray, q: np.ndarray, a: np.ndarray, b: np.ndarray, radius: float | np.ndarray) -> np.ndarray:
+def _through_rod(p: Floats, q: Floats, a: Floats, b: Floats, radius: float | Floats) -> Floats:
     """(k,) bool, whether segments p-q come within a radius of segments a-b. Source: Ericson, Real-Time Collision
     Detection, 5.1.9
     """
@@ -83,7 +82,7 @@ def _through_rod(p: np.ndarray, q: np.ndarray, a: np.ndarray, b: np.ndarray, rad
     return np.einsum("ki,ki->k", gap, gap) < radius**2
 
 
-def _through_disc(p: np.ndarray, q: np.ndarray, top: float, radius: float, thickness: float) -> np.ndarray:
+def _through_disc(p: Floats, q: Floats, top: float, radius: float, thickness: float) -> Floats:
     """(k,) bool, whether segments p-q cross the faces z = top or z = top - thickness within a radius of the z axis."""
     crossed = np.zeros(len(p), bool)
     for z in (top, top - thickness):
@@ -94,7 +93,7 @@ def _through_disc(p: np.ndarray, q: np.ndarray, top: float, radius: float, thick
     return crossed
 
 
-def _through_box(p: np.ndarray, q: np.ndarray, half: float | np.ndarray) -> np.ndarray:
+def _through_box(p: Floats, q: Floats, half: float | Floats) -> Floats:
     """(k,) bool, whether segments p-q enter the cube |x|, |y|, |z| < half."""
     d = q - p
     d = np.where(np.abs(d) > 1e-12, d, 1e-12)

@@ -11,6 +11,7 @@ from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 
+from rig.arrays import Floats
 from rig.errors import RigError
 from rig.formats.output_files import write_bytes
 from rig.model.design import Design, Target
@@ -156,7 +157,7 @@ def _larger(size: float, paper: str) -> str:
     return f"; it fits --paper {fits[0]}" if fits else "; no paper is large enough"
 
 
-def _piece(axes: Axes, origin: np.ndarray, target: Target, piece: Piece, size: Size) -> None:
+def _piece(axes: Axes, origin: Floats, target: Target, piece: Piece, size: Size) -> None:
     """A piece of a cube's net. origin : (2,) mm, of the net's coordinates; target : a cube"""
     ids, edge = dict(target.faces), size.edge
     for face in piece.faces:
@@ -181,13 +182,13 @@ def _piece(axes: Axes, origin: np.ndarray, target: Target, piece: Piece, size: S
                 axes.plot(*zip(a, b), **cut_line_style())
 
 
-def _side(corner: np.ndarray, edge: float, side: str) -> tuple[np.ndarray, np.ndarray]:
+def _side(corner: Floats, edge: float, side: str) -> tuple[Floats, Floats]:
     """The two ends (2,) mm of a face's side, the face's lower left corner (2,) mm given."""
     first, second = {"l": ((0, 1), (0, 0)), "t": ((1, 1), (0, 1)), "b": ((0, 0), (1, 0)), "r": ((1, 0), (1, 1))}[side]
     return corner + edge * np.array(first), corner + edge * np.array(second)
 
 
-def _flap(axes: Axes, a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
+def _flap(axes: Axes, a: Floats, b: Floats, out: Floats) -> None:
     """A flap to glue on the side from a to b (2,) mm, that reaches out (2,) mm: folded at the side, cut around."""
     inward = np.linalg.norm(out) * (b - a) / np.linalg.norm(b - a)
     ends = [a, a + out + inward, b + out - inward, b]
@@ -196,7 +197,7 @@ def _flap(axes: Axes, a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
     axes.plot(*zip(a, b), **fold_line_style())
 
 
-def _marker(axes: Axes, middle: np.ndarray, side: float, dictionary: str, number: int) -> None:
+def _marker(axes: Axes, middle: Floats, side: float, dictionary: str, number: int) -> None:
     """Black square with its white cells, as vector shapes: one black square, so that no hairlines show between
     cells.
     """

@@ -5,20 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Booleans, Floats
 from rig.formats.output_files import write_text
 from rig.model import motion_simulation
 from rig.model.cube_remounting import quarter_turns, rig_toml_with_turns
 from rig.model.design import Camera, Design, Instrument, MeasuringLimbs
 from rig.model.mechanism_kinds import require_axes
 from rig.model.pose import exp, pose_to_vector, transform_points
-from rig.planning.plan import Plan, sensors_with_payload
-from rig.recording.corner_and_pose_tables import DISTANCE, POSE_COLUMNS
-from rig.recording.recording_folder import LIMB, Corners, Sensors
+from rig.planning.plan import sensors_with_payload
+from rig.planning.plan_construction_and_table import Plan
+from rig.recording.corner_and_pose_tables import DISTANCE, POSE_COLUMNS, Corners
+from rig.recording.recording_folder import LIMB, Sensors
 from rig.recording.recording_tables import write_corners, write_table
 from synthetic import secret_machine as worlds
 from synthetic.occlusion import is_occluded
@@ -44,7 +46,7 @@ class Simulation:
     log: Sensors
     run: motion_simulation.Run
 
-    def at_times(self, t: np.ndarray) -> list[RigidTransform]:
+    def at_times(self, t: Floats) -> list[RigidTransform]:
         """[T_base_stage : RigidTransform (n,)] of what the simulated machine moves at other times t (n,) s, as the
         cameras log them: the platform last, alone but of a chain."""
         order = np.argsort(t, kind="stable")
@@ -97,9 +99,7 @@ def simulate(world: worlds.World, plan: Plan, rng: np.random.Generator, given: S
     return Simulation(world, plan, sensors, log, run)
 
 
-def _with_limbs(
-    log: Sensors, t: np.ndarray, T: RigidTransform, limbs: MeasuringLimbs, rng: np.random.Generator
-) -> Sensors:
+def _with_limbs(log: Sensors, t: Floats, T: RigidTransform, limbs: MeasuringLimbs, rng: np.random.Generator) -> Sensors:
     """The log with the measuring limbs' readings at exposures t (n,) s, a row for each."""
     legs = transform_points(T, limbs.platform_joints) - limbs.base_joints
     read = np.linalg.norm(legs, axis=-1) - limbs.zeros + limbs.length_sigma * rng.normal(size=legs.shape[:2])
@@ -108,7 +108,7 @@ def _with_limbs(
     return Sensors(rows, channels | {name: np.interp(rows, t, own) for name, own in zip(limbs.channels, read.T)})
 
 
-def visible_markers(simulation: Simulation, max_viewing_angle: float = STEEPEST) -> tuple[Sightings, np.ndarray]:
+def visible_markers(simulation: Simulation, max_viewing_angle: float = STEEPEST) -> tuple[Sightings, Floats]:
     """(Sightings, corners (k, 4, 2) px) of visible markers: facing a camera, inside its image, not occluded."""
     world = simulation.world
     stated = real = marker_map(world.true)
@@ -121,7 +121,7 @@ def visible_markers(simulation: Simulation, max_viewing_angle: float = STEEPEST)
 
 def _sight_of(
     simulation: Simulation, stage: int, stated: MarkerMap, real: MarkerMap, steepest: float
-) -> tuple[Sightings, np.ndarray]:
+) -> tuple[Sightings, Floats]:
     """The same of the base's and the platform's markers (stage 0) or of those on a stage of a chain below the last (its
     number).
     """
@@ -163,7 +163,7 @@ def carried_camera_poses(cameras: tuple[Camera, ...], T_base_platform: RigidTran
 
 def _covered(
     design: Design, stages: list[RigidTransform], T: RigidTransform, markers: MarkerMap, found: Sightings
-) -> np.ndarray:
+) -> Booleans:
     """(k,) bool, whether a corner, an edge's middle or the middle of a marker is hidden. stages : of
     `stage_poses_of_run`; T : (F,) of what carries them"""
     square = markers.corners[found.marker]
@@ -290,7 +290,7 @@ def _write_measured_poses(
     )
 
 
-def truth_corners(simulation: Simulation) -> list[list]:
+def truth_corners(simulation: Simulation) -> list[list[Any]]:
     """True corners as rows [frame, camera, marker, corner, u, v] of every visible marker, for a truth file."""
     c = noisy_corners(simulation, 0.0, np.random.default_rng(0))
     return [

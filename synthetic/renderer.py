@@ -22,6 +22,7 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats, ImageBytes, Pixels, Singles
 from rig.compute.numba_kernels import njit
 from rig.errors import MissingLibrary
 from rig.model.design import Camera, Design
@@ -91,10 +92,10 @@ class Renderer:
         self,
         camera_name: str,
         T_base_platform: RigidTransform,
-        mount: np.ndarray | None = None,
+        mount: Floats | None = None,
         focal: float = 1.0,
         below: Sequence[RigidTransform] = (),
-    ) -> np.ndarray:
+    ) -> Singles:
         """(SAMPLES height, SAMPLES width) float32 radiance 0..1 seen by a camera at a pose of the platform, SAMPLES to
         the pixel each way.
 
@@ -134,9 +135,7 @@ class Renderer:
             return [grey, grey, 0.0, 1.0]
         return [grey, grey * BLACK / WHITE, self.numbers[id(part)] / 255, 1.0]
 
-    def _lay(
-        self, part: Part, ink: Ink, from_cells: np.ndarray, pinhole: _Pinhole, picture: np.ndarray, out: np.ndarray
-    ) -> None:
+    def _lay(self, part: Part, ink: Ink, from_cells: Floats, pinhole: _Pinhole, picture: Pixels, out: Singles) -> None:
         """Lay a part's ink. from_cells : (4, 3) cells (X, Y, 1) to the camera's frame"""
         G, n = from_cells[:3], len(ink.cells)
         if not G[:, 2] @ np.cross(G[:, 0], G[:, 1]) > 0:
@@ -179,7 +178,7 @@ class Renderer:
             configure()
             inner._main_fb_ms = inner._main_fb
 
-        def read(scene: Any, flags: int) -> np.ndarray:
+        def read(scene: Any, flags: int) -> ImageBytes:
             width, height = inner._main_fb_dims
             GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, inner._main_fb)
             GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 1)
@@ -207,7 +206,7 @@ class Renderer:
         return pyrender.Mesh([primitive])
 
 
-def _texture(pyrender: Any, picture: np.ndarray) -> Any:
+def _texture(pyrender: Any, picture: Pixels) -> Any:
     """A texture with trilinear mipmaps."""
     from OpenGL import GL
 
@@ -251,7 +250,7 @@ class _Pinhole:
         )
         self.places = np.stack([x, self.size[1] - 1 - y], axis=-1).astype(np.float32)
 
-    def bend(self, picture: np.ndarray) -> np.ndarray:
+    def bend(self, picture: Pixels) -> Singles:
         """(SAMPLES height, SAMPLES width) float32 0..255 of the first channel of a pinhole picture (uint8, last row
         first).
         """
@@ -259,14 +258,14 @@ class _Pinhole:
         _bend(picture, self.places, out)
         return out
 
-    def ideal(self, box: tuple[int, int, int, int]) -> np.ndarray:
+    def ideal(self, box: tuple[int, int, int, int]) -> Floats:
         """(2, rows + 2, columns + 2) x / z, y / z of the finer picture's elements of a box x0, y0, x1, y1, one more on
         every side.
         """
         x0, y0, x1, y1 = box
         return np.stack([spline(_fine(y0 - 1, y1 + 1), _fine(x0 - 1, x1 + 1)) for spline in self.splines])
 
-    def box(self, points: np.ndarray) -> tuple[int, int, int, int] | None:
+    def box(self, points: Floats) -> tuple[int, int, int, int] | None:
         """x0, y0, x1, y1 of the finer picture's elements about points (n, 3) of the camera's frame, or None where none
         is in the picture.
         """
@@ -278,7 +277,7 @@ class _Pinhole:
         return (*low.tolist(), *high.tolist()) if (low < high).all() else None
 
 
-def _fine(first: int, last: int) -> np.ndarray:
+def _fine(first: int, last: int) -> Floats:
     """px, the centres of elements first .. last - 1 of the finer picture along one axis."""
     return (np.arange(first, last) + 0.5) / SAMPLES - 0.5
 

@@ -13,6 +13,7 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats
 from rig.model.design import FACES, Design, Target
 from rig.model.mechanism_kinds import Mechanism, Struts, has_struts
 from vision.targets import MarkerMap, face_pose, marker_cells, marker_map
@@ -28,8 +29,8 @@ class Ink:
     """A marker printed on a sheet. cells : (n, n) 1 white, 0 black, its border among them
     to_body : (4, 3), cells (X, Y, 1) to the body's frame (x, y, z, 1), m"""
 
-    cells: np.ndarray
-    to_body: np.ndarray
+    cells: Floats
+    to_body: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,11 +47,11 @@ class Part:
 
     body: str
     mesh: trimesh.Trimesh
-    normal: np.ndarray | None
-    centre: np.ndarray
+    normal: Floats | None
+    centre: Floats
     albedo: float
-    texture: np.ndarray | None = None
-    uv: np.ndarray | None = None
+    texture: Floats | None = None
+    uv: Floats | None = None
     ink: Ink | None = None
 
 
@@ -122,7 +123,7 @@ def strut_stages(mechanism: Mechanism) -> list[StrutStage]:
     ]
 
 
-def body_matrices(stage_poses: list[RigidTransform]) -> dict[str, np.ndarray]:
+def body_matrices(stage_poses: list[RigidTransform]) -> dict[str, Floats]:
     """{body: (..., 4, 4) matrix to the base} of bodies between struts, from the stages' poses."""
     *below, platform = (T.as_matrix() for T in stage_poses)
     return {
@@ -132,7 +133,7 @@ def body_matrices(stage_poses: list[RigidTransform]) -> dict[str, np.ndarray]:
     }
 
 
-def mesh_body_matrices(mechanism: Mechanism, stage_poses: list[RigidTransform]) -> dict[str, np.ndarray]:
+def mesh_body_matrices(mechanism: Mechanism, stage_poses: list[RigidTransform]) -> dict[str, Floats]:
     """{body: (4, 4) matrix to the base} of all bodies that have meshes, at one pose, struts included."""
     poses = {"world": np.eye(4), **body_matrices(stage_poses)}
     for stands in strut_stages(mechanism):
@@ -154,7 +155,7 @@ def mesh_body_matrices(mechanism: Mechanism, stage_poses: list[RigidTransform]) 
     return poses
 
 
-def part_brightness(part: Part, matrix: np.ndarray) -> float:
+def part_brightness(part: Part, matrix: Floats) -> float:
     """Brightness 0..1 of a part at its body's matrix (4, 4): albedo times the light of the lamps."""
     centre = matrix[:3, :3] @ part.centre + matrix[:3, 3]
     light = AMBIENT
@@ -166,7 +167,7 @@ def part_brightness(part: Part, matrix: np.ndarray) -> float:
     return float(min(1.0, part.albedo * min(light, 1.0 / WHITE)))
 
 
-def plate_radius(body: str, joints: np.ndarray, design: Design) -> float:
+def plate_radius(body: str, joints: Floats, design: Design) -> float:
     """Radius, m, of the plate that carries a body's joints (6, 3) m and its cubes."""
     cubes = [
         float(np.linalg.norm(target.pose.translation[:2])) + 0.8 * target.edge
@@ -176,14 +177,14 @@ def plate_radius(body: str, joints: np.ndarray, design: Design) -> float:
     return max([1.12 * float(np.linalg.norm(joints[:, :2], axis=1).max()), *cubes])
 
 
-def _plate(body: str, joints: np.ndarray, design: Design) -> list[Part]:
+def _plate(body: str, joints: Floats, design: Design) -> list[Part]:
     """A disc just under the plane of joints."""
     disc = trimesh.creation.cylinder(radius=plate_radius(body, joints, design), height=PLATE, sections=96)
     disc.apply_translation([0, 0, joints[:, 2].mean() - PLATE / 2 - 0.002])
     return [Part(body, disc, np.array([0, 0, 1.0]), np.zeros(3), DARK)]
 
 
-def strut_ends(mechanism: Struts, T_base_platform: RigidTransform) -> tuple[np.ndarray, np.ndarray]:
+def strut_ends(mechanism: Struts, T_base_platform: RigidTransform) -> tuple[Floats, Floats]:
     """Ends (lower, upper) (..., axes, 3) m of the struts in the base frame at poses (...)."""
     matrix = T_base_platform.as_matrix()
     low, joints = mechanism.strut_joints
@@ -231,8 +232,8 @@ def _quad(
     T: RigidTransform,
     half: float,
     albedo: float,
-    texture: np.ndarray | None = None,
-    uv: np.ndarray | None = None,
+    texture: Floats | None = None,
+    uv: Floats | None = None,
     ink: Ink | None = None,
 ) -> Part:
     corners = half * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
@@ -258,7 +259,7 @@ def _surroundings(design: Design, background: str, rng: np.random.Generator | No
     return found
 
 
-def _clutter_texture(rng: np.random.Generator, size: int = 1024) -> np.ndarray:
+def _clutter_texture(rng: np.random.Generator, size: int = 1024) -> Floats:
     """(size, size) 0..1 picture of blobs, bars and squares, dark squares on white among them, that a detector must not
     believe.
     """

@@ -18,7 +18,8 @@ from rig.formats import machine_json
 from rig.formats.output_files import write_text
 from rig.model import mechanisms
 from rig.model.cube_remounting import design_with_turned_cubes, quarter_turns
-from rig.model.design import Arm, Camera, Chain, Design, Hexapod, Planar2
+from rig.model.design import Camera, Design
+from rig.model.mechanism_geometry import Arm, Chain, Hexapod, Planar2
 from rig.model.mechanism_kinds import has_links, has_stages, has_struts
 from rig.model.pose import exp, pose
 from rig.recording.recording_folder import Sensors
@@ -79,7 +80,7 @@ class World:
 
     stated: Design
     true: Design
-    effects: tuple = ()
+    effects: tuple[Any, ...] = ()
 
 
 def draw_machine(stated: Design, rng: np.random.Generator, size: float = 1.0, effects: Iterable[Effect] = ()) -> World:

@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Polygon, Rectangle
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats
 from rig.model.design import Design, Target
 
 MARGIN, LEFT, FOOT = (
@@ -132,7 +133,7 @@ def _body(axes: Axes, design: Design, body: str, frame: tuple[float, float, floa
         _target(axes, target, origin + scale * shape)
 
 
-def _target(axes: Axes, target: Target, shape: np.ndarray) -> None:
+def _target(axes: Axes, target: Target, shape: Floats) -> None:
     """A target where its outline (n, 2) mm lies: name, what is up, and a cube's +x."""
     middle = shape.mean(axis=0)
     axes.add_patch(Polygon(shape, closed=True, fill=False, ec="black", lw=0.8))
@@ -164,7 +165,7 @@ def _target(axes: Axes, target: Target, shape: np.ndarray) -> None:
     )
 
 
-def target_outline(target: Target) -> np.ndarray:
+def target_outline(target: Target) -> Floats:
     """Outline (n, 2) m of a target from above in its body's frame."""
     if target.edge is not None and target.pose is not None:
         turn = target.pose.rotation.as_matrix()

@@ -11,7 +11,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.effect import Effect, Motion
+from rig.arrays import Floats
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.machine_motion import Motion
 from rig.errors import RigError
 from rig.model.design import Camera, Design
 from rig.model.mechanism_kinds import require_hexapod
@@ -39,7 +41,7 @@ class CablePull(Effect):
     places: ClassVar = ("rig",)
     on_pose: ClassVar = True
 
-    def deviation(self, motion: Motion) -> np.ndarray:
+    def deviation(self, motion: Motion) -> Floats:
         at = np.array([0.0, self.arm, 0.0])  # where the cable is tied, platform frame
         matrix = motion.posed().as_matrix()
         away = np.asarray(self.anchor) - (matrix[:, :3, :3] @ at + matrix[:, :3, 3])
@@ -62,7 +64,7 @@ class BendingStrut(Effect):
     places: ClassVar = ("strut",)
     on_pose: ClassVar = True
 
-    def deviation(self, motion: Motion) -> np.ndarray:
+    def deviation(self, motion: Motion) -> Floats:
         matrix, m = motion.posed().as_matrix(), require_hexapod(motion.mechanism)
         struts = m.platform_joints @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3] - m.base_joints
         length = np.linalg.norm(struts, axis=2)
@@ -82,7 +84,7 @@ class WanderingBase(Effect):
     places: ClassVar = ("rig",)
     on_pose: ClassVar = True
 
-    def deviation(self, motion: Motion) -> np.ndarray:
+    def deviation(self, motion: Motion) -> Floats:
         moved = transform_points(exp(_course(self.course, motion.t, 6)), require_hexapod(motion.mechanism).base_joints)
         matrix, m = motion.posed().as_matrix(), require_hexapod(motion.mechanism)
         tips = m.platform_joints @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3]
@@ -103,7 +105,7 @@ class Crosstalk(Effect):
     stage: ClassVar = "struts"
     places: ClassVar = ("strut",)
 
-    def deviation(self, motion: Motion) -> np.ndarray:
+    def deviation(self, motion: Motion) -> Floats:
         stroke = motion.stroke[:, [self.other - 1]]
         return self.axes(motion.places) * self.share * stroke * np.abs(stroke) / self.reach
 
@@ -118,7 +120,7 @@ class SlippingClutch(Effect):
     stage: ClassVar = "struts"
     places: ClassVar = ("strut",)
 
-    def deviation(self, motion: Motion) -> np.ndarray:
+    def deviation(self, motion: Motion) -> Floats:
         return -self.axes(motion.places) * self.share * motion.path.way
 
 
@@ -132,7 +134,7 @@ class Drag(Effect):
     stage: ClassVar = "struts"
     places: ClassVar = ("rig",)
 
-    def deviation(self, motion: Motion) -> np.ndarray:
+    def deviation(self, motion: Motion) -> Floats:
         speed = motion.path.speed
         return -self.factor * speed * np.abs(speed)
 
@@ -149,7 +151,7 @@ class BreathingLens(Effect):
     stage: ClassVar = "view"
     places: ClassVar = ("camera",)
 
-    def focal(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
+    def focal(self, camera: Camera, t: Floats, channel: Callable[..., Floats]) -> Floats:
         return 1 + _course(self.course, t, 1)[:, 0] * self.at(f"camera {camera.name}")
 
 
@@ -164,7 +166,7 @@ class SwayingTripod(Effect):
     stage: ClassVar = "view"
     places: ClassVar = ("camera",)
 
-    def mount(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
+    def mount(self, camera: Camera, t: Floats, channel: Callable[..., Floats]) -> Floats:
         return (
             np.sin(2 * np.pi * self.frequency * t)[:, None] * np.asarray(self.motion) * self.at(f"camera {camera.name}")
         )
@@ -184,7 +186,7 @@ class UnevenPrint(Effect):
         return replace(markers, side=markers.side * (1 + np.asarray(self.scales)))
 
 
-def _course(course: tuple[float, ...], t: np.ndarray, size: int) -> np.ndarray:
+def _course(course: tuple[float, ...], t: Floats, size: int) -> Floats:
     """(n, size) a sum of waves at times t (n,) s; course : size amplitudes, frequency (Hz) and phase of each."""
     out = np.zeros((len(t), size))
     for *amplitude, frequency, phase in np.reshape(course, (-1, size + 2)):

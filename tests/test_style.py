@@ -18,6 +18,7 @@ MOST_LINES, MOST_PARAMETERS = 100, 8  # lines as the formatter lays them out
 SHAPE = re.compile(
     r"\((\.\.\.?|\w+)( [-+*]+)?( \w+)?,[^()]*\)|\(\.\.\.\)|\(\d+ \+ "
 )  # (n, 2), (..., 6), (f a, q), (k,), (...)
+ARRAYS = re.compile(r"\b(Floats|Singles|Integers|Booleans|ImageBytes|Pixels|Texts|NDArray)\b")  # see rig.arrays
 UNITS = ("m ", "m,", "m;", "rad", "px", "s ", "s,", "Nm", "kg", "image", "level")  # as docstrings write them
 
 
@@ -119,12 +120,37 @@ def test_arrays_are_told_with_shape_or_unit(package):
             not f.node.name.startswith("_")
             and words
             and f.owner is None
-            and any("ndarray" in t for t in types)
+            and any(ARRAYS.search(t) for t in types)
             and not SHAPE.search(words)
             and not any(f" {unit}" in f" {words}" for unit in UNITS)
         ):
             missing.append(f.where)
     assert missing == []
+
+
+def annotations(tree: ast.Module) -> Iterator[ast.expr]:
+    """All annotations of a module, of parameters, results and variables, and what it casts to."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            yield from [] if node.returns is None else [node.returns]
+        elif isinstance(node, (ast.arg, ast.AnnAssign)):
+            yield from [] if node.annotation is None else [node.annotation]
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) == "cast":
+            yield node.args[0]
+
+
+def test_arrays_are_annotated_with_what_they_hold():
+    """No annotation says np.ndarray, of which a type checker knows no more than that it is an array: rig.arrays has the
+    words for them.
+    """
+    bare = [
+        f"{path.relative_to(ROOT)}:{annotation.lineno}"
+        for package in PACKAGES
+        for path in sorted((ROOT / package).rglob("*.py"))
+        for annotation in annotations(ast.parse(path.read_text()))
+        if "ndarray" in ast.unparse(annotation)
+    ]
+    assert bare == []
 
 
 def raised(function: Function) -> set[str]:

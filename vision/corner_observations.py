@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
+from rig.arrays import Booleans, Floats, Integers
 from rig.model.design import Design
-from rig.recording.recording_folder import Corners
+from rig.recording.corner_and_pose_tables import Corners
 from vision.predict import State
 from vision.targets import MarkerMap
 
@@ -33,31 +35,31 @@ class Observations:
     or None: a marker is fitted as a whole, so its corners' errors are not independent
     """
 
-    frames: np.ndarray
-    frame: np.ndarray
-    camera: np.ndarray
-    marker: np.ndarray
-    corner: np.ndarray
-    uv: np.ndarray
-    covariance: np.ndarray
-    points: np.ndarray
-    on_platform: np.ndarray
+    frames: Integers
+    frame: Integers
+    camera: Integers
+    marker: Integers
+    corner: Integers
+    uv: Floats
+    covariance: Floats
+    points: Floats
+    on_platform: Booleans
     stated: bool
-    correlation: np.ndarray | None = None
+    correlation: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.frame)
 
-    def take(self, index: np.ndarray) -> Observations:
+    def take(self, index: Booleans | Integers) -> Observations:
         """The same recording with only the corners of an index or mask (n,)."""
         columns = {name: getattr(self, name)[index] for name in _COLUMNS}
         return replace(self, **columns, correlation=None if self.correlation is None else self.correlation[index])
 
-    def with_points(self, points: np.ndarray) -> Observations:
+    def with_points(self, points: Floats) -> Observations:
         """The same corners with other body points (n, 3) m."""
         return replace(self, points=points)
 
-    def groups(self) -> np.ndarray:
+    def groups(self) -> Floats:
         """Index pairs [start, end) of the runs of one camera in one frame."""
         key = self.camera * len(self.frames) + self.frame
         edges = np.flatnonzero(np.diff(key)) + 1
@@ -81,7 +83,7 @@ def empty_observations(frame: int) -> Observations:
     )
 
 
-def observations_of_frames(observations: Observations, frame_indices: np.ndarray) -> Observations:
+def observations_of_frames(observations: Observations, frame_indices: Integers) -> Observations:
     """Observations of the selected frames (indices (k,)) alone, their frames renumbered."""
     kept = observations.take(np.isin(observations.frame, frame_indices))
     return replace(kept, frames=observations.frames[frame_indices], frame=np.searchsorted(frame_indices, kept.frame))
@@ -94,16 +96,16 @@ class Whitener:
     sighting : (n,) which image of which marker; corner : (n,); mixing : (k, 8, 8) of the sightings' corners so
         whitened, or None."""
 
-    own: np.ndarray
-    sighting: np.ndarray
-    corner: np.ndarray
-    mixing: np.ndarray | None
+    own: Floats
+    sighting: Floats
+    corner: Integers
+    mixing: Floats | None
 
-    def __call__(self, errors: np.ndarray) -> np.ndarray:
+    def __call__(self, errors: Floats) -> Floats:
         """(n, 2) whitened, of errors (n, 2) px."""
         return self.mix((self.own @ errors[..., None]), slice(None))[..., 0]
 
-    def mix(self, X: np.ndarray, rows: slice) -> np.ndarray:
+    def mix(self, X: Floats, rows: slice) -> Floats:
         """Columns X (m, 2, k), whitened by `own`, with what corners of a marker share taken out; rows : slice of whole
         sightings.
         """
@@ -119,7 +121,7 @@ class Whitener:
         return together[sighting - first, corner]
 
 
-def inverse_cholesky_factors(covariance: np.ndarray) -> np.ndarray:
+def inverse_cholesky_factors(covariance: Floats) -> Floats:
     """(n, 2, 2) inverse Cholesky factors of covariances (n, 2, 2) px^2.
     Raises LinAlgError where one is not positive definite.
     """
@@ -149,10 +151,10 @@ def whitener(observations: Observations) -> Whitener:
     R = np.where(
         there[:, :, None] & there[:, None, :], (R + np.swapaxes(R, 1, 2)) / 2, np.eye(8)
     )  # a corner left out shares nothing
-    return Whitener(own, sighting, o.corner, np.linalg.inv(np.linalg.cholesky(R)))
+    return Whitener(own, sighting, o.corner, cast(Floats, np.linalg.inv(np.linalg.cholesky(R))))
 
 
-def corner_covariance_rows(covariance: np.ndarray) -> np.ndarray:
+def corner_covariance_rows(covariance: Floats) -> Floats:
     """(m, 4, 2, 8) rows of correlation of each corner with its marker's corners, from covariances (m, 8, 8)."""
     m = len(covariance)
     blocks = np.linalg.inv(
@@ -165,7 +167,7 @@ def corner_covariance_rows(covariance: np.ndarray) -> np.ndarray:
 
 
 def observations_from_corners(
-    corners: Corners, frames: np.ndarray, design: Design, marker_map: MarkerMap, correlation: np.ndarray | None = None
+    corners: Corners, frames: Integers, design: Design, marker_map: MarkerMap, correlation: Floats | None = None
 ) -> Observations:
     """Observations made from a recording's Corners, of the markers and cameras that the design knows.
     frames : (F,) the frame numbers
@@ -222,8 +224,8 @@ def merge_repeated_corners(observations: Observations, state: State) -> tuple[Ob
 
 
 def find_repeated_base_corners(
-    observations: Observations, moving_cameras: Collection[int], inliers: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    observations: Observations, moving_cameras: Collection[int], inliers: Booleans | None = None
+) -> tuple[Integers, Integers, Integers]:
     """Repeated base corners in fixed cameras: (rows (n,), group of each row (n,), first row of each group).
 
     A group is one corner of one marker in one camera, frame after frame. moving_cameras : indices of the cameras that
@@ -239,7 +241,7 @@ def find_repeated_base_corners(
 
 
 def merge_observation_groups(
-    observations: Observations, rows: np.ndarray, first_rows: np.ndarray, uv: np.ndarray, covariance: np.ndarray
+    observations: Observations, rows: Integers, first_rows: Integers, uv: Floats, covariance: Floats
 ) -> Observations:
     """Observations with each group of rows merged into its first row, at uv (groups, 2) px with covariance."""
     places, own, left = observations.uv.copy(), observations.covariance.copy(), np.ones(len(observations), bool)
@@ -248,7 +250,7 @@ def merge_observation_groups(
     return replace(observations, uv=places, covariance=own).take(left)
 
 
-def group_sums(values: np.ndarray, group: np.ndarray) -> np.ndarray:
+def group_sums(values: Floats, group: Integers) -> Integers:
     """(groups, ...) sums of values (n, ...) by group (n,)."""
     flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
     return np.stack([np.bincount(group, weights=column) for column in flat.T], axis=1).reshape(-1, *values.shape[1:])

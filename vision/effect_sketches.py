@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats
 from rig.effects import sketches
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.sketches.effect_example import Sketch, effect_example, place_and_values_text, sketch_hexapod
@@ -105,7 +106,7 @@ def _sketch_targets() -> Design:
     return replace(sketch_hexapod(), cameras=(camera,), targets=tuple(targets))
 
 
-def _seen(effects: list[Effect], t: np.ndarray, sensors: Sensors | None) -> np.ndarray:
+def _seen(effects: list[Effect], t: Floats, sensors: Sensors | None) -> Floats:
     """(n, markers, 4, 2) px, all corners of the wall at exposures at t (n,) s."""
     design, count = _sketch_targets(), len(t)
     markers = marker_map(design)

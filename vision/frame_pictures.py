@@ -3,15 +3,17 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import cv2
 import numpy as np
 
+from rig.arrays import Floats, Pixels
 from rig.errors import FileError, RigError
 from rig.formats.output_files import write_bytes
 from rig.model.design import Camera
-from rig.recording.exposures_and_images import read_image
-from rig.recording.recording_folder import Exposures, Recording
+from rig.recording.exposures_and_images import Exposures, read_image
+from rig.recording.recording_folder import Recording
 from vision import lens
 from vision.corners.marker_detection import grey_images_for_reader_and_fit
 from vision.recording_adjustment import Measurement
@@ -21,11 +23,14 @@ WIDTH = 960  # px, of images on a page at most
 QUALITY = 80
 
 
-def encode_jpeg(image: np.ndarray) -> bytes:
+def encode_jpeg(image: Pixels) -> bytes:
     """JPEG of an image (height, width) or (height, width, 3) as cameras give it, no wider than a page needs."""
     eight = grey_images_for_reader_and_fit(image)[0]
     if eight.shape[1] > WIDTH:
-        eight = cv2.resize(eight, (WIDTH, round(eight.shape[0] * WIDTH / eight.shape[1])), interpolation=cv2.INTER_AREA)
+        eight = cast(
+            Floats,
+            cv2.resize(eight, (WIDTH, round(eight.shape[0] * WIDTH / eight.shape[1])), interpolation=cv2.INTER_AREA),
+        )
     return cv2.imencode(".jpg", eight, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
 
 
@@ -46,7 +51,7 @@ SHIFT = 4  # binary digits below a pixel that lines are drawn to
 
 def draw_frame(
     recording: Recording, frame: int, enlarge: float = 200.0, progress: Callable[[str, int, int], None] | None = None
-) -> tuple[list[tuple[str, np.ndarray]], Measurement]:
+) -> tuple[list[tuple[str, Pixels]], Measurement]:
     """Drawing of one frame measured alone: ([(camera name, (height, width, 3) BGR picture) ..], Measurement).
 
     recording : Recording; frame : its number; enlarge : how much longer than they are residuals are drawn
@@ -86,9 +91,7 @@ def picture_file_suffix(path: str | Path) -> str:
     return suffix or ".png"
 
 
-def save_pictures_side_by_side(
-    path: str | Path, pictures: list[tuple[str, np.ndarray]], measurement: Measurement
-) -> str:
+def save_pictures_side_by_side(path: str | Path, pictures: list[tuple[str, Pixels]], measurement: Measurement) -> str:
     """Save named pictures (h, w, 3) side by side in one file; returns a text about the frame.
 
     Raises FileError as `picture_file_suffix` and writing do, RigError for a picture that cannot be coded
@@ -131,7 +134,7 @@ def _only(recording: Recording, frame: int) -> Recording:
     return replace(recording, exposures=exposures, corners=corners)
 
 
-def _markers(picture: np.ndarray, m: Measurement, i: int, enlarge: float) -> None:
+def _markers(picture: Pixels, m: Measurement, i: int, enlarge: float) -> None:
     o = m.observations
     ids = m.ids()
     for marker in np.unique(o.marker[o.camera == i]):
@@ -146,7 +149,7 @@ def _markers(picture: np.ndarray, m: Measurement, i: int, enlarge: float) -> Non
         cv2.line(picture, _point(o.uv[k]), _point(o.uv[k] + enlarge * m.residuals[k]), ARROW, 1, cv2.LINE_AA, SHIFT)
 
 
-def _axes(picture: np.ndarray, camera: Camera, m: Measurement) -> None:
+def _axes(picture: Pixels, camera: Camera, m: Measurement) -> None:
     size = 0.12 * np.linalg.norm(camera.pose.translation)
     frames = [np.eye(4)] + [T.as_matrix() for T in m.T_base_platform]
     for matrix in frames:
@@ -159,12 +162,12 @@ def _axes(picture: np.ndarray, camera: Camera, m: Measurement) -> None:
             cv2.arrowedLine(picture, _point(uv[0]), _point(uv[1 + axis]), AXES[axis], 2, cv2.LINE_AA, SHIFT, 0.1)
 
 
-def _fixed(points: np.ndarray) -> np.ndarray:
+def _fixed(points: Floats) -> Floats:
     """Pixels as the fixed-point integers that OpenCV draws to fractions of a pixel."""
     return np.clip(np.rint(np.asarray(points) * (1 << SHIFT)), -(1 << 28), 1 << 28).astype(np.int32)
 
 
-def _point(point: np.ndarray) -> tuple[int, int]:
+def _point(point: Floats) -> tuple[int, int]:
     """One pixel (2,) so."""
     u, v = _fixed(point).tolist()
     return u, v

@@ -6,11 +6,12 @@ ahead).
 
 import numpy as np
 
+from rig.arrays import Booleans, Floats, Integers
 from rig.compute.numba_kernels import njit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _project_kernel(points: np.ndarray, matrix: np.ndarray, k: np.ndarray, uv: np.ndarray) -> None:
+def _project_kernel(points: Floats, matrix: Floats, k: Floats, uv: Floats) -> None:
     """Into uv (n, 2) px the images of points (n, 3) m in the camera's frame; matrix : (3, 3) px; k : (14,) terms as
     OpenCV orders them.
     """
@@ -26,7 +27,7 @@ def _project_kernel(points: np.ndarray, matrix: np.ndarray, k: np.ndarray, uv: n
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _project_jacobian_kernel(
-    points: np.ndarray, matrix: np.ndarray, k: np.ndarray, uv: np.ndarray, to_point: np.ndarray, to_lens: np.ndarray
+    points: Floats, matrix: Floats, k: Floats, uv: Floats, to_point: Floats, to_lens: Floats
 ) -> None:
     """The same, and into to_point (n, 2, 3) px/m and to_lens (n, 2, 4 + terms) how they change with points, fx fy cx cy
     and terms.
@@ -67,7 +68,7 @@ def _project_jacobian_kernel(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def transform_platform_points(
-    points: np.ndarray, Ts_base_platform: np.ndarray, frame: np.ndarray, on_platform: np.ndarray, out: np.ndarray
+    points: Floats, Ts_base_platform: Floats, frame: Integers, on_platform: Booleans, out: Floats
 ) -> None:
     """Transform the points on the platform by the pose of their frame, into out (n, 3) m; others are copied.
     points : (n, 3) m; Ts_base_platform : (F, 4, 4); frame : (n,); on_platform : (n,) bool
@@ -85,7 +86,7 @@ DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", 
 UNDISTORT_TOLERANCE = 1e-13  # of the focal length
 
 
-def project(points: np.ndarray, matrix: np.ndarray, distortion: np.ndarray) -> np.ndarray:
+def project(points: Floats, matrix: Floats, distortion: Floats) -> Floats:
     """Project points (..., 3) m in the camera's frame to pixels (..., 2).
 
     matrix : (3, 3) px; distortion : (4, 5, 8, 12 or 14,) in OpenCV's order. A point must lie ahead (z > 0).
@@ -97,9 +98,7 @@ def project(points: np.ndarray, matrix: np.ndarray, distortion: np.ndarray) -> n
     return (_on_sensor(uv, matrix, _tilt(*k[12:])) if tilted else uv).reshape(*np.shape(points)[:-1], 2)
 
 
-def project_jacobian(
-    points: np.ndarray, matrix: np.ndarray, distortion: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def project_jacobian(points: Floats, matrix: Floats, distortion: Floats) -> tuple[Floats, Floats, Floats]:
     """Projected pixels (..., 2), and their Jacobian to the point (..., 2, 3) and the lens (..., 2, 4 + terms).
 
     Lens columns: fx fy cx cy (px/px), then the distortion terms in OpenCV's order.
@@ -118,7 +117,7 @@ def project_jacobian(
     return uv.reshape(*shape, 2), to_point.reshape(*shape, 2, 3), to_lens.reshape(*shape, 2, -1)
 
 
-def undistort(uv: np.ndarray, matrix: np.ndarray, distortion: np.ndarray) -> np.ndarray:
+def undistort(uv: Floats, matrix: Floats, distortion: Floats) -> Floats:
     """Undistorted ideal coordinates x/z, y/z (..., 2) of pixels (..., 2), by Newton on the lens to 1e-13.
 
     Pixels to which the lens maps nothing come back as NaN.
@@ -145,28 +144,26 @@ def undistort(uv: np.ndarray, matrix: np.ndarray, distortion: np.ndarray) -> np.
     return np.where(lost, np.nan, ideal)
 
 
-def lens_parameter_names(distortion: np.ndarray) -> tuple[str, ...]:
+def lens_parameter_names(distortion: Floats) -> tuple[str, ...]:
     """Names of the lens parameters in the order of the Jacobian's columns.
     distortion : (4, 5, 8, 12 or 14,)
     """
     return INTRINSICS + DISTORTION[: len(distortion)]
 
 
-def _flat(points: np.ndarray, matrix: np.ndarray, distortion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _flat(points: Floats, matrix: Floats, distortion: Floats) -> tuple[Floats, Floats, Floats]:
     """(points (n, 3), matrix (3, 3), all terms (14,)), as kernels take them."""
     terms = np.zeros(14)
     terms[: len(distortion)] = distortion
     return np.ascontiguousarray(np.reshape(points, (-1, 3)), float), np.ascontiguousarray(matrix, float), terms
 
 
-def _on_sensor(distorted: np.ndarray, matrix: np.ndarray, tilt: np.ndarray) -> np.ndarray:
+def _on_sensor(distorted: Floats, matrix: Floats, tilt: Floats) -> Floats:
     """Pixels (n, 2) of distorted coordinates (n, 2), by a tilted sensor."""
     return np.stack(_apply_tilt(tilt, *distorted.T), axis=-1) * [matrix[0, 0], matrix[1, 1]] + matrix[:2, 2]
 
 
-def _derivatives_on_sensor(
-    distorted: np.ndarray, to_point: np.ndarray, to_lens: np.ndarray, matrix: np.ndarray, tau: np.ndarray
-) -> None:
+def _derivatives_on_sensor(distorted: Floats, to_point: Floats, to_lens: Floats, matrix: Floats, tau: Floats) -> None:
     """Derivatives (n, 2, 3) and (n, 2, 18) of distorted coordinates (n, 2) become those of pixels, by a sensor tilted
     by tau (2,).
     """
@@ -183,7 +180,7 @@ def _derivatives_on_sensor(
     to_lens[:, 0, 0], to_lens[:, 1, 1] = _apply_tilt(tilt, *distorted.T)
 
 
-def _tilt(tau_x: complex, tau_y: complex) -> np.ndarray:
+def _tilt(tau_x: complex, tau_y: complex) -> Floats:
     """(3, 3) map of a tilted sensor. Source: OpenCV computeTiltProjectionMatrix (Scheimpflug)."""
     cx, sx, cy, sy = np.cos(tau_x), np.sin(tau_x), np.cos(tau_y), np.sin(tau_y)
     R = np.array([[cy, 0 * cy, -sy], [0 * cy, 1 + 0 * cy, 0 * cy], [sy, 0 * cy, cy]]) @ np.array(
@@ -193,12 +190,12 @@ def _tilt(tau_x: complex, tau_y: complex) -> np.ndarray:
     return lift @ R
 
 
-def _apply_tilt(tilt: np.ndarray, xd: np.ndarray, yd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _apply_tilt(tilt: Floats, xd: Floats, yd: Floats) -> tuple[Floats, Floats]:
     w = tilt[2, 0] * xd + tilt[2, 1] * yd + tilt[2, 2]
     return (tilt[0, 0] * xd + tilt[0, 1] * yd + tilt[0, 2]) / w, (tilt[1, 0] * xd + tilt[1, 1] * yd + tilt[1, 2]) / w
 
 
-def _tilt_jacobian(tilt: np.ndarray, xd: np.ndarray, yd: np.ndarray) -> np.ndarray:
+def _tilt_jacobian(tilt: Floats, xd: Floats, yd: Floats) -> Floats:
     xt, yt = _apply_tilt(tilt, xd, yd)
     w = tilt[2, 0] * xd + tilt[2, 1] * yd + tilt[2, 2]
     J = np.empty((*xd.shape, 2, 2))

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.formats.input_files import read_text
+from rig.formats.output_files import write_text
 from rig.formats.rig_toml.design_text_edits import replace_cameras, replace_target_markers
 from rig.model.pose import pose_to_vector, rms_uncertainty
 from rig.recording import recording_tables
@@ -73,7 +74,7 @@ class MeasurementResult:
         """
         m, recording = self.measurement, self.recording
         text = replace_cameras(read_text(recording.folder / "rig.toml"), m.design.cameras)
-        recording_tables.write_text(
+        write_text(
             folder / "rig.toml", replace_target_markers(text, adjusted_markers(m)) if self.places is not None else text
         )
         poses = Poses(m.frames, m.T_base_platform, m.covariance)

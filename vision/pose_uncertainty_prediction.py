@@ -1,10 +1,12 @@
 """Prediction of the uncertainty of poses not yet measured, and the errors that they share."""
 
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Booleans, Floats, Integers
 from rig.errors import RigError
 from rig.model.design import Design
 from rig.model.pose import adjoint
@@ -26,9 +28,9 @@ class PredictedUncertainty:
     common : (m, 6, k) factor of what they share with each other and, by the same draws, with the poses of the
         Measurement."""
 
-    seen: np.ndarray
-    covariance: np.ndarray
-    common: np.ndarray
+    seen: Booleans
+    covariance: Floats
+    common: Floats
 
 
 def predict_pose_uncertainty(
@@ -68,7 +70,7 @@ def _share(measured: Measurement) -> float:
     return min(1.0, int((used.on_platform & (used.corner == 0)).sum()) / max(len(found.frame), 1))
 
 
-def _sightings(measured: Measurement, body: RigidTransform) -> tuple[Sightings, np.ndarray]:
+def _sightings(measured: Measurement, body: RigidTransform) -> tuple[Sightings, Floats]:
     """(Sightings of the moving body's markers, those measured, at poses (n,), were nothing in the way; their corners
     (k, 4, 2) px), in order.
     """
@@ -88,8 +90,8 @@ def _sightings(measured: Measurement, body: RigidTransform) -> tuple[Sightings, 
 
 
 def _covariances(
-    measured: Measurement, body: RigidTransform, sightings: Sightings, uv: np.ndarray, kept: tuple[np.ndarray, float]
-) -> tuple[np.ndarray, np.ndarray]:
+    measured: Measurement, body: RigidTransform, sightings: Sightings, uv: Floats, kept: tuple[Integers, float]
+) -> tuple[Floats, Floats]:
     """((m, 6, 6) were all that is shared known, (m, 6, s) factor of what that adds) of poses (m,). kept : ((n,) number
     of each frame among them, share of the sightings that are there, so much less each tells)"""
     (number, share), a, m = kept, measured.adjustment, len(body)
@@ -114,4 +116,4 @@ def _covariances(
     blocks = normal_equations(corners, derivatives, here, np.zeros(u.shared))
     gain, _, _ = schur_complement(blocks)
     own = np.linalg.inv(blocks.local)[:, :6, :6] * POSE_SCALE**2
-    return own, (gain @ (a.shared_factor / u.scale[:, None]))[:, :6] * POSE_SCALE
+    return cast(Floats, own), (gain @ (a.shared_factor / u.scale[:, None]))[:, :6] * POSE_SCALE

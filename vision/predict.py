@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
 from rig.model.design import Camera
@@ -26,27 +27,27 @@ class ObservedCorners(Protocol):
     """What is asked of n corners that were seen, sorted by camera; vision.corner_observations has them."""
 
     @property
-    def frame(self) -> np.ndarray:
+    def frame(self) -> Integers:
         """(n,) index of the frame."""
 
     @property
-    def camera(self) -> np.ndarray:
+    def camera(self) -> Integers:
         """(n,) index of the camera."""
 
     @property
-    def marker(self) -> np.ndarray:
+    def marker(self) -> Integers:
         """(n,) row of the marker map."""
 
     @property
-    def corner(self) -> np.ndarray:
+    def corner(self) -> Integers:
         """(n,) 0..3."""
 
     @property
-    def points(self) -> np.ndarray:
+    def points(self) -> Floats:
         """(n, 3) m in the body's frame."""
 
     @property
-    def on_platform(self) -> np.ndarray:
+    def on_platform(self) -> Booleans:
         """(n,) bool."""
 
     def __len__(self) -> int: ...
@@ -71,12 +72,12 @@ class State:
             raise ValueError("expected a state that has its markers, got one that leaves them to the observations")
         return self.markers
 
-    def at(self, frames: np.ndarray) -> State:
+    def at(self, frames: Integers) -> State:
         """The same with only the frames of an index or mask (F,)."""
         return State(self.cameras, self.platform[frames], {i: T[frames] for i, T in self.moving.items()}, self.markers)
 
 
-def predict_corners(observations: ObservedCorners, state: State) -> tuple[np.ndarray, np.ndarray]:
+def predict_corners(observations: ObservedCorners, state: State) -> tuple[Floats, Floats]:
     """Predicted pixels (n, 2) of the observed corners, and their points (n, 3) m in the camera's frame."""
     base, uv, ahead = (
         observed_points_base(observations, state),
@@ -93,11 +94,11 @@ def predict_corners(observations: ObservedCorners, state: State) -> tuple[np.nda
 class Sightings:
     """k markers in images. frame : (k,) index; camera : (k,) index; marker : (k,) row of the marker map."""
 
-    frame: np.ndarray
-    camera: np.ndarray
-    marker: np.ndarray
+    frame: Integers
+    camera: Integers
+    marker: Integers
 
-    def take(self, index: np.ndarray) -> Sightings:
+    def take(self, index: Booleans | Integers) -> Sightings:
         """Those of an index or mask (k,)."""
         return Sightings(self.frame[index], self.camera[index], self.marker[index])
 
@@ -123,11 +124,11 @@ def predict_sightings(
     sightings: Sightings,
     state: State,
     markers: MarkerMap,
-    t: np.ndarray | None = None,
+    t: Floats | None = None,
     effects: Sequence[Effect] = (),
     sensors: Sensors | None = None,
     run: Run | None = None,
-) -> np.ndarray:
+) -> Floats:
     """Predicted corners (k, 4, 2) px of sightings, with all effects on markers, cameras and exposure time.
 
     state : State; markers : MarkerMap as stated; t : (F,) s of the frames, for effects in time; sensors : Sensors or
@@ -157,9 +158,7 @@ def predict_sightings(
     return uv
 
 
-def visible_marker_counts(
-    cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap
-) -> np.ndarray:
+def visible_marker_counts(cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap) -> Integers:
     """(F,) counts of the visible markers at poses (F,): whole in an image, occlusion ignored.
 
     What stands in the way is not looked at
@@ -173,17 +172,15 @@ def visible_marker_counts(
     return np.bincount(pairs[:, 0], minlength=len(T_base_platform))
 
 
-def is_inside_image(
-    sightings: Sightings, uv: np.ndarray, cameras: Sequence[Camera], margin: float = INSIDE
-) -> np.ndarray:
+def is_inside_image(sightings: Sightings, uv: Floats, cameras: Sequence[Camera], margin: float = INSIDE) -> Booleans:
     """(k,) bool, whether all corners (k, 4, 2) px lie in their camera's image, by a margin (px)."""
     size = np.array([[camera.width, camera.height] for camera in cameras])[sightings.camera]
-    return ((uv > margin) & (uv < size[:, None] - 1 - margin)).all(axis=(1, 2))
+    return cast(Booleans, ((uv > margin) & (uv < size[:, None] - 1 - margin)).all(axis=(1, 2)))
 
 
 def markers_expected_in_image(
     camera: Camera, T_base_platform: RigidTransform, marker_map: MarkerMap
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Integers, Floats]:
     """Markers expected whole in a fixed camera's image: their rows (k,), and their corners (k, 4, 2) px."""
     to_camera = camera.pose.inv().as_matrix()
     matrix = np.where(marker_map.on_platform[:, None, None], to_camera @ T_base_platform.as_matrix(), to_camera)
@@ -197,7 +194,7 @@ def markers_expected_in_image(
     return rows[whole], uv[whole]
 
 
-def _quads(platform: RigidTransform, markers: MarkerMap) -> tuple[np.ndarray, np.ndarray]:
+def _quads(platform: RigidTransform, markers: MarkerMap) -> tuple[Floats, Floats]:
     """Corners (F, m, 4, 3) m and normals (F, m, 3) of all markers in the base frame, at poses platform (F,)."""
     on = markers.on_platform
     matrix = platform.as_matrix()[:, None]
@@ -209,13 +206,13 @@ def _quads(platform: RigidTransform, markers: MarkerMap) -> tuple[np.ndarray, np
 
 
 def _view(
-    state: State, i: int, t: np.ndarray, effects: Sequence[Effect], sensors: Sensors | None
-) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    state: State, i: int, t: Floats, effects: Sequence[Effect], sensors: Sensors | None
+) -> Callable[[Floats, Integers], Floats]:
     """A function (points (k, 4, 3) m in the base, frame (k,)) -> pixels (k, 4, 2) through camera i with its effects."""
     camera = state.cameras[i]
     mount, focal = np.zeros((len(t), 6)), np.ones(len(t))
 
-    def channel(*names: str) -> np.ndarray:
+    def channel(*names: str) -> Floats:
         if sensors is None:
             raise RigError(
                 f"the model needs a sensor channel {' or '.join(map(repr, names))}, and the recording has no "
@@ -235,7 +232,7 @@ def _view(
     matrix = (poses * exp(mount)).inv().as_matrix()
     centre = camera.matrix[:2, 2]
 
-    def look(points: np.ndarray, frame: np.ndarray) -> np.ndarray:
+    def look(points: Floats, frame: Integers) -> Floats:
         ahead = points @ np.swapaxes(matrix[frame, :3, :3], 1, 2) + matrix[frame, None, :3, 3]
         for effect in effects:
             ahead = effect.bend(camera, ahead)
@@ -245,7 +242,7 @@ def _view(
     return look
 
 
-def _late(camera: Camera, effects: Sequence[Effect], v: np.ndarray) -> np.ndarray:
+def _late(camera: Camera, effects: Sequence[Effect], v: Floats) -> Floats:
     """(k, 4) s by which corners in image rows v (k, 4) are exposed after the middle row."""
     late = (v - camera.height / 2) * (camera.row_time if camera.shutter == "rolling" else 0.0)
     for effect in effects:
@@ -254,15 +251,15 @@ def _late(camera: Camera, effects: Sequence[Effect], v: np.ndarray) -> np.ndarra
 
 
 def _delayed(
-    corners: np.ndarray,
+    corners: Floats,
     markers: MarkerMap,
-    marker: np.ndarray,
+    marker: Integers,
     state: State,
-    frame: np.ndarray,
-    on: np.ndarray,
+    frame: Integers,
+    on: Booleans,
     run: Run,
-    late: np.ndarray,
-) -> np.ndarray:
+    late: Floats,
+) -> Floats:
     """Corners (k, 4, 3) m in the base, those on the platform where it is `late` (k, 4) s after its frame's exposure."""
     if run.rate is None or run.curvature is None:
         raise ValueError("image rows that are exposed late take a run with its rates; it has none")
@@ -282,7 +279,7 @@ def iterate_observed_cameras(observations: ObservedCorners, state: State) -> Ite
             yield i, camera, slice(edges[i], edges[i + 1])
 
 
-def observed_points_body(observations: ObservedCorners, state: State) -> np.ndarray:
+def observed_points_body(observations: ObservedCorners, state: State) -> Floats:
     """(n, 3) m, the observed points in their body's frame."""
     return (
         observations.points
@@ -291,7 +288,7 @@ def observed_points_body(observations: ObservedCorners, state: State) -> np.ndar
     )
 
 
-def observed_points_base(observations: ObservedCorners, state: State) -> np.ndarray:
+def observed_points_base(observations: ObservedCorners, state: State) -> Floats:
     """(n, 3) m, the observed points in the base frame."""
     points = np.ascontiguousarray(observed_points_body(observations, state))
     out = np.empty(points.shape)
@@ -301,7 +298,7 @@ def observed_points_base(observations: ObservedCorners, state: State) -> np.ndar
     return out
 
 
-def points_in_camera_frame(points: np.ndarray, frame: np.ndarray, state: State, camera_index: int) -> np.ndarray:
+def points_in_camera_frame(points: Floats, frame: Integers, state: State, camera_index: int) -> Floats:
     """Points (n, 3) m of the base in the frame of one camera, each at its frame (n,)."""
     if camera_index in state.moving:
         matrix = state.moving[camera_index].inv().as_matrix()[frame]

@@ -7,6 +7,7 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats, Integers, Pixels
 from rig.errors import RigError
 from rig.model.design import Camera, Design
 from vision.corners.marker_detection import detect_markers
@@ -34,7 +35,7 @@ class Printed:
     bend: float
 
 
-def print_scale_on_sheet(image: np.ndarray, design: Design, paper: tuple[float, float], tolerance: float) -> Printed:
+def print_scale_on_sheet(image: Pixels, design: Design, paper: tuple[float, float], tolerance: float) -> Printed:
     """The markers' scale across and along a whole sheet. image : as cv2.imread gives it; paper : (width, height) m;
     tolerance : m, standard uncertainty of both. Raises RigError where no marker of the rig or no whole sheet is seen"""
     seen, side = _seen(image, design)
@@ -67,14 +68,14 @@ def print_scale_on_sheet(image: np.ndarray, design: Design, paper: tuple[float, 
     )
 
 
-def print_scale_by_ruler(image: np.ndarray, design: Design, ends: np.ndarray, length: float) -> Printed:
+def print_scale_by_ruler(image: Pixels, design: Design, ends: Floats, length: float) -> Printed:
     """The markers' scale along a ruler. ends : (2, 2) px of two of its lines; length : m between them. The markers are
     taken to be printed as large one way as the other. Raises RigError where no marker of the rig is seen"""
     seen, side = _seen(image, design)
     H = _plane(seen, side)
     back = np.linalg.inv(H)
 
-    def nominal(points: np.ndarray) -> float:
+    def nominal(points: Floats) -> float:
         first, second = cv2.perspectiveTransform(points.reshape(1, 2, 2), back)[0]
         return float(np.linalg.norm(second - first))
 
@@ -91,7 +92,7 @@ def print_scale_by_ruler(image: np.ndarray, design: Design, ends: np.ndarray, le
     )
 
 
-def _seen(image: np.ndarray, design: Design) -> tuple[np.ndarray, np.ndarray]:
+def _seen(image: Pixels, design: Design) -> tuple[Floats, Floats]:
     """((m, 4, 2) px corners of the rig's markers, (m,) m their sides as stated)."""
     markers = marker_map(design)
     height, width = image.shape[:2]
@@ -104,12 +105,12 @@ def _seen(image: np.ndarray, design: Design) -> tuple[np.ndarray, np.ndarray]:
     return found.corners.astype(np.float64), _sides(markers, found.marker)
 
 
-def _sides(markers: MarkerMap, numbers: np.ndarray) -> np.ndarray:
+def _sides(markers: MarkerMap, numbers: Integers) -> Floats:
     side = dict(zip(markers.id.tolist(), markers.side.tolist()))
     return np.array([side[int(number)] for number in numbers])
 
 
-def _sheet(image: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, float]:
+def _sheet(image: Pixels, inside: Floats) -> tuple[Floats, float]:
     """((4, 2) px corners of the sheet around some points, clockwise from one of its own; px by which its edges are
     bent).
     """
@@ -144,7 +145,7 @@ def _sheet(image: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, float]:
     )
 
 
-def _edge(grey: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, float]:
+def _edge(grey: Pixels, a: Floats, b: Floats) -> tuple[Floats, float]:
     """((3,) line n u + m v + c = 0 px through the sheet's edge near a to b (2,) px; px RMS by which the edge leaves
     it).
     """
@@ -165,7 +166,7 @@ def _edge(grey: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, f
     return line, float(np.sqrt(np.median((found @ line[:2] + line[2]) ** 2)) / 0.6745)
 
 
-def _plane(seen: np.ndarray, side: np.ndarray) -> np.ndarray:
+def _plane(seen: Floats, side: Floats) -> Floats:
     """(3, 3) homography from the paper (m, as large as stated) to the image, in which all markers are squares of their
     sides.
     """
@@ -176,14 +177,14 @@ def _plane(seen: np.ndarray, side: np.ndarray) -> np.ndarray:
     x = np.concatenate([(first / first[2, 2]).ravel()[:8], places.ravel()])
     scale = np.abs(x) + 1e-3
 
-    def residual(p: np.ndarray) -> np.ndarray:
+    def residual(p: Floats) -> Floats:
         return (_projected(p, side) - seen).ravel()
 
     done = scipy.optimize.least_squares(residual, x, x_scale=scale, method="lm" if len(seen) > 1 else "trf")
     return np.append(done.x[:8], 1.0).reshape(3, 3)
 
 
-def _projected(p: np.ndarray, side: np.ndarray) -> np.ndarray:
+def _projected(p: Floats, side: Floats) -> Floats:
     """(m, 4, 2) px of squares: 8 numbers of the homography, then x, y (m) and turn (rad) of all but the first, which is
     the origin.
     """
@@ -196,7 +197,7 @@ def _projected(p: np.ndarray, side: np.ndarray) -> np.ndarray:
     return points[..., :2] / points[..., 2:]
 
 
-def _misfit(H: np.ndarray, seen: np.ndarray, side: np.ndarray) -> float:
+def _misfit(H: Floats, seen: Floats, side: Floats) -> float:
     """px RMS, by which sides in the plane of a homography differ from those stated."""
     plane = cv2.perspectiveTransform(seen.reshape(1, -1, 2), np.linalg.inv(H)).reshape(-1, 4, 2)
     ratio = np.linalg.norm(np.roll(plane, -1, axis=1) - plane, axis=-1) / side[:, None]

@@ -9,8 +9,9 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Booleans, Floats, Integers
 from rig.model.design import Camera, Design
-from rig.recording.recording_folder import Corners
+from rig.recording.corner_and_pose_tables import Corners
 from rig.report.pages.html_elements import result_html
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.bundle.printing_error_estimation import adjust_with_estimated_printing_errors
@@ -53,17 +54,17 @@ class Measurement:
     """
 
     design: Design
-    frames: np.ndarray
+    frames: Integers
     T_base_platform: RigidTransform
-    covariance: np.ndarray
-    common: np.ndarray
+    covariance: Floats
+    common: Floats
     unsolved: dict[int, str]
     observations: Observations
-    inliers: np.ndarray
-    residuals: np.ndarray
+    inliers: Booleans
+    residuals: Floats
     noise: float
     standing: float
-    weights: np.ndarray
+    weights: Floats
     factor: float
     adjustment: Adjustment
     stages: dict[int, Measurement] = field(default_factory=dict)
@@ -120,7 +121,7 @@ def measure(
     marker_map: MarkerMap,
     free: Sequence[str] = ("poses", "lenses"),
     progress: Callable[[str, int, int], None] | None = None,
-    t: np.ndarray | None = None,
+    t: Floats | None = None,
     cameras: tuple[Camera, ...] | None = None,
 ) -> Measurement:
     """Measurement of observations: platform poses with cameras, lenses and, if free, marker places adjusted.
@@ -192,7 +193,7 @@ def measure(
     )
 
 
-def _in_order(adjustment: Adjustment) -> tuple[Adjustment, np.ndarray]:
+def _in_order(adjustment: Adjustment) -> tuple[Adjustment, Floats]:
     """(Adjustment whose shared draws are turned so that what moves the poses most comes first, (f, 6, k) of them that
     do not move them negligibly).
 
@@ -212,7 +213,7 @@ def _in_order(adjustment: Adjustment) -> tuple[Adjustment, np.ndarray]:
 def _located(
     views: Views,
     cameras: tuple[Camera, ...],
-    t: np.ndarray | None,
+    t: Floats | None,
     held: set[int] | None,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[Frames, tuple[Camera, ...]]:

@@ -4,9 +4,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.errors import NotEnoughData
 from rig.model.design import Camera, Design
-from rig.recording.recording_folder import Corners, Recording
+from rig.recording.corner_and_pose_tables import Corners
+from rig.recording.recording_folder import Recording
 from vision import stages_and_remounted_cubes
 from vision.bundle.bundle_adjustment import NoOptimum
 from vision.bundle.marker_displacements import HALVED, are_stated_places_doubtful, marker_displacements
@@ -78,7 +80,7 @@ def _measured(
         return (lambda done, of: progress(label, done, of)) if progress else None
 
     def solved(
-        corners: Corners, correlation: np.ndarray | None = None, look: Callable[[Corners], None] | None = None
+        corners: Corners, correlation: Floats | None = None, look: Callable[[Corners], None] | None = None
     ) -> Measurement:
         if look:
             look(corners)
@@ -121,7 +123,7 @@ def solve_with_doubted_places(
     markers: MarkerMap,
     free: Sequence[str],
     progress: Callable[[str, int, int], None] | None,
-    t: np.ndarray,
+    t: Floats,
     places: str,
 ) -> Measurement:
     """Measurement with marker places stated, or free where requested or where the stated ones are doubted.

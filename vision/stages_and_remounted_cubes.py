@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rig.arrays import Booleans, Floats
 from rig.errors import RigError
 from rig.model.design import Design
 from vision.corner_observations import Observations
@@ -46,7 +47,7 @@ def separate_stage_frames(observations: Observations, markers: MarkerMap) -> Obs
     )
 
 
-def stage_frame_times(t: np.ndarray, markers: MarkerMap) -> np.ndarray:
+def stage_frame_times(t: Floats, markers: MarkerMap) -> Floats:
     """(frames of all bodies,) s, times of the stage frames, each body's far from the others' in time."""
     gap = float(np.ptp(t)) + 4 * FAR
     return np.concatenate([t + k * gap for k in range(1 + len(_stage_numbers(markers)))])
@@ -94,14 +95,14 @@ def _part(m: Measurement, k: int, bodies: int) -> Measurement:
     )
 
 
-def is_on_remounted_cube(observations: Observations, design: Design, markers: MarkerMap) -> np.ndarray:
+def is_on_remounted_cube(observations: Observations, design: Design, markers: MarkerMap) -> Booleans:
     """(n,) bool, whether a corner is on a remounted cube: one taken off since its place was stated."""
     names = {target.name for target in design.targets if target.turned is not None}
     return np.array([name in names for name in markers.target])[observations.marker]
 
 
 def measure_without_remounted_cubes(
-    observations: Observations, on_remounted_cube: np.ndarray, measure: Callable[[Observations], Measurement]
+    observations: Observations, on_remounted_cube: Booleans, measure: Callable[[Observations], Measurement]
 ) -> Measurement:
     """Measurement without the corners on remounted cubes, which are listed as outliers.
 

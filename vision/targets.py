@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.arrays import Booleans, Floats, Integers
 from rig.model.design import FACES, Design, Marker, Target
 from rig.model.pose import transform_points
 
@@ -30,26 +31,26 @@ class MarkerMap:
         side
     """
 
-    id: np.ndarray
-    on_platform: np.ndarray
+    id: Integers
+    on_platform: Booleans
     T_body_marker: RigidTransform
-    side: np.ndarray
-    margin: np.ndarray
+    side: Floats
+    margin: Floats
     dictionary: list[str]
     target: list[str]
-    stage: np.ndarray
-    shift: np.ndarray = field(default_factory=lambda: np.zeros(1, int))
-    corners: np.ndarray = field(init=False)
+    stage: Floats
+    shift: Floats = field(default_factory=lambda: np.zeros(1, int))
+    corners: Floats = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "corners", transform_points(self.T_body_marker, self.side[:, None, None] * SQUARE))
 
     @property
-    def key(self) -> np.ndarray:
+    def key(self) -> Floats:
         """(m,) of each row, no two alike: its identity, shifted."""
         return self.id + self.shift
 
-    def rows(self, keys: np.ndarray) -> np.ndarray:
+    def rows(self, keys: Integers) -> Integers:
         """Row of each key (n,) -> (n,); -1 for one that no target has."""
         own = self.key
         order = np.argsort(own)
@@ -109,7 +110,7 @@ def marker_map(design: Design) -> MarkerMap:
 
 
 @cache
-def marker_cells(dictionary_name: str, number: int) -> np.ndarray:
+def marker_cells(dictionary_name: str, number: int) -> Floats:
     """(n + 4, n + 4) cells of a marker of a dictionary, 1 white, with black border and white ring."""
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary_name))
     bits = cv2.aruco.generateImageMarker(dictionary, number, dictionary.markerSize + 2) > 127

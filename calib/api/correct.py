@@ -14,6 +14,7 @@ from calib.correction.pose_route import HOLDING
 from calib.models.arm import certification as arm_certification
 from calib.models.arm.correction import ArmCorrection
 from calib.models.wanted_pose_commands import Commanded, commands_along_route, route_pace
+from rig.arrays import Floats, Integers
 from rig.errors import RigError, Unreachable
 from rig.model import mechanisms
 from rig.model.pose import pose_difference
@@ -36,7 +37,7 @@ class CorrectOptions:
     """
 
     sensors: Sensors | None = None
-    start: np.ndarray | None = None
+    start: Floats | None = None
     approach: str = "auto"
     skip_unreachable: bool = False
     uncorrected: bool = False
@@ -56,24 +57,24 @@ class CorrectionResult:
 
     calibration: Calibration
     wanted: Wanted
-    index: np.ndarray
+    index: Integers
     commanded: Commanded
     out_of_reach: tuple[tuple[int, str], ...] = ()
     single_step: bool = False
     uncorrected: bool = False
 
     @property
-    def frames(self) -> np.ndarray:
+    def frames(self) -> Integers:
         """(n,) frames of the poses that are commanded."""
         return self.wanted.poses.frame[self.index]
 
     @property
-    def values(self) -> np.ndarray:
+    def values(self) -> Floats:
         """(n, axes) m or rad to command."""
         return self.commanded.values
 
     @property
-    def covariance(self) -> np.ndarray | None:
+    def covariance(self) -> Floats | None:
         """(n, 6, 6) of the poses that come of them (m, rad, on the right), None where they are not corrected."""
         return self.commanded.covariance
 
@@ -90,7 +91,7 @@ class CorrectionResult:
         return float(np.nanmax(np.abs(self.calibration.correction.missed(T, self.values))))
 
     @property
-    def rest(self) -> np.ndarray | None:
+    def rest(self) -> Floats | None:
         """(n, 6) m and rad that an arm of fewer than six joints leaves to the wanted poses, None of other machines."""
         correction = self.calibration.correction
         if not isinstance(correction, ArmCorrection) or not correction.deficient:
@@ -205,7 +206,7 @@ def unreachable(refused: list[tuple[int, str]], count: int) -> Unreachable:
     )
 
 
-def covariance_sizes(covariance: np.ndarray) -> tuple[tuple[float, float], tuple[float, float]]:
+def covariance_sizes(covariance: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
     """((m, rad) RMS, (m, rad) at the most) of the standard uncertainty of poses of covariance (n, 6, 6)."""
     position, rotation = (
         np.sqrt(np.trace(covariance[:, part, part], axis1=1, axis2=2)) for part in (slice(0, 3), slice(3, 6))
@@ -215,7 +216,7 @@ def covariance_sizes(covariance: np.ndarray) -> tuple[tuple[float, float], tuple
 
 
 def _commanded(
-    calibration: Calibration, wanted: Wanted, keep: np.ndarray, start: np.ndarray, options: CorrectOptions
+    calibration: Calibration, wanted: Wanted, keep: Integers, start: Floats, options: CorrectOptions
 ) -> Commanded:
     """Commanded for the wanted poses to keep. Raises Unreachable for those that cannot be."""
     T, correction = wanted.poses.T_base_platform[keep], calibration.correction
@@ -244,7 +245,7 @@ def _require_log(sensors: Sensors | None, wanted: Wanted) -> None:
         )
 
 
-def _start(values: np.ndarray | None, calibration: Calibration) -> np.ndarray:
+def _start(values: Floats | None, calibration: Calibration) -> Floats:
     """(axes,) m or rad where the axes stand at first. Raises RigError for what is no such place."""
     nominal = calibration.correction.nominal
     if values is None:

@@ -18,7 +18,7 @@ from calib.certification.workspace_claim import Claim
 from calib.correction.interpolation.field_combinations import SpacePart
 from calib.correction.pose_space_map import NAMES
 from calib.correction.summand_extension import pose_coordinate_indices, single_step_errors
-from calib.files import calibration_file
+from calib.files.calibration_file_entries import mechanism_dict
 from calib.models.arm import certification as arm_certification
 from calib.models.arm import extended_correction_certification as arm_extension
 from calib.models.arm.certification import Certified as ArmCertified
@@ -65,7 +65,7 @@ class ExtendOptions:
                 "its recordings"
             )
         struts = require_struts(design.mechanism)
-        if calibration_file.mechanism_dict(self.onto.correction.nominal) != calibration_file.mechanism_dict(struts):
+        if mechanism_dict(self.onto.correction.nominal) != mechanism_dict(struts):
             raise RigError(f"{self.name} is a calibration of another machine than this recording's rig.toml states")
         if self.onto.physics is not None:
             raise RigError(

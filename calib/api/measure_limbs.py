@@ -8,6 +8,7 @@ from calib.online.limb_pose_source import LimbSource, checked_limb_poses
 from calib.online.measuring_limb_poses import LimbPoses
 from calib.online.measuring_limbs_file import Accepted
 from rig.formats.input_files import read_bytes
+from rig.formats.output_files import write_bytes
 from rig.model.pose import rms_uncertainty
 from rig.recording import recording_tables
 from rig.recording.corner_and_pose_tables import Poses
@@ -36,7 +37,7 @@ class LimbMeasurement:
     def write(self, folder: Path) -> None:
         """Write it as a recording into a folder, rig.toml as stated."""
         recording, found = self.recording, self.poses
-        recording_tables.write_bytes(folder / "rig.toml", read_bytes(recording.folder / "rig.toml"))
+        write_bytes(folder / "rig.toml", read_bytes(recording.folder / "rig.toml"))
         poses = Poses(found.frames, found.T_base_platform, found.covariance)
         recording_tables.write_poses(folder / "poses.csv", poses)
         recording_tables.write_poses_as_roll_pitch_yaw(folder / "rpy.csv", poses)

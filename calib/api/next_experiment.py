@@ -27,7 +27,7 @@ class NextExperiment:
     none}; cameras : {camera: share of what the first experiment shows in images}; axes : of the machine
     """
 
-    questions: Sequence[Question]
+    questions: Sequence[Question[Any]]
     experiments: Sequence[Experiment]
     refused: dict[str, str]
     cameras: dict[str, float]
@@ -90,7 +90,7 @@ class NextExperiment:
 
 
 def next_experiment(
-    questions: Sequence[Question], design: Design, options: ExperimentOptions, progress: Progress
+    questions: Sequence[Question[Any]], design: Design, options: ExperimentOptions, progress: Progress
 ) -> NextExperiment:
     """NextExperiment that tells best what a diagnosis leaves alike; progress : called with (label, done, of)."""
     if not questions:
@@ -109,7 +109,7 @@ def next_experiment(
     return NextExperiment(questions, experiments, dict(refused), seen, design.mechanism.axes)
 
 
-def _odds_lines(questions: Sequence[Question]) -> list[str]:
+def _odds_lines(questions: Sequence[Question[Any]]) -> list[str]:
     """What is alike, with odds."""
     out = ["alike: " + ", ".join(f"{h.title} {h.odds:.2f}" for h in question.hypotheses) for question in questions]
     return out + [f"cannot be foretold: {text}" for question in questions for text in question.not_asked]

@@ -8,7 +8,8 @@ from calib.experiment.informative_configurations import FEWEST, informative_conf
 from calib.models.platform.optimal_configurations import choose_d_optimal_configurations
 from calib.models.platform.parameter_accuracy import PLAUSIBLE, parameter_combinations, standard_error_along
 from rig.errors import RigError
-from rig.model.design import Arm, Chain, Design, Planar2
+from rig.model.design import Design
+from rig.model.mechanism_geometry import Arm, Chain, Planar2
 from rig.model.mechanism_kinds import has_axes, has_plates
 from vision.predict import visible_marker_counts
 from vision.targets import marker_map

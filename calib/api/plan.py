@@ -28,7 +28,8 @@ from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import quantity_text
 from rig.model.design import Design
 from rig.model.mechanism_kinds import has_plates
-from rig.planning.plan import Plan, axis_strokes, build_plan, sensors_with_payload
+from rig.planning.plan import axis_strokes, build_plan, sensors_with_payload
+from rig.planning.plan_construction_and_table import Plan
 from rig.recording.recording_folder import Sensors
 
 

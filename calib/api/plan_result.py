@@ -6,16 +6,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from calib.certification.calibration import Calibration
 from calib.certification.calibration_evidence import confound_sentences
 from calib.models.platform.optimal_configurations import Avoided
 from calib.report.recording_and_plan_pages import write_plan_page
 from calib.samples.confounded_conditions import Confounds
 from calib.workspace.reachable_poses import is_pose_lost
+from rig.arrays import Floats
 from rig.errors import RigError
-from rig.model.design import Design, Hexapod
+from rig.model.design import Design
+from rig.model.mechanism_geometry import Hexapod
 from rig.model.mechanism_kinds import has_plates
 from rig.recording.recording_folder import Sensors
 from rig.recording.recording_tables import write_configurations, write_table
@@ -56,7 +56,7 @@ class PlanOptions:
     count: int = 60
     criterion: str = "determinant"
     sigma: tuple[float, float] = (1e-5, 1e-4)
-    given: np.ndarray | None = None
+    given: Floats | None = None
     calibration: Calibration | None = None
     name: str = "the calibration"
     log: Log | None = None
@@ -87,12 +87,12 @@ class PlanResult:
     """
 
     design: Design
-    values: np.ndarray
+    values: Floats
     seen: bool
     why: str
     said: Sequence[str]
     confounds: Confounds | None = None
-    t: np.ndarray | None = None
+    t: Floats | None = None
 
     @property
     def verdict(self) -> Verdict:

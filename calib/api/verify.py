@@ -32,6 +32,7 @@ from calib.report.verification_and_visit_pages import (
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled, sample_recording
+from rig.arrays import Floats
 from rig.errors import RigError
 from rig.model.pose import rms_uncertainty
 from rig.recording.corner_and_pose_tables import Poses
@@ -152,7 +153,7 @@ def verify(
 
 def _driven(
     calibration: Calibration, recording: Recording, samples: Samples, wanted: Poses
-) -> tuple[Figures, tuple[float, float], np.ndarray]:
+) -> tuple[Figures, tuple[float, float], Floats]:
     """(Figures of measured against wanted poses, stated standard uncertainty (m, rad) of their difference, the
     differences (n, 6)).
     """

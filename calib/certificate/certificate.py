@@ -35,6 +35,7 @@ from calib.files import calibration_file
 from calib.models.corrected_pose_covariance import corrected_pose_covariance
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.recording_samples import Sampled
+from rig.arrays import Floats
 from rig.errors import NotEnoughData
 from rig.recording.frame_content_hashes import content_hashes, hashes_of_frames
 from rig.recording.recording_folder import Recording
@@ -119,7 +120,7 @@ def combined_held_out_poses(
     return held_out_poses(calibration.correction, parts)
 
 
-def _model(calibration: Calibration, poses: HeldPoses) -> np.ndarray:
+def _model(calibration: Calibration, poses: HeldPoses) -> Floats:
     """(n, 6, 6) of the parameters alone: what axes and poses scatter shows in the poses themselves."""
     geometry = Calibration(
         calibration.correction, calibration.covariance, np.zeros_like(calibration.scatter), (), (), None, {}

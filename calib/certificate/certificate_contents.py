@@ -14,7 +14,8 @@ from calib.certification.iso9283 import Iso9283
 from calib.certification.promise_and_conformity import Cell, Conformity, Promise
 from calib.certification.uncertainty_budget import Budget
 from calib.samples.confounded_conditions import Confounds
-from rig.model.design import Arm, Hexapod
+from rig.arrays import Floats
+from rig.model.mechanism_geometry import Arm, Hexapod
 from rig.recording.recording_folder import LIMB, PAYLOAD, Recording
 from rig.report.verdict import Evidence
 
@@ -73,7 +74,7 @@ def measured_volume(poses: HeldPoses, mechanism: Hexapod | Arm) -> Volume:
 
 def measuring_conditions(poses: HeldPoses, recordings: Sequence[Recording], sources: Sequence[str]) -> Conditions:
     """Measuring conditions of HeldPoses. sources : where each recording's poses came from, in words"""
-    logged: dict[str, list[np.ndarray]] = {}
+    logged: dict[str, list[Floats]] = {}
     for k, recording in enumerate(recordings):
         for name in recording.sensors.channels if recording.sensors is not None else ():
             if not LIMB.fullmatch(name) and recording.sensors is not None:
@@ -164,7 +165,7 @@ class Contents:
     conformity: tuple[Conformity, ...]
     budget: Budget
     conditions: Conditions
-    errors: np.ndarray
+    errors: Floats
     before: Figures
     after: Figures
     provenance: dict[str, Any]

@@ -10,6 +10,7 @@ from calib.certificate.certificate import Certificate, certificate_verdict
 from calib.certificate.certificate_sentences import micrometre_text
 from calib.certification.iso9283 import FEWEST
 from calib.report.calibration_page import flattened_rows
+from rig.arrays import Floats
 from rig.report.pages.html_elements import folding_section, heading, note, paragraph, table
 from rig.report.pages.page_and_svg_templates import Link, Page, write_page
 from rig.report.pages.svg_elements import round_ticks, svg_figure, svg_text, text_within, tooltip
@@ -87,7 +88,7 @@ def _cell_bound_figures(certificate: Certificate) -> str:
     return svg_figure(int(height) + 6, "bounds in um, cell by cell, from above and from the side", parts)
 
 
-def visible_rectangles(boxes: np.ndarray, values: np.ndarray) -> list[tuple[tuple[float, ...], float]]:
+def visible_rectangles(boxes: Floats, values: Floats) -> list[tuple[tuple[float, ...], float]]:
     """Visible rectangles of boxes seen along an axis: without overlap, each with the greatest value behind it.
 
     boxes : (n, 2, 2), low and high corner; values : (n,)

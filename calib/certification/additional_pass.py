@@ -5,7 +5,7 @@ Source: configuration-space patent, [0035]
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from calib.correction.summand_extension import (
 )
 from calib.models.platform.identification import inverse_strut_length_jacobian
 from calib.samples.pose_samples import Samples
+from rig.arrays import Booleans
 from rig.errors import NotEnoughData
 from rig.model.pose import pose_difference
 
@@ -128,7 +129,7 @@ def _with_covariance(done: Certified, before: Calibration, rng: np.random.Genera
     return replace(done, covariance=scale * before.covariance, strut_covariance=scale * struts)
 
 
-def _posed(base: Callable[[Samples], Correction], part: SpacePart | None) -> Callable[[Samples], Stand]:
+def _posed(base: Callable[[Samples], Correction[Any, Any]], part: SpacePart | None) -> Callable[[Samples], Stand]:
     """The stand of a map in pose space on a Correction by some samples."""
 
     def stand(of: Samples) -> Stand:
@@ -142,7 +143,9 @@ def _posed(base: Callable[[Samples], Correction], part: SpacePart | None) -> Cal
     return stand
 
 
-def _again(done: Correction, before: Correction, asked: Pass) -> Callable[[Samples], Correction]:
+def _again(
+    done: Correction[Any, Any], before: Correction[Any, Any], asked: Pass
+) -> Callable[[Samples], Correction[Any, Any]]:
     """By some samples alone, the Correction with the map in the configuration space that all of them chose."""
     extension = done.extension
     field = extension.fields[-1] if isinstance(extension, SummedPasses) else extension
@@ -154,7 +157,7 @@ def _again(done: Correction, before: Correction, asked: Pass) -> Callable[[Sampl
     )
 
 
-def _said(field: Field, at: Samples, on: Correction) -> float:
+def _said(field: Field, at: Samples, on: Correction[Any, Any]) -> float:
     one = PoseMap(home_pose(on.nominal), pose_coordinate_indices(on.nominal), field)
     return float((one.error(on.predict(at.commanded))[:, :3] ** 2).sum(axis=1).mean())
 
@@ -163,7 +166,7 @@ def _part(field: Field | None, part: SpacePart | None) -> Field | None:
     return field if field is None or part is None else RestrictedMap(field, part)
 
 
-def _within(samples: Samples, correction: Correction, asked: Pass) -> np.ndarray:
+def _within(samples: Samples, correction: Correction[Any, Any], asked: Pass) -> Booleans:
     """(n,) bool, the samples in the parts asked for."""
     keep = np.ones(len(samples), bool)
     if asked.configurations is not None:

@@ -4,8 +4,6 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from calib.certification.claim_verification import Verification
 from calib.certification.distinct_configurations import LEAST
 from calib.certification.held_out_errors import HeldOut
@@ -15,6 +13,7 @@ from calib.correction.physics_compensation import Physics
 from calib.samples.confounded_conditions import Confounds
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_cells import Workspace
+from rig.arrays import Floats
 from rig.errors import RigError
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_elements import result_html
@@ -165,8 +164,8 @@ class Calibration:
     scatter^2 on its diagonal; None where each is by itself, and in files of before it was worked out"""
 
     correction: Correction[Any, Any]
-    covariance: np.ndarray
-    scatter: np.ndarray
+    covariance: Floats
+    scatter: Floats
     frames: tuple[int, ...]
     left_out: tuple[int, ...]
     held_out: HeldOut | None
@@ -175,7 +174,7 @@ class Calibration:
     physics: Physics | None = None
     workspace: Workspace | None = None
     confounds: Confounds | None = None
-    strut_covariance: np.ndarray | None = None
+    strut_covariance: Floats | None = None
 
     def __post_init__(self) -> None:
         if self.physics is not None and self.physics.compensable_effects():

@@ -20,6 +20,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.certification.held_out_errors import pose_errors
 from calib.certification.workspace_claim import Claim
 from calib.samples.pose_samples import Samples
+from rig.arrays import Floats, Integers
 from rig.model.pose import adjoint, exp
 from rig.report.verdict import REFUTES
 
@@ -104,7 +105,7 @@ class Verification:
 
 
 def verify_claim(
-    predicted: RigidTransform, samples: Samples, label: np.ndarray, claim: Claim, rng: np.random.Generator
+    predicted: RigidTransform, samples: Samples, label: Integers, claim: Claim, rng: np.random.Generator
 ) -> Verification:
     """Verification of a Claim by predicted poses (n,) and measured samples.
 
@@ -124,7 +125,7 @@ def verify_claim(
 
 
 def _verified(
-    errors: np.ndarray, samples: Samples, label: np.ndarray, claim: Claim, rng: np.random.Generator
+    errors: Floats, samples: Samples, label: Integers, claim: Claim, rng: np.random.Generator
 ) -> Verification:
     """Verification by errors (n, 6), without a rigid motion."""
     assert claim.after is not None
@@ -135,7 +136,7 @@ def _verified(
     return Verification(len(errors), parts[0], parts[1])
 
 
-def _parts(errors: np.ndarray, claim: Claim) -> list[list[int]]:
+def _parts(errors: Floats, claim: Claim) -> list[list[int]]:
     """Rows of the tangent that are judged, of position and of rotation."""
     assert claim.after is not None
     return [
@@ -145,10 +146,10 @@ def _parts(errors: np.ndarray, claim: Claim) -> list[list[int]]:
 
 
 def _part(
-    errors: np.ndarray,
-    own: np.ndarray,
-    common: np.ndarray,
-    label: np.ndarray,
+    errors: Floats,
+    own: Floats,
+    common: Floats,
+    label: Integers,
     rows: list[int],
     claimed: float,
     rng: np.random.Generator,
@@ -170,7 +171,7 @@ def _part(
         whiten.squares(noise, noise),
     )
 
-    def squares(times: float) -> np.ndarray:
+    def squares(times: float) -> Floats:
         return times**2 * alone + 2 * times * crossed + own_squares
 
     limit = float(np.quantile(squares(1.0), LEVEL))
@@ -193,13 +194,13 @@ def _root(rising: Callable[[float], float], most: float = 1e3) -> float:
 class _Whitener:
     """Products a' (diag(C) + B B')^-1 b of errors. C : (n, d, d); B : (n, d, k), by Woodbury's identity."""
 
-    def __init__(self, C: np.ndarray, B: np.ndarray) -> None:
+    def __init__(self, C: Floats, B: Floats) -> None:
         self.inverse = np.linalg.inv(C)
         self.B = B
         self.weighted = self.inverse @ B
         self.core = np.linalg.inv(np.eye(B.shape[2]) + np.einsum("nik,nil->kl", B, self.weighted))
 
-    def squares(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    def squares(self, a: Floats, b: Floats) -> Floats:
         """(q,) of a and b (q, n, d)."""
         alone = ((a[:, :, None] @ self.inverse)[:, :, 0] * b).sum(axis=(1, 2))
         z, w = (np.tensordot(one, self.weighted, axes=((1, 2), (0, 1))) for one in (a, b))
@@ -207,7 +208,7 @@ class _Whitener:
 
 
 def _offset(
-    predicted: RigidTransform, samples: Samples, label: np.ndarray, claim: Claim, whole: float, rng: np.random.Generator
+    predicted: RigidTransform, samples: Samples, label: Integers, claim: Claim, whole: float, rng: np.random.Generator
 ) -> Offset | None:
     """The rigid motion, of the base or of what is measured on the platform, that explains why a claim is not kept:
     without it the claim is kept, or less than half of what was beyond it is left. None where neither does.

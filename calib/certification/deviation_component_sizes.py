@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.certification.strut_deviation_kernels import Component
+from rig.arrays import Floats, Integers
 
 SOUND, ALIKE, MIXED = 0.3, 0.4, 0.3  # probabilities, before the poses, of the three kinds
 CLEARLY = 3.0  # of logarithms of probabilities
@@ -30,15 +31,15 @@ class Closures(NamedTuple):
     deviation of the noise
     parts : its Components"""
 
-    values: np.ndarray
-    covariance: np.ndarray
+    values: Floats
+    covariance: Floats
     unit: float
     parts: list[Component]
 
 
 def draw_component_sizes(
-    struts: list[Closures], scattered: Callable[[np.ndarray], np.ndarray], count: int, rng: np.random.Generator
-) -> list[np.ndarray]:
+    struts: list[Closures], scattered: Callable[[Floats], Floats], count: int, rng: np.random.Generator
+) -> list[Floats]:
     """Draws of component sizes per strut (count, components) m; the same row of all struts is one machine.
 
     scattered : (k,) m -> (k,) by how much the log likelihood of all closures grows where all struts scatter by so much
@@ -90,13 +91,13 @@ def draw_component_sizes(
 class _Problem:
     """The closures of one strut in units of their noise, at some samples."""
 
-    def __init__(self, of: Closures, some: np.ndarray) -> None:
+    def __init__(self, of: Closures, some: Integers) -> None:
         self.parts, self.unit = of.parts, of.unit
         self.y, self.base = of.values[some] / of.unit, of.covariance[np.ix_(some, some)] / of.unit**2
         self.flat = np.stack([(part.basis[some] @ part.basis[some].T).ravel() for part in of.parts])
         self.none = float(np.prod([1 - part.likely for part in of.parts]))
 
-    def cost(self, state: np.ndarray) -> np.ndarray:
+    def cost(self, state: Floats) -> Floats:
         """(states,) minus twice the log likelihood of states (states, components), logarithms of sizes."""
         n = len(self.y)
         V = np.empty((len(state), n + 1, n + 1))
@@ -106,7 +107,7 @@ class _Problem:
         L = np.linalg.cholesky(V)  # whose last row is the whitened y
         return np.asarray((L[:, n, :n] ** 2).sum(axis=1) + 2 * np.log(np.einsum("kii->ki", L[:, :n, :n])).sum(axis=1))
 
-    def alone(self, name: str, size: np.ndarray) -> np.ndarray:
+    def alone(self, name: str, size: Floats) -> Floats:
         """(k,) by how much the log likelihood grows with one component alone, of sizes (k,) m; nothing where the strut
         has none of that name.
         """
@@ -115,7 +116,7 @@ class _Problem:
         cost = self.cost(state)
         return np.asarray(0.5 * (cost[0] - cost[1:]))
 
-    def sampled(self, rng: np.random.Generator) -> np.ndarray:
+    def sampled(self, rng: np.random.Generator) -> Floats:
         """(draws, components) m of the sizes of the strut's own components: Metropolis steps, one component at a
         time.
         """

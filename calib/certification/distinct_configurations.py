@@ -4,8 +4,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.samples.pose_samples import Samples, inverse_covariance, time_block_folds
+from rig.arrays import Floats, Integers
 from rig.model import mechanisms
-from rig.model.design import Arm, Chain
+from rig.model.mechanism_geometry import Arm, Chain
 from rig.model.mechanism_kinds import Struts
 from rig.model.pose import exp, pose_difference
 
@@ -15,7 +16,7 @@ SAME = 1e-3  # of an axis' range, within which commands are one configuration
 LEAST = 8
 
 
-def configuration_numbers(commanded: np.ndarray, ranges: np.ndarray) -> np.ndarray:
+def configuration_numbers(commanded: Floats, ranges: Floats) -> Integers:
     """Configuration number of each command (n,), counted in the order of first visits.
 
     commanded : (n, axes) m or rad; ranges : (axes, 2) of the axes
@@ -31,17 +32,17 @@ def configuration_numbers(commanded: np.ndarray, ranges: np.ndarray) -> np.ndarr
     return out
 
 
-def axis_ranges(mechanism: Struts | Arm | Chain) -> np.ndarray:
+def axis_ranges(mechanism: Struts | Arm | Chain) -> Floats:
     """Range of each axis of a mechanism: (axes, 2) m or rad."""
     return mechanisms.kinematics_of(mechanism).travel(mechanism)
 
 
-def configuration_folds(label: np.ndarray, count: int) -> np.ndarray:
+def configuration_folds(label: Integers, count: int) -> Integers:
     """Folds of configurations (n,): whole stretches in time, no configuration in two folds."""
     return time_block_folds(label.max() + 1, count)[label]
 
 
-def mean_sample_per_configuration(samples: Samples, label: np.ndarray, to_pose: np.ndarray) -> Samples:
+def mean_sample_per_configuration(samples: Samples, label: Integers, to_pose: Floats) -> Samples:
     """Mean sample of each configuration: its repeats averaged, weighted by their covariance.
 
     samples : Samples; label : (n,) from `configuration_numbers`; to_pose : (n, 6, axes) change of each pose's tangent

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calib.certification.distinct_configurations import (
+    LEAST,
     axis_ranges,
     configuration_folds,
     configuration_numbers,
@@ -30,7 +31,6 @@ from calib.certification.platform_certification import (
 )
 from calib.certification.workspace_claim import (
     DRAWS,
-    LEAST,
     PLACES,
     Claim,
     ConfigurationInformation,
@@ -58,9 +58,10 @@ from calib.models.platform.identification import (
     pose_parameter_jacobian,
 )
 from calib.samples.pose_samples import Samples, inverse_covariance
+from rig.arrays import Booleans, Floats, Integers
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.design import Arm
+from rig.model.mechanism_geometry import Arm
 from rig.model.mechanism_kinds import Struts
 from rig.model.pose import pose_difference
 from rig.planning.configuration_sets import FILL, sobol_configurations
@@ -85,7 +86,7 @@ class Stand(NamedTuple):
     said : mean square (m^2) by which a Field says that positions of other samples may be off."""
 
     known: Known
-    correct: Callable[[Field | None], Correction]
+    correct: Callable[[Field | None], Correction[Any, Any]]
     said: Callable[[Field, Samples], float]
 
 
@@ -164,7 +165,7 @@ def _with_scatter(samples: Samples, done: Certified, rng: np.random.Generator) -
 
 def certify_interpolation_method(
     samples: Samples,
-    basis: tuple[Struts | Arm, np.ndarray, Any],
+    basis: tuple[Struts | Arm, Integers, Any],
     stand: Callable[[Samples], "Stand"],
     kind: str,
     rng: np.random.Generator,
@@ -236,13 +237,13 @@ class _Outcome(NamedTuple):
 
     beside: bool
     said: dict[str, float]
-    rows: np.ndarray
+    rows: Integers
     samples: Samples
-    before: np.ndarray
-    after: dict[str, np.ndarray]
+    before: Floats
+    after: dict[str, Floats]
 
 
-def _splits(samples: Samples, label: np.ndarray, nominal: Struts | Arm) -> list[tuple[np.ndarray, np.ndarray]]:
+def _splits(samples: Samples, label: Integers, nominal: Struts | Arm) -> list[tuple[Booleans, Booleans]]:
     """[(fitted (n,) bool, held out (n,) bool)]; none where there are fewer than LEAST configurations."""
     if label.max() + 1 < LEAST:
         return []
@@ -264,10 +265,10 @@ def _held_out(
     samples: Samples,
     stand: Callable[[Samples], "Stand"],
     fields: dict[str, Field | None],
-    splits: list[tuple[np.ndarray, np.ndarray]],
+    splits: list[tuple[Booleans, Booleans]],
     said: Progress,
 ) -> _Outcome:
-    rows, before, after = [], [], {name: list[np.ndarray]() for name in fields}
+    rows, before, after = [], [], {name: list[Floats]() for name in fields}
     squares = dict.fromkeys(fields, 0.0)
     said("holding configurations out", 0, len(splits))
     for k, (fitted, out) in enumerate(splits):
@@ -316,7 +317,7 @@ def _best(outcome: _Outcome) -> str:
 
 def claim_without_geometry(samples: Samples, certified: Certified, rng: np.random.Generator) -> Claim:
     """Claim of a correction without fitted geometry: its field's error estimate over the workspace."""
-    correction: Correction = certified.correction
+    correction: Correction[Any, Any] = certified.correction
     kinematics = mechanisms.kinematics_of(correction.nominal)
     each = mean_sample_per_configuration(
         samples, certified.label, inverse_strut_length_jacobian(samples.T_base_platform, correction.nominal)

@@ -14,6 +14,7 @@ import numpy as np
 
 from calib.certification.held_out_errors import autocorrelation_factor
 from calib.samples.pose_samples import Samples
+from rig.arrays import Floats, Integers
 
 INDEPENDENT = (
     1.5  # degrees of freedom that a configuration is worth at the most: the three of a position would be of noise alone
@@ -40,14 +41,14 @@ class HeldErrors:
 
     Rows in order of their first visit."""
 
-    squares: np.ndarray
-    noise: np.ndarray
+    squares: Floats
+    noise: Floats
     stated: float = 0.0
     scale: float = 1.0
     fitted: float = 0.0
-    parameters: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    parameters: Floats = field(default_factory=lambda: np.zeros(2))
 
-    def elsewhere(self, stated: float, count: int, rng: np.random.Generator) -> np.ndarray:
+    def elsewhere(self, stated: float, count: int, rng: np.random.Generator) -> Floats:
         """(count, 1) draws of the errors' mean square where the correction says that positions may be off by `stated`
         (m^2), over that of those held out.
 
@@ -59,7 +60,7 @@ class HeldErrors:
             share = 1 - own + own * stated / (self.stated * self.scale**2)
         return np.asarray(share * np.exp(ELSEWHERE * rng.normal(size=(count, 1))))
 
-    def draws(self, count: int, rng: np.random.Generator) -> np.ndarray:
+    def draws(self, count: int, rng: np.random.Generator) -> Floats:
         """(count, 2) m^2 and rad^2, draws of the true errors' mean square; 0 for what was not measured."""
         out = np.zeros((count, 2))
         for k in range(2):
@@ -71,16 +72,16 @@ class HeldErrors:
             out[:, k] = np.maximum(seen - noise * TRUSTED / rng.chisquare(TRUSTED, count), 0.0)
         return out
 
-    def own_draws(self, stated: float, count: int, rng: np.random.Generator) -> np.ndarray:
+    def own_draws(self, stated: float, count: int, rng: np.random.Generator) -> Floats:
         """(count, 2) m^2 and rad^2, draws of the mean square that no model corrects, where the correction says that
         positions may be off by `stated` (m^2): beyond what comes of the parameters."""
         return np.maximum(self.draws(count, rng) - self.parameters, 0.0) * self.elsewhere(stated, count, rng)
 
-    def own(self, stated: float, rng: np.random.Generator) -> np.ndarray:
+    def own(self, stated: float, rng: np.random.Generator) -> Floats:
         """(2,) m^2 and rad^2, the mean of these draws."""
         return np.asarray(self.own_draws(stated, DRAWS, rng).mean(axis=0))
 
-    def shown(self, rng: np.random.Generator) -> np.ndarray:
+    def shown(self, rng: np.random.Generator) -> Floats:
         """(2,) m^2 and rad^2, the mean of these draws where three of four show anything at all, else nothing."""
         draws = self.own_draws(0.0, DRAWS, rng)
         return np.asarray(np.where(np.quantile(draws, 0.25, axis=0) > 0, draws.mean(axis=0), 0.0))
@@ -91,13 +92,13 @@ class HeldErrors:
         """
         return float(self.noise[:, 0].mean() * np.sqrt(2 / _degrees_of_freedom(self.squares[:, 0])))
 
-    def beyond(self) -> np.ndarray:
+    def beyond(self) -> Floats:
         """(2,) m^2 and rad^2, mean square of the true errors as estimated; 0 for what was not measured."""
         return np.nan_to_num(np.maximum(self.squares.mean(axis=0) - self.noise.mean(axis=0), 0.0))
 
 
 def held_out_error_statistics(
-    errors: np.ndarray, samples: Samples, label: np.ndarray, stated: float = 0.0, parameters: np.ndarray | None = None
+    errors: Floats, samples: Samples, label: Integers, stated: float = 0.0, parameters: Floats | None = None
 ) -> HeldErrors:
     """Held-out error statistics (HeldErrors) of errors (n, 6) m and rad, NaN where not measured.
     samples : Samples that they are of; label : (n,) configuration of each
@@ -107,7 +108,7 @@ def held_out_error_statistics(
     size = np.bincount(label)
     variances = np.einsum("nii->ni", samples.covariance)
 
-    def means(values: np.ndarray) -> np.ndarray:
+    def means(values: Floats) -> Floats:
         each = np.stack([values[:, part].sum(axis=1) for part in PARTS], axis=1)
         return np.stack([np.bincount(label, weights=column) for column in each.T], axis=1) / size[:, None]
 
@@ -121,8 +122,8 @@ def held_out_error_statistics(
 
 
 def standardised_residuals(
-    residuals: np.ndarray, jacobian: np.ndarray, covariance: np.ndarray, noise: np.ndarray, label: np.ndarray
-) -> np.ndarray:
+    residuals: Floats, jacobian: Floats, covariance: Floats, noise: Floats, label: Integers
+) -> Floats:
     """Standardised residuals (n, 6) of a linear fit: corrected for the noise that the fit absorbed, m and rad.
 
     residuals : (n, 6); label : (n,) configuration of each sample; the rest as `held_out_parameter_error_squares`
@@ -135,9 +136,7 @@ def standardised_residuals(
     return out
 
 
-def held_out_parameter_error_squares(
-    jacobian: np.ndarray, covariance: np.ndarray, noise: np.ndarray, part: np.ndarray
-) -> np.ndarray:
+def held_out_parameter_error_squares(jacobian: Floats, covariance: Floats, noise: Floats, part: Integers) -> Floats:
     """Mean squares (2,) of held-out pose errors by parameters fitted without the samples of the same part.
 
     jacobian : (n, 6, p) of poses with the parameters; covariance : (p, p) of the parameters of a fit of all samples;
@@ -152,8 +151,8 @@ def held_out_parameter_error_squares(
 
 
 def _leverages(
-    jacobian: np.ndarray, covariance: np.ndarray, noise: np.ndarray, part: np.ndarray
-) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    jacobian: Floats, covariance: Floats, noise: Floats, part: Integers
+) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
     """Of each part (its samples (n,) bool, roots of their noise (m, 6, 6), directions (6 m, 6 m) of their whitened
     poses, and of each direction the share, 0 to ALL_OWN, of what is known of it that these samples tell themselves)."""
     for each in np.unique(part):
@@ -164,7 +163,7 @@ def _leverages(
         yield own, L, U, share.clip(0, ALL_OWN)
 
 
-def _degrees_of_freedom(squares: np.ndarray) -> float:
+def _degrees_of_freedom(squares: Floats) -> float:
     """Degrees of freedom of the mean of squares (c,), in order of time, as they scatter and as neighbours say the
     same.
     """
@@ -173,7 +172,7 @@ def _degrees_of_freedom(squares: np.ndarray) -> float:
     return float(np.clip(2 * squares.mean() ** 2 / max(variance, 1e-300), LEAST_FREEDOM, most))
 
 
-def draw_common_error_squares(samples: Samples, count: int, rng: np.random.Generator) -> np.ndarray:
+def draw_common_error_squares(samples: Samples, count: int, rng: np.random.Generator) -> Floats:
     """Draws (count, 2) of the mean square of the samples' common pose errors, m^2 and rad^2."""
     drawn = np.einsum("nik,kd->dni", samples.common, rng.normal(size=(samples.common.shape[2], count)))
     return np.stack([(drawn[..., part] ** 2).sum(axis=2).mean(axis=1) for part in PARTS], axis=1)

@@ -9,6 +9,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.certification.distinct_configurations import LEAST
 from calib.correction.correction import Correction
 from calib.samples.pose_samples import Samples
+from rig.arrays import Floats, Integers
 from rig.model import mechanisms
 from rig.model.pose import pose_difference, rms_uncertainty
 
@@ -48,10 +49,10 @@ class HeldOut:
     configurations: int
 
 
-def error_statistics(errors: np.ndarray) -> Figures:
+def error_statistics(errors: Floats) -> Figures:
     """Figures of pose errors (n, 6), position (m) and rotation (rad), NaN where these were not measured."""
 
-    def three(parts: np.ndarray) -> tuple[float, float, float]:
+    def three(parts: Floats) -> tuple[float, float, float]:
         length = np.linalg.norm(parts, axis=1)
         return float(np.sqrt(np.mean(length**2))), float(np.quantile(length, 0.95)), float(length.max())
 
@@ -66,11 +67,11 @@ def error_statistics(errors: np.ndarray) -> Figures:
 
 
 def compare_errors(
-    errors_before: np.ndarray,
-    errors_after: np.ndarray,
-    covariance: np.ndarray,
+    errors_before: Floats,
+    errors_after: Floats,
+    covariance: Floats,
     rng: np.random.Generator,
-    label: np.ndarray | None = None,
+    label: Integers | None = None,
 ) -> HeldOut:
     """Comparison of errors before and after on the same poses, as HeldOut; covariance : (n, 6, 6)
 
@@ -90,15 +91,13 @@ def compare_errors(
     return HeldOut(before, after, rms_uncertainty(covariance), ratio, len(size))
 
 
-def errors_before_and_after_correction(
-    correction: Correction[Any, Any], samples: Samples
-) -> tuple[np.ndarray, np.ndarray]:
+def errors_before_and_after_correction(correction: Correction[Any, Any], samples: Samples) -> tuple[Floats, Floats]:
     """Pose errors (before, after) correction, both (n, 6): measured against the nominal and the corrected model."""
     nominal = mechanisms.kinematics_of(correction.nominal).forward(samples.commanded, correction.nominal)
     return pose_errors(nominal, samples), pose_errors(correction.predict(samples.effective), samples)
 
 
-def pose_errors(T_base_platform: RigidTransform, samples: Samples) -> np.ndarray:
+def pose_errors(T_base_platform: RigidTransform, samples: Samples) -> Floats:
     """Pose errors (n, 6) of measured samples against predicted poses (n,), NaN where not measured."""
     if samples.measured == "distance":
         error = np.full((len(samples), 6), np.nan)
@@ -114,12 +113,12 @@ def pose_errors(T_base_platform: RigidTransform, samples: Samples) -> np.ndarray
     return error
 
 
-def is_significant_gain(gain: np.ndarray) -> bool:
+def is_significant_gain(gain: Floats) -> bool:
     """Whether the gain of held-out poses (n,) is significant: beyond GAIN standard errors, autocorrelation included."""
     return bool(gain.mean() > GAIN * gain.std() / np.sqrt(len(gain) / autocorrelation_factor(gain)))
 
 
-def autocorrelation_factor(series: np.ndarray) -> float:
+def autocorrelation_factor(series: Floats) -> float:
     """Autocorrelation factor of a series (n,): 1 + 2 x the sum of its first positive autocorrelations."""
     centred = series - series.mean()
     total = (centred**2).sum()

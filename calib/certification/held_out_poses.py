@@ -6,6 +6,7 @@ the others are repeats, from which repeatability is read.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -13,6 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.certification.distinct_configurations import axis_ranges, configuration_numbers
 from calib.correction.correction import Correction
 from calib.samples.pose_samples import Samples
+from rig.arrays import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.recording.recording_folder import Commands
 
@@ -33,25 +35,25 @@ class HeldPoses:
     label : (n,) configuration; moving : how many exposures were left out since the machine moved
     """
 
-    recording: np.ndarray
-    frame: np.ndarray
-    t: np.ndarray
-    commanded: np.ndarray
-    before: np.ndarray
-    step: np.ndarray
+    recording: Floats
+    frame: Integers
+    t: Floats
+    commanded: Floats
+    before: Floats
+    step: Floats
     T_base_platform: RigidTransform
-    errors: np.ndarray
-    plain: np.ndarray
-    own: np.ndarray
-    common: tuple[np.ndarray, ...]
-    label: np.ndarray
+    errors: Floats
+    plain: Floats
+    own: Floats
+    common: tuple[Floats, ...]
+    label: Integers
     moving: int
 
     def __len__(self) -> int:
         return len(self.frame)
 
     @property
-    def first(self) -> np.ndarray:
+    def first(self) -> Integers:
         """(c,) indices of each configuration's first visit, those left out that one axis alone came to: a ladder tells
         of an axis, and would crowd the middle of the volume."""
         at = np.flatnonzero(self.step.sum(axis=1) != 1)
@@ -62,12 +64,12 @@ class HeldPoses:
         """Whether rotations were measured."""
         return bool(np.isfinite(self.errors[:, 3:]).all())
 
-    def sigma(self, part: slice) -> np.ndarray:
+    def sigma(self, part: slice) -> Floats:
         """(n,) m or rad, standard deviation of each pose's own noise in one direction, of positions or rotations."""
         return np.sqrt(np.trace(self.own[:, part, part], axis1=1, axis2=2) / 3)
 
 
-def _is_at_rest(commands: Commands, t: np.ndarray) -> np.ndarray:
+def _is_at_rest(commands: Commands, t: Floats) -> Booleans:
     """(n,) bool, whether nothing was commanded to move for REST s before times t (n,) s."""
     earlier = np.maximum(t - REST, commands.t[0])
     between = np.searchsorted(commands.t, t) - np.searchsorted(commands.t, earlier)
@@ -81,7 +83,7 @@ def _is_at_rest(commands: Commands, t: np.ndarray) -> np.ndarray:
     return same & (knots < 1e-9)
 
 
-def _last_moves(commands: Commands, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _last_moves(commands: Commands, t: Floats) -> tuple[Floats, Floats]:
     """(before (n, axes) sign of each axis' last move before times t (n,) s, step (n, axes) whether it was part of the
     machine's last).
     """
@@ -94,7 +96,7 @@ def _last_moves(commands: Commands, t: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def held_out_poses(
-    correction: Correction, recordings: Sequence[tuple[Samples, Commands, np.ndarray, np.ndarray]]
+    correction: Correction[Any, Any], recordings: Sequence[tuple[Samples, Commands, Floats, Floats]]
 ) -> HeldPoses:
     """Held-out poses of recordings under a correction, as HeldPoses.
 
@@ -173,7 +175,7 @@ def pose_repeatability(poses: HeldPoses) -> Repeatability:
     )
 
 
-def _scatter(poses: HeldPoses, group: np.ndarray) -> tuple[float | None, float | None, int, int]:
+def _scatter(poses: HeldPoses, group: Integers) -> tuple[float | None, float | None, int, int]:
     """(position m, rotation rad, visits, groups) of groups with two visits at least."""
     size = np.bincount(group)
     again = np.flatnonzero(size[group] > 1)

@@ -8,11 +8,13 @@ lengthened).
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from calib.certification.held_out_poses import HeldPoses
 from calib.correction.correction import Correction
+from rig.arrays import Floats, Integers
 from rig.model import mechanisms
 
 POSITIONS, CYCLES = 5, 5  # of ISO 230-2
@@ -49,7 +51,7 @@ class AxisTest:
     formal: bool
 
 
-def iso230_axis_tests(correction: Correction, poses: HeldPoses) -> tuple[AxisTest, ...]:
+def iso230_axis_tests(correction: Correction[Any, Any], poses: HeldPoses) -> tuple[AxisTest, ...]:
     """ISO 230-2 test of each axis that was moved alone from both sides."""
     if not poses.rotations:
         return ()
@@ -75,14 +77,14 @@ def iso230_axis_tests(correction: Correction, poses: HeldPoses) -> tuple[AxisTes
     return tuple(out)
 
 
-def _to_axes(correction: Correction, poses: HeldPoses) -> np.ndarray:
+def _to_axes(correction: Correction[Any, Any], poses: HeldPoses) -> Floats:
     """(n, axes, 6) change of the axes with the pose's tangent."""
     fitted = correction.fitted
     return mechanisms.kinematics_of(fitted).axis_changes(poses.T_base_platform, poses.commanded, fitted)
 
 
 def _test(
-    name: str, unit: str, poses: HeldPoses, rows: np.ndarray, axis: int, deviation: np.ndarray, u: float
+    name: str, unit: str, poses: HeldPoses, rows: Integers, axis: int, deviation: Floats, u: float
 ) -> AxisTest | None:
     means, spreads, counts = [], [], []
     for label in np.unique(poses.label[rows]):
@@ -115,13 +117,13 @@ def _test(
     )
 
 
-def reversal_values(mean: np.ndarray) -> tuple[float, float]:
+def reversal_values(mean: Floats) -> tuple[float, float]:
     """Reversal values (B, mean B) of means (positions, 2), from below and from above."""
     B = mean[:, 0] - mean[:, 1]
     return float(np.abs(B).max()), float(B.mean())
 
 
-def axis_accuracy(mean: np.ndarray, standard_deviation: np.ndarray) -> tuple[float | None, float | None, float | None]:
+def axis_accuracy(mean: Floats, standard_deviation: Floats) -> tuple[float | None, float | None, float | None]:
     """Axis accuracy (A, A up, A down) of means and standard deviations (positions, 2); None where unknown."""
     if not np.isfinite(standard_deviation).all():
         return None, None, None
@@ -130,9 +132,7 @@ def axis_accuracy(mean: np.ndarray, standard_deviation: np.ndarray) -> tuple[flo
     return float(high.max() - low.min()), up, down
 
 
-def axis_repeatability(
-    mean: np.ndarray, standard_deviation: np.ndarray
-) -> tuple[float | None, float | None, float | None]:
+def axis_repeatability(mean: Floats, standard_deviation: Floats) -> tuple[float | None, float | None, float | None]:
     """Axis repeatability (R, R up, R down) of means and standard deviations (positions, 2); None where unknown."""
     if not np.isfinite(standard_deviation).all():
         return None, None, None

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.certification.held_out_poses import HeldPoses
+from rig.arrays import Floats
 from rig.model.design import Design
 from rig.recording.recording_folder import Recording
 
@@ -127,7 +128,7 @@ def _unmet_requirements(poses: HeldPoses, duty: Duty) -> tuple[str, ...]:
     return (*out, *_duty(duty))
 
 
-def _places(places: np.ndarray) -> tuple[str, ...]:
+def _places(places: Floats) -> tuple[str, ...]:
     """What is wrong with the five places (5, 3) m: one in the middle, four at the corners of a diagonal plane of a cube
     about it.
     """

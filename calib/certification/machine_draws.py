@@ -28,6 +28,7 @@ from calib.models.platform.identification import (
 )
 from calib.models.platform.parameter_accuracy import Tolerance, expand_parameter_widths
 from calib.samples.pose_samples import Samples
+from rig.arrays import Booleans, Floats, Integers
 from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts
 
@@ -46,11 +47,11 @@ class Sizes:
     """inliers : (n,) bool, the samples that are counted; components : per strut its Components; draws : per strut
     (COUNT, its components) m, of their sizes; the same row of all struts is one machine."""
 
-    inliers: np.ndarray
+    inliers: Booleans
     components: list[list[Component]]
-    draws: list[np.ndarray]
+    draws: list[Floats]
 
-    def of_place(self) -> np.ndarray:
+    def of_place(self) -> Floats:
         """(axes,) probability that a strut's deviation has a function of place, as these samples tell it from
         everything else.
         """
@@ -66,7 +67,7 @@ def strut_deviation_sizes(
     identified: Identified,
     tolerance: Tolerance,
     samples: Samples,
-    label: np.ndarray,
+    label: Integers,
     nominal: Struts,
     rng: np.random.Generator,
 ) -> Sizes:
@@ -86,7 +87,7 @@ def strut_deviation_sizes(
     return Sizes(counted, parts, draw_component_sizes(struts, _scattered(identified, model, counted), COUNT, rng))
 
 
-def _scattered(found: Identified, model: "_Closures", counted: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+def _scattered(found: Identified, model: "_Closures", counted: Booleans) -> Callable[[Floats], Floats]:
     """(k,) sizes, m -> (k,) by how much the log likelihood of all struts' closures together grows where each scatters
     by so much.
 
@@ -96,7 +97,7 @@ def _scattered(found: Identified, model: "_Closures", counted: np.ndarray) -> Ca
     free = 1 - (len(found.prior) - (np.diag(found.covariance) / found.prior**2).sum()) / left.size
     free = max(float(free), 0.1)
 
-    def likelihood(size: np.ndarray) -> np.ndarray:
+    def likelihood(size: Floats) -> Floats:
         V = S + size[:, None, None, None] ** 2 * np.eye(S.shape[1])
         square = np.einsum(
             "ni,kni->k", left, np.linalg.solve(V, np.broadcast_to(left[..., None], (len(size), *left.shape, 1)))[..., 0]
@@ -112,8 +113,8 @@ def draw_possible_machines(
     samples: Samples,
     sizes: Sizes,
     nominal: Struts,
-    places: np.ndarray,
-    noise: np.ndarray,
+    places: Floats,
+    noise: Floats,
     rng: np.random.Generator,
 ) -> Machines:
     """Draws of possible machines about a fit, at places of the workspace.
@@ -191,8 +192,8 @@ def draw_possible_machines(
 
 
 def _used(
-    part: Component, size: float, c: np.ndarray | None, at: tuple[np.ndarray, np.ndarray] | None, x: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    part: Component, size: float, c: Floats | None, at: tuple[Floats, Floats] | None, x: Floats
+) -> tuple[Floats, Floats]:
     """(mean (EACH, m) m, variance (EACH, m) m^2) of a component of a size over places x (m, axes).
 
     c : (EACH, r) its coefficients, or None; at : what `Component.at` or `Component.use` says of the places
@@ -217,19 +218,19 @@ class _Closures:
         self.left = samples.effective - mechanisms.kinematics_of(self.fitted).inverse(T, self.fitted)
         self.own = A @ samples.covariance @ np.swapaxes(A, 1, 2)
 
-    def about(self, nominal: Struts) -> np.ndarray:
+    def about(self, nominal: Struts) -> Floats:
         """(n, axes) m, the closures as the owner's figures have them, to first order."""
         return np.asarray(self.left + self.D @ (geometric_parameters(nominal) - geometric_parameters(self.fitted)))
 
     def draw(
         self,
-        y: np.ndarray,
+        y: Floats,
         parts: list[list[Component]],
-        size: list[np.ndarray],
-        width: np.ndarray,
+        size: list[Floats],
+        width: Floats,
         noise: float,
         rng: np.random.Generator,
-    ) -> tuple[np.ndarray, dict[tuple[int, int], np.ndarray]]:
+    ) -> tuple[Floats, dict[tuple[int, int], Floats]]:
         """((EACH, p) parameters less the owner's, {(strut, component): (EACH, r) coefficients}), m, drawn together.
 
         y : (n, axes) m, from `about`; size : per strut (components,) m; width : (p,) m; noise : factor

@@ -6,6 +6,7 @@ Robots, 2nd ed., ch. 9 (redundant sensors).
 """
 
 from dataclasses import dataclass, field, replace
+from typing import cast
 
 import numpy as np
 import scipy
@@ -13,8 +14,10 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.models.platform.identification import PRIOR, pose_parameter_jacobian
 from calib.samples.pose_samples import time_block_folds
+from rig.arrays import Floats, Integers
 from rig.errors import NotConverged, RigError
-from rig.model.design import Design, Hexapod, MeasuringLimbs
+from rig.model.design import Design, MeasuringLimbs
+from rig.model.mechanism_geometry import Hexapod
 from rig.model.mechanisms import hexapod as mechanism
 from rig.model.mechanisms import redundant_legs
 
@@ -25,12 +28,12 @@ class Checks:
     covariance : (k, 7, 7) m^2 of base joint, platform joint and zero; sigma : (k,) m of a reading, what the fit leaves
         included"""
 
-    limbs: np.ndarray
-    base: np.ndarray
-    platform: np.ndarray
-    zeros: np.ndarray
-    covariance: np.ndarray
-    sigma: np.ndarray
+    limbs: Integers
+    base: Floats
+    platform: Floats
+    zeros: Floats
+    covariance: Floats
+    sigma: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,23 +43,23 @@ class Limbs:
     others, or None where nobody has fitted them"""
 
     hexapod: Hexapod
-    covariance: np.ndarray
-    sigma: np.ndarray
-    chosen: np.ndarray = field(default_factory=lambda: np.arange(6))
+    covariance: Floats
+    sigma: Floats
+    chosen: Integers | Integers = field(default_factory=lambda: np.arange(6))
     checks: Checks | None = None
 
-    def pose(self, lengths: np.ndarray, guess: RigidTransform | None = None) -> RigidTransform:
+    def pose(self, lengths: Floats, guess: RigidTransform | None = None) -> RigidTransform:
         """T_base_platform (...) of readings (..., limbs) m. Raises NotConverged like the mechanism."""
         return mechanism.forward(np.asarray(lengths)[..., self.chosen], self.hexapod, guess)
 
-    def uncertainty(self, T_base_platform: RigidTransform) -> tuple[np.ndarray, np.ndarray]:
+    def uncertainty(self, T_base_platform: RigidTransform) -> tuple[Floats, Floats]:
         """(own (..., 6, 6) covariance of a pose's readings, common (..., 6, 42) factor of what the limbs' geometry adds
         to all poses).
         """
         back = np.linalg.inv(mechanism.jacobian(T_base_platform, self.hexapod))
         own = back @ np.diag(self.sigma**2) @ np.swapaxes(back, -1, -2)
         half = np.linalg.cholesky((self.covariance + self.covariance.T) / 2)
-        return own, pose_parameter_jacobian(T_base_platform, self.hexapod) @ half
+        return cast(Floats, own), pose_parameter_jacobian(T_base_platform, self.hexapod) @ half
 
 
 STEPS, SETTLED = 20, 1e-11  # of fitting a leg; m at which it ends
@@ -85,7 +88,7 @@ class UnclosedLimb:
         )
 
 
-def best_six_limbs(stated: MeasuringLimbs, home: RigidTransform, T: RigidTransform) -> np.ndarray:
+def best_six_limbs(stated: MeasuringLimbs, home: RigidTransform, T: RigidTransform) -> Integers:
     """Numbers (6,), from 0, of the six limbs that determine poses (n,) best.
     Raises RigError for fewer than six, and where no six hold the platform.
     """
@@ -120,7 +123,7 @@ def has_six_measuring_limbs(design: Design) -> bool:
     )
 
 
-def fit_limb_checks(limbs: Limbs, stated: MeasuringLimbs, lengths: np.ndarray) -> Checks:
+def fit_limb_checks(limbs: Limbs, stated: MeasuringLimbs, lengths: Floats) -> Checks:
     """Checks fitted for all limbs but the six, from the poses that these give. lengths : (n, limbs) m read"""
     others = np.setdiff1d(np.arange(len(stated.channels)), limbs.chosen)
     T = limbs.pose(lengths)
@@ -147,9 +150,7 @@ def fit_limb_checks(limbs: Limbs, stated: MeasuringLimbs, lengths: np.ndarray) -
     )
 
 
-def _leg(
-    T: RigidTransform, read: np.ndarray, stated: np.ndarray, variance: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, float]:
+def _leg(T: RigidTransform, read: Floats, stated: Floats, variance: Floats) -> tuple[Floats, Floats, float]:
     """(joints and zero (7,) m, covariance (7, 7) m^2, scatter m beyond what is expected) of one leg that read (n,) m at
     poses (n,).
 
@@ -179,7 +180,7 @@ def _leg(
     )
 
 
-def _closures(limbs: Limbs, checks: Checks, lengths: np.ndarray) -> redundant_legs.Closures:
+def _closures(limbs: Limbs, checks: Checks, lengths: Floats) -> redundant_legs.Closures:
     """Closures of the checks, poses by the six. lengths : (n, limbs) m"""
     m = limbs.hexapod
     covariance = scipy.linalg.block_diag(
@@ -198,7 +199,7 @@ def _closures(limbs: Limbs, checks: Checks, lengths: np.ndarray) -> redundant_le
     return redundant_legs.leg_closures(of, lengths[:, order], np.arange(6))
 
 
-def held_out_check_errors(limbs: Limbs, stated: MeasuringLimbs, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def held_out_check_errors(limbs: Limbs, stated: MeasuringLimbs, lengths: Floats) -> tuple[Floats, Floats]:
     """(check errors (n, k) m, their expected sigma), by joints fitted to other stretches."""
     fold, count = time_block_folds(len(lengths), FOLDS), len(stated.channels) - redundant_legs.SIX
     error, sigma = np.zeros((len(lengths), count)), np.ones((len(lengths), count))
@@ -208,14 +209,14 @@ def held_out_check_errors(limbs: Limbs, stated: MeasuringLimbs, lengths: np.ndar
     return error, sigma
 
 
-def all_limbs_with_covariance(limbs: Limbs, stated: MeasuringLimbs) -> tuple[MeasuringLimbs, np.ndarray, np.ndarray]:
+def all_limbs_with_covariance(limbs: Limbs, stated: MeasuringLimbs) -> tuple[MeasuringLimbs, Floats, Floats]:
     """All limbs with covariance: (limbs as fitted, sigma (n,) m of a reading, covariance (7 n, 7 n) m^2)."""
     n, m, six = len(stated.channels), limbs.hexapod, limbs.chosen
     base, platform, zeros = np.array(stated.base_joints), np.array(stated.platform_joints), np.array(stated.zeros)
     base[six], platform[six], zeros[six] = m.base_joints, m.platform_joints, m.strut_zeros
     sigma, covariance = np.full(n, stated.length_sigma), np.zeros((7 * n, 7 * n))
 
-    def places(which: np.ndarray) -> np.ndarray:
+    def places(which: Integers) -> Integers:
         """(7 k,) of the parameters of limbs (k,) among all: their base joints, platform joints, zeros."""
         joints = (3 * which[:, None] + np.arange(3)).ravel()
         return np.concatenate([joints, 3 * n + joints, 6 * n + which])
@@ -229,7 +230,7 @@ def all_limbs_with_covariance(limbs: Limbs, stated: MeasuringLimbs) -> tuple[Mea
     return replace(stated, base_joints=base, platform_joints=platform, zeros=zeros), sigma, covariance
 
 
-def first_unclosed_limb(limbs: Limbs, lengths: np.ndarray) -> UnclosedLimb | None:
+def first_unclosed_limb(limbs: Limbs, lengths: Floats) -> UnclosedLimb | None:
     """First UnclosedLimb of poses in a row by lengths read (n, limbs) m; None where all close.
 
     Raises NotConverged for readings that close on no pose

@@ -20,8 +20,10 @@ from calib.certification import measuring_limb_checks
 from calib.certification.measuring_limb_checks import Limbs
 from calib.models.platform.identification import PRIOR, Identified, identify_platform
 from calib.samples.pose_samples import Samples, time_block_folds
+from rig.arrays import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
-from rig.model.design import Design, Hexapod, MeasuringLimbs
+from rig.model.design import Design, MeasuringLimbs
+from rig.model.mechanism_geometry import Hexapod
 from rig.model.mechanism_kinds import require_hexapod
 from rig.model.mechanisms import hexapod as mechanism
 from rig.model.mechanisms import redundant_legs
@@ -49,16 +51,16 @@ class Agreement:
     """
 
     n: int
-    bias: np.ndarray
-    scatter: np.ndarray
-    limits: np.ndarray
-    proven_limits: np.ndarray
-    expected: np.ndarray
-    moved: np.ndarray
-    tolerance: np.ndarray
+    bias: Floats
+    scatter: Floats
+    limits: Floats
+    proven_limits: Floats
+    expected: Floats
+    moved: Floats
+    tolerance: Floats
 
     @property
-    def passed(self) -> np.ndarray:
+    def passed(self) -> Booleans:
         """(6,) bool, whether each axis agrees within its tolerance, shown over a range that says so."""
         return (self.proven_limits <= self.tolerance) & (self.moved >= MOVES * self.tolerance)
 
@@ -72,7 +74,7 @@ def stated_limbs(design: Design) -> MeasuringLimbs:
     return design.insitu
 
 
-def limb_hexapod(design: Design, limb_numbers: np.ndarray | None = None) -> Hexapod:
+def limb_hexapod(design: Design, limb_numbers: Integers | None = None) -> Hexapod:
     """Hexapod of six of the limbs as rig.toml has them. limb_numbers : (6,) their numbers, from 0, the first six by
     default
 
@@ -87,7 +89,7 @@ def limb_hexapod(design: Design, limb_numbers: np.ndarray | None = None) -> Hexa
     )
 
 
-def limb_readings(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+def limb_readings(recording: Recording) -> tuple[Integers, Floats]:
     """(frames (f,), limb readings (f, limbs) m) of a recording's exposures.
 
     Raises RigError where sensors.csv lacks a channel, NotEnoughData where no exposure has readings within half a second
@@ -113,7 +115,7 @@ def limb_readings(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     return frames[good], np.stack([np.interp(t[good], sensors.t, sensors.channels[name]) for name in channels], axis=1)
 
 
-def samples_by_limbs(samples: Samples, frames: np.ndarray, lengths: np.ndarray) -> Samples:
+def samples_by_limbs(samples: Samples, frames: Integers, lengths: Floats) -> Samples:
     """Samples by limbs: the same poses with limb readings as their commands.
     samples : Samples by vision; frames (f,), lengths (f, 6) m : as `limb_readings` gives them, of six.
 
@@ -140,7 +142,7 @@ def _add_reading_noise(samples: Samples, nominal: Hexapod, sigma: float) -> Samp
     return replace(samples, covariance=samples.covariance + sigma**2 * back @ np.swapaxes(back, 1, 2))
 
 
-def held_out_limb_poses(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[RigidTransform, np.ndarray]:
+def held_out_limb_poses(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[RigidTransform, Floats]:
     """(T_limbs (n,), expected covariance): poses by limbs that were fitted to other stretches.
 
     The expectation holds what the limbs' fit to the same cameras shares with vision once only: vision's shared errors
@@ -165,7 +167,7 @@ def held_out_limb_poses(samples: Samples, nominal: Hexapod, sigma: float) -> tup
 
 
 def limb_agreement(
-    T_vision: RigidTransform, T_limbs: RigidTransform, expected_covariance: np.ndarray, tolerance: tuple[float, float]
+    T_vision: RigidTransform, T_limbs: RigidTransform, expected_covariance: Floats, tolerance: tuple[float, float]
 ) -> Agreement:
     """Agreement of limbs with vision on the same poses (n,), by axis.
     expected_covariance : (n, 6, 6) covariance of their difference
@@ -191,7 +193,7 @@ def limb_agreement(
 
 
 def vision_agrees_with_limbs(
-    T_vision: RigidTransform, covariance: np.ndarray, T_limbs: RigidTransform, own: np.ndarray, common: np.ndarray
+    T_vision: RigidTransform, covariance: Floats, T_limbs: RigidTransform, own: Floats, common: Floats
 ) -> bool:
     """Whether vision (pose (), covariance (6, 6)) still agrees with the limbs (own (6, 6), common (6, k)), as an
     occasional check.

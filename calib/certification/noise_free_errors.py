@@ -12,12 +12,13 @@ docs/mathematics.md (25)
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 import scipy
 
 from calib.certification import tolerance_limits
+from rig.arrays import Floats, Integers
 
 STEPS_PER_SIGMA = 2.0  # grid of lengths
 FINEST = {
@@ -47,8 +48,8 @@ class Maximum(NamedTuple):
     """value : log likelihood; at : (s,) indices of the grid; weights : (s,) there"""
 
     value: float
-    at: np.ndarray
-    weights: np.ndarray
+    at: Integers
+    weights: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,8 +58,8 @@ class Mixture:
     lengths given each.
     """
 
-    depth: np.ndarray
-    likelihood: np.ndarray
+    depth: Floats
+    likelihood: Floats
 
     def best(self, split: int = 0, share: float = 1.0, start: Maximum | None = None) -> Maximum:
         """Maximum of the likelihood with `share` of the weight held at depth[split:]; of -inf where that leaves no
@@ -84,6 +85,8 @@ class Mixture:
 
     def _first(self, groups: list[tuple[slice, float]], start: Maximum | None) -> Maximum:
         """Where to begin: the weights of `start`, or the likeliest point of each pose, with the shares held."""
+        at: Integers
+        weights: Floats | Integers
         own = np.argmax(self.likelihood, axis=1)
         at, weights = np.unique(own, return_counts=True) if start is None else (start.at, start.weights)
         fresh = [
@@ -91,11 +94,11 @@ class Mixture:
             for g, _ in groups
             if not ((at >= g.start) & (at < g.stop)).any()
         ]
-        at, weights = np.append(at, fresh).astype(int), np.append(weights, np.ones(len(fresh)))
+        at, weights = np.append(at, fresh).astype(int), cast(Floats, np.append(weights, np.ones(len(fresh))))
         weights = _held(at, weights, groups)
         return Maximum(self._value(at, weights), at, weights)
 
-    def _step(self, w: Maximum, f: np.ndarray, gradient: np.ndarray, groups: list[tuple[slice, float]]) -> Maximum:
+    def _step(self, w: Maximum, f: Floats, gradient: Floats, groups: list[tuple[slice, float]]) -> Maximum:
         """A Newton step over the points that bear weight and those that the gradient adds, shortened until the
         likelihood grows.
         """
@@ -120,12 +123,12 @@ class Mixture:
         alive = new > 0
         return Maximum(value, at[alive], new[alive])
 
-    def _value(self, at: np.ndarray, weights: np.ndarray) -> float:
+    def _value(self, at: Integers, weights: Floats) -> float:
         with np.errstate(divide="ignore"):
             return float(np.log(self.likelihood[:, at] @ weights).sum())
 
 
-def _held(at: np.ndarray, weights: np.ndarray, groups: list[tuple[slice, float]]) -> np.ndarray:
+def _held(at: Integers, weights: Floats | Integers, groups: list[tuple[slice, float]]) -> Floats:
     """Weights scaled so that each group has its share."""
     out = np.zeros(len(weights))
     for g, part in groups:
@@ -135,7 +138,7 @@ def _held(at: np.ndarray, weights: np.ndarray, groups: list[tuple[slice, float]]
     return out
 
 
-def _fit_depth_mixture(lengths: np.ndarray, sigma: np.ndarray) -> Mixture | None:
+def _fit_depth_mixture(lengths: Floats, sigma: Floats) -> Mixture | None:
     """Mixture of measured lengths (n, d) with noise sigma (n, d) per direction; None where all noise is too small to
     matter.
 
@@ -157,7 +160,7 @@ def _fit_depth_mixture(lengths: np.ndarray, sigma: np.ndarray) -> Mixture | None
     return Mixture(depth[order], likelihood[:, order])
 
 
-def _likelihood(lengths: np.ndarray, sigma: np.ndarray, rho: np.ndarray) -> np.ndarray:
+def _likelihood(lengths: Floats, sigma: Floats, rho: Floats) -> Floats:
     """(n, m) of measured lengths (n,) with noise (n,) given true ones (m,), each row's greatest 1."""
     s2 = sigma[:, None] ** 2
     kappa = np.maximum(lengths[:, None] * rho / s2, 1e-12)
@@ -166,9 +169,7 @@ def _likelihood(lengths: np.ndarray, sigma: np.ndarray, rho: np.ndarray) -> np.n
     return likelihood / likelihood.max(axis=1, keepdims=True)
 
 
-def true_depth_limits(
-    lengths: np.ndarray, sigma: np.ndarray, coverage: float = 0.95, confidence: float = 0.95
-) -> Limits:
+def true_depth_limits(lengths: Floats, sigma: Floats, coverage: float = 0.95, confidence: float = 0.95) -> Limits:
     """Tolerance limits of the true depths of poses, from lengths (n,) or (n, d) measured with noise.
     lengths : (n,) or (n, d) measured, in units of each; sigma : alike, standard deviation of their noise in each
     direction.

@@ -37,6 +37,7 @@ from calib.models.platform.identification import (
 )
 from calib.models.platform.parameter_accuracy import stated_geometry_accuracy
 from calib.samples.pose_samples import Samples, inverse_covariance
+from rig.arrays import Floats, Integers
 from rig.compute.parallel_map import parallel_map
 from rig.model.mechanism_kinds import Struts
 
@@ -59,15 +60,15 @@ class Certified:
 
     correction: Correction[Struts, Radial]
     found: Identified
-    label: np.ndarray
+    label: Integers
     held_out: HeldOut | None
     machines: Machines | None = None
-    covariance: np.ndarray | None = None
-    strut_covariance: np.ndarray | None = None
+    covariance: Floats | None = None
+    strut_covariance: Floats | None = None
     left: HeldErrors | None = None
 
 
-def platform_pose_covariance(calibration: Calibration, T_base_platform: RigidTransform) -> np.ndarray:
+def platform_pose_covariance(calibration: Calibration, T_base_platform: RigidTransform) -> Floats:
     """Covariance (n, 6, 6) of the corrected platform's pose at poses (n,): parameters and strut deviations.
 
     docs/mathematics.md (21)
@@ -125,7 +126,7 @@ def certify_platform(
     return with_drawn_machines(samples, done, sizes, rng)
 
 
-def uncertified_geometry(nominal: Struts, identified: Identified, label: np.ndarray) -> Certified:
+def uncertified_geometry(nominal: Struts, identified: Identified, label: Integers) -> Certified:
     """Certified of a geometry alone, uncertified: nothing was held out. label : (n,) configuration of each sample"""
     plain: Correction[Struts, Radial] = Correction(nominal, identified.mechanism, (None,) * len(nominal.axes))
     return Certified(plain, identified, label, None)
@@ -136,18 +137,15 @@ def silent_progress(label: str, done: int, of: int) -> None:
 
 
 def held_out_errors_by_fold(
-    samples: Samples,
-    label: np.ndarray,
-    correct: Callable[[Samples], Sequence[Correction[Any, Any]]],
-    progress: Progress,
-) -> list[np.ndarray]:
+    samples: Samples, label: Integers, correct: Callable[[Samples], Sequence[Correction[Any, Any]]], progress: Progress
+) -> list[Floats]:
     """Held-out errors before and after each correction, (n, 6) m and rad, fold by fold, on all cores.
 
     label : (n,) configuration of each sample; correct : Corrections by some samples, as many each time
     """
     fold = configuration_folds(label, min(FOLDS, label.max() + 1))
 
-    def errors(k: int) -> list[np.ndarray]:
+    def errors(k: int) -> list[Floats]:
         rest = samples.take(fold == k)
         each = [errors_before_and_after_correction(correction, rest) for correction in correct(samples.take(fold != k))]
         return [each[0][0], *(after for _, after in each)]

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.certification.strut_deviation_kernels import CONDITION, CONFIGURATION, PLACE, SAMPLE, Component
+from rig.arrays import Booleans, Floats
 
 ANY = "any"
 SURELY = 0.95  # probability from which a component is reported
@@ -25,18 +26,16 @@ class Machines:
         bool, where it is the latter
     """
 
-    parameters: np.ndarray
+    parameters: Floats
     components: list[list[Component]]
-    parts: list[np.ndarray]
-    mean: np.ndarray
-    variance: np.ndarray
-    together: np.ndarray
-    seen: np.ndarray
-    amiss: np.ndarray
+    parts: list[Floats]
+    mean: Floats
+    variance: Floats
+    together: Floats
+    seen: Floats
+    amiss: Booleans
 
-    def squares(
-        self, jacobian: np.ndarray, back: np.ndarray, offset: np.ndarray, rho: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def squares(self, jacobian: Floats, back: Floats, offset: Floats, rho: Floats) -> tuple[Floats, Floats]:
         """(before, after), each (d, 2) m^2 and rad^2: the pose error's mean square over the places, by the owner's
         model and corrected.
 
@@ -52,7 +51,7 @@ class Machines:
         )
         return before, after
 
-    def second_moments(self, loops: np.ndarray, rho: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def second_moments(self, loops: Floats, rho: Floats) -> tuple[Floats, Floats]:
         """((p, p) m^2 of the parameters about the fitted ones, (axes, axes) m^2 of what struts are off besides), which
         over the workspace add up to what the machines do there: what is a function of place counts as parameters as far
         as these can stand for it.
@@ -74,7 +73,7 @@ class Machines:
         )
         return parameters.T @ parameters / len(parameters), (own + own.T) / 2
 
-    def with_more(self, parameters: np.ndarray, course: np.ndarray) -> "Machines":
+    def with_more(self, parameters: Floats, course: Floats) -> "Machines":
         """The machines with errors added. parameters : (d, p) m; course : (d, n, axes) m, of struts in the course of
         the recording
         """
@@ -87,7 +86,7 @@ class Machines:
             together=self.together + more,
         )
 
-    def moved(self, parameters: np.ndarray) -> "Machines":
+    def moved(self, parameters: Floats) -> "Machines":
         """The machines about another fit, whose parameters exceed this one's by (p,) m."""
         return replace(self, parameters=self.parameters - parameters)
 
@@ -125,11 +124,11 @@ class Machines:
         return tuple(_sentence(over, word, sizes, axis) for (over, word), sizes in found.items())
 
 
-def _surely(squares: np.ndarray) -> bool:
+def _surely(squares: Floats) -> bool:
     return bool((squares > 0).mean() > SURELY)
 
 
-def _size(squares: np.ndarray) -> float:
+def _size(squares: Floats) -> float:
     return float(np.sqrt(np.median(squares[squares > 0])))
 
 

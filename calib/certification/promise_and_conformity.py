@@ -22,6 +22,7 @@ import numpy as np
 
 from calib.certification import noise_free_errors, tolerance_limits
 from calib.certification.held_out_poses import HeldPoses
+from rig.arrays import Floats, Integers
 
 DRAWS = 400  # of the shared errors
 POSITION, ROTATION = slice(0, 3), slice(3, 6)
@@ -89,7 +90,7 @@ def pose_error_promise(
     scale: float,
     units: tuple[float, float],
     rng: np.random.Generator,
-    pose_indices: np.ndarray | None = None,
+    pose_indices: Integers | None = None,
 ) -> Promise:
     """Promise of pose errors from held-out poses. scale : relative standard uncertainty of the length scale
 
@@ -107,7 +108,7 @@ def pose_error_promise(
 
 def pose_error_depth_bound(
     poses: HeldPoses,
-    at: np.ndarray,
+    at: Floats | Integers,
     units: tuple[Unit, ...],
     level: tuple[float, float],
     scale: float,
@@ -148,18 +149,18 @@ def pose_error_depth_bound(
     )
 
 
-def _in_units(errors: np.ndarray, units: tuple[Unit, ...]) -> np.ndarray:
+def _in_units(errors: Floats, units: tuple[Unit, ...]) -> Floats:
     """(.., d, 3) of errors (.., 6), each of d parts in its unit."""
     return np.stack([errors[..., unit.of] / unit.size for unit in units], axis=-2)
 
 
-def _greatest_error_lengths(errors: np.ndarray) -> np.ndarray:
+def _greatest_error_lengths(errors: Floats) -> Floats:
     """(..,) greatest length of the parts of errors (.., d, 3)."""
-    found: np.ndarray = np.linalg.norm(errors, axis=-1).max(axis=-1)
+    found: Floats = np.linalg.norm(errors, axis=-1).max(axis=-1)
     return found
 
 
-def _margins(errors: np.ndarray, drawn: np.ndarray, coverage: float, confidence: float) -> np.ndarray:
+def _margins(errors: Floats, drawn: Floats, coverage: float, confidence: float) -> Floats:
     """(2,) by how much the quantile of the depth of errors (n, d, 3) may lie lower and higher for what is drawn (k, n,
     d, 3), one draw for all.
 
@@ -202,8 +203,8 @@ def promise_by_cell(
 
 
 def _halved(
-    places: np.ndarray, at: np.ndarray, low: np.ndarray, high: np.ndarray, least: int
-) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    places: Floats, at: Integers, low: Floats, high: Floats, least: int
+) -> list[tuple[Integers, Floats, Floats]]:
     """[(indices, low, high)] of boxes."""
     if len(at) < 2 * least:
         return [(at, low, high)]

@@ -13,19 +13,19 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.samples.pose_samples import Samples
+from rig.arrays import Floats, Integers
 from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts
-from rig.planning.configuration_sets import sobol_configurations
-from rig.planning.plan import FILL
+from rig.planning.configuration_sets import FILL, sobol_configurations
 from rig.recording.recording_folder import PAYLOAD
 
 PLACES = 64  # of the workspace, at which signs are looked at
 NOTHING = 1e-9  # of the greatest load, below which a strut is not loaded
 
-Use = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+Use = Callable[[Floats], tuple[Floats, Floats]]
 
 
-def strut_load_signs(samples: Samples, nominal: Struts) -> list[tuple[np.ndarray, Use] | None]:
+def strut_load_signs(samples: Samples, nominal: Struts) -> list[tuple[Floats, Use] | None]:
     """Per strut ((n,) sign of its load at the samples, positive where it pushes, and a `Component.use` of it), None
     where no sign changes over the workspace or nothing is known of weights. By the owner's geometry; payloads are those
     of the recording, each as likely as it was there."""
@@ -36,14 +36,14 @@ def strut_load_signs(samples: Samples, nominal: Struts) -> list[tuple[np.ndarray
     each, count = np.unique(np.round(carried, 3), return_counts=True)
     middle, half = nominal.strut_range.mean(axis=1), np.ptp(nominal.strut_range, axis=1) / 2
 
-    def seen(T: RigidTransform, commands: np.ndarray, payload: np.ndarray) -> np.ndarray:
+    def seen(T: RigidTransform, commands: Floats, payload: Floats) -> Floats:
         loads = mechanisms.kinematics_of(nominal).loads(T, commands, nominal, weight.wrench(T, payload))
         return np.asarray(np.sign(loads) * (np.abs(loads) > NOTHING * np.abs(loads).max(initial=0.0)))
 
     @cache
     def there(
         places: bytes,
-    ) -> np.ndarray:  # (m, axes), mean over the payloads; the same places are looked at for every strut
+    ) -> Floats:  # (m, axes), mean over the payloads; the same places are looked at for every strut
         commands = middle + half * np.frombuffer(places).reshape(-1, len(middle))
         T = mechanisms.kinematics_of(nominal).forward(commands, nominal)
         return np.asarray(
@@ -51,7 +51,7 @@ def strut_load_signs(samples: Samples, nominal: Struts) -> list[tuple[np.ndarray
         )
 
     def use(i: int) -> Use:
-        def mean_and_variance(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        def mean_and_variance(places: Floats) -> tuple[Floats, Floats]:
             mean = there(np.ascontiguousarray(places, float).tobytes())[:, i]
             return mean, np.maximum(1 - mean**2, 0.0)
 
@@ -74,7 +74,7 @@ RANK = 1e-3  # of a kernel's greatest eigenvalue, below which its directions cou
 SIDED = 0.03  # probability, before the poses, of a strut whose joints have a clearance
 WARM, HEAVY = 0.05, 1e-3  # K and kg, spread of a logged temperature and load from which they have varied
 
-Kernel = Callable[[np.ndarray, np.ndarray], np.ndarray]
+Kernel = Callable[[Floats, Floats], Floats]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,17 +92,17 @@ class Component:
     name: str
     likely: float
     over: str
-    basis: np.ndarray
+    basis: Floats
     kernel: Kernel | None = None
-    inputs: np.ndarray | None = None
-    use: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None = None
+    inputs: Floats | None = None
+    use: Callable[[Floats], tuple[Floats, Floats]] | None = None
 
     @property
     def word(self) -> str:
         """On what it depends, in a word that several components may share."""
         return self.name.split(",")[0]
 
-    def at(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def at(self, places: Floats) -> tuple[Floats, Floats]:
         """((m, r) basis at places (m, axes) in half strokes, (m,) variance that it does not hold) of a function of
         place of size 1.
         """
@@ -113,12 +113,12 @@ class Component:
         return there, np.maximum(own - (there**2).sum(axis=1), 0.0)
 
 
-def scaled_commands(commands: np.ndarray, strokes: np.ndarray) -> np.ndarray:
+def scaled_commands(commands: Floats, strokes: Floats) -> Floats:
     """Commands (n, axes) m scaled to half strokes from the middle. strokes : (axes, 2) m"""
     return np.asarray((commands - strokes.mean(axis=1)) / (np.ptp(strokes, axis=1) / 2))
 
 
-def deviation_components(samples: Samples, label: np.ndarray, nominal: Struts) -> list[list[Component]]:
+def deviation_components(samples: Samples, label: Integers, nominal: Struts) -> list[list[Component]]:
     """Components of each strut's deviations that samples may show. label : (n,) configuration of each"""
     x, n = scaled_commands(samples.effective, nominal.strut_range), len(samples)
     spread = FILL / np.sqrt(3)  # of a strut's place over the workspace, half strokes
@@ -150,13 +150,13 @@ def deviation_components(samples: Samples, label: np.ndarray, nominal: Struts) -
     return out
 
 
-def _approached(i: int) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+def _approached(i: int) -> Callable[[Floats], tuple[Floats, Floats]]:
     """A place is come to from below the more often the higher it lies."""
     return lambda x: (x[:, i] / FILL, np.maximum(1 - (x[:, i] / FILL) ** 2, 0.0))
 
 
-def _along(i: int) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    def use(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _along(i: int) -> Callable[[Floats], tuple[Floats, Floats]]:
+    def use(x: Floats) -> tuple[Floats, Floats]:
         mean, variance = _approached(i)(x)
         factor = x[:, i] * np.sqrt(3) / FILL
         return mean * factor, variance * factor**2
@@ -164,7 +164,7 @@ def _along(i: int) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
     return use
 
 
-def _stepped(i: int) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+def _stepped(i: int) -> Callable[[Floats], tuple[Floats, Floats]]:
     return lambda x: (x[:, i] * np.sqrt(1.5) / FILL, np.full(len(x), 0.5))
 
 
@@ -172,7 +172,7 @@ def _scatter(n: int) -> Component:
     return Component("scatter", 0.2, SAMPLE, np.eye(n))
 
 
-def _repeated(label: np.ndarray) -> list[Component]:
+def _repeated(label: Integers) -> list[Component]:
     """What comes again at a configuration and tells nothing of others: known apart from scatter only where some are
     visited again.
     """
@@ -184,7 +184,7 @@ def _repeated(label: np.ndarray) -> list[Component]:
     )
 
 
-def _line(name: str, likely: float, values: np.ndarray) -> Component:
+def _line(name: str, likely: float, values: Floats) -> Component:
     return Component(name, likely, CONDITION, values[:, None].astype(float))
 
 
@@ -218,7 +218,7 @@ def _warmth(samples: Samples, i: int) -> list[Component]:
     ]
 
 
-def _loads(samples: Samples, x: np.ndarray) -> list[Component]:
+def _loads(samples: Samples, x: Floats) -> list[Component]:
     """The load times a function of the configuration, as it is shared out to the struts."""
     if (
         samples.conditions is None
@@ -230,16 +230,16 @@ def _loads(samples: Samples, x: np.ndarray) -> list[Component]:
     return [Component("load", 0.2, CONDITION, load[:, None] * _root(0.5 + 0.5 * _whole(WHOLE[0])(x, x)))]
 
 
-def _standard(values: np.ndarray) -> np.ndarray:
+def _standard(values: Floats) -> Floats:
     return np.asarray((values - values.mean()) / values.std())
 
 
-def _of_place(name: str, x: np.ndarray, kernel: Kernel) -> Component:
+def _of_place(name: str, x: Floats, kernel: Kernel) -> Component:
     return Component(name, 0.03, PLACE, _root(kernel(x, x)), kernel, x)
 
 
 def _whole(length: float) -> Kernel:
-    def kernel(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    def kernel(a: Floats, b: Floats) -> Floats:
         square = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2 * a @ b.T
         return np.asarray(np.exp(-0.5 * np.maximum(square, 0) / length**2))
 
@@ -249,7 +249,7 @@ def _whole(length: float) -> Kernel:
 def _linear(some: slice) -> Kernel:
     """Linear in the places along some struts."""
 
-    def kernel(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    def kernel(a: Floats, b: Floats) -> Floats:
         return np.asarray(a[:, some] @ b[:, some].T * 3 / FILL**2 / a[:, some].shape[1])
 
     return kernel
@@ -259,7 +259,7 @@ def _own(i: int, length: float) -> Kernel:
     return lambda a, b: np.asarray(np.exp(-0.5 * ((a[:, None, i] - b[:, i]) / length) ** 2))
 
 
-def _root(K: np.ndarray) -> np.ndarray:
+def _root(K: Floats) -> Floats:
     """(n, r) root of a kernel (n, n) without its faintest directions."""
     values, vectors = np.linalg.eigh(K)
     some = values > RANK * values[-1]

@@ -14,6 +14,7 @@ from math import ceil, floor, log
 import numpy as np
 from scipy.special import betainc, xlogy
 
+from rig.arrays import Floats
 from rig.errors import NotEnoughData
 
 TIGHT = 1e-12
@@ -76,7 +77,7 @@ def order_statistic_rank(n: int, coverage: float, chance: float) -> float:
     return r + 1 / (1 + odds * r * (1 - coverage) / ((n - r) * coverage))
 
 
-def upper_tolerance_limit(values: np.ndarray, coverage: float = 0.95, confidence: float = 0.95) -> float:
+def upper_tolerance_limit(values: Floats, coverage: float = 0.95, confidence: float = 0.95) -> float:
     """Upper tolerance limit: `coverage` of the population lies below it, with `confidence`. values : (n,)
     values : (n,) drawn from it.
 
@@ -86,14 +87,14 @@ def upper_tolerance_limit(values: np.ndarray, coverage: float = 0.95, confidence
     return _at(np.sort(values), n - count_beyond_upper_limit(n, coverage, confidence))
 
 
-def lower_tolerance_limit(values: np.ndarray, coverage: float = 0.95, confidence: float = 0.95) -> float:
+def lower_tolerance_limit(values: Floats, coverage: float = 0.95, confidence: float = 0.95) -> float:
     """Lower tolerance limit: 1 - coverage of the population lies beyond it, with `confidence`. values : (n,) >= 0"""
     n = len(values)
     k = count_beyond_lower_limit(n, coverage, confidence)
     return 0.0 if k is None else _at(np.sort(values), n + 1 - k)
 
 
-def _at(ordered: np.ndarray, rank: float) -> float:
+def _at(ordered: Floats, rank: float) -> float:
     """Value of a real rank, 1 for the smallest."""
     low = min(max(floor(rank), 1), len(ordered))
     high = min(low + 1, len(ordered))

@@ -15,6 +15,7 @@ from scipy.special import chdtri
 from calib.certification.calibration import Calibration
 from calib.certification.held_out_poses import HeldPoses, Repeatability
 from calib.samples.pose_samples import Samples
+from rig.arrays import Floats
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Recording, Sensors
 from vision.recording_adjustment import Measurement
@@ -68,14 +69,14 @@ class Budget:
     measuring: Expanded
 
 
-def expanded_uncertainty(covariance: np.ndarray) -> Expanded:
+def expanded_uncertainty(covariance: Floats) -> Expanded:
     """Expanded uncertainty of errors with covariances (n, 6, 6), every pose as likely."""
     u = rms_length_uncertainty(covariance)
     k = _coverage_factor(covariance[:, PARTS[0], PARTS[0]]), _coverage_factor(covariance[:, PARTS[1], PARTS[1]])
     return Expanded(k[0] * u[0], k[1] * u[1], k)
 
 
-def _coverage_factor(covariance: np.ndarray) -> float:
+def _coverage_factor(covariance: Floats) -> float:
     """COVERAGE quantile over RMS of the lengths of errors normal with covariances (n, 3, 3), every pose as likely; by
     draws with a fixed seed.
     """
@@ -90,21 +91,19 @@ def _coverage_factor(covariance: np.ndarray) -> float:
     return float(found)
 
 
-def rms_length_uncertainty(covariance: np.ndarray) -> tuple[float, float]:
+def rms_length_uncertainty(covariance: Floats) -> tuple[float, float]:
     """RMS standard uncertainty (m, rad) of the error lengths, of covariances (n, 6, 6)."""
     position, rotation = (float(np.sqrt(np.trace(covariance[:, p, p], axis1=1, axis2=2).mean())) for p in PARTS)
     return position, rotation
 
 
-def camera_and_lens_covariance(
-    measured: Sequence[tuple[Samples, Measurement | None]],
-) -> tuple[np.ndarray, np.ndarray] | None:
+def camera_and_lens_covariance(measured: Sequence[tuple[Samples, Measurement | None]]) -> tuple[Floats, Floats] | None:
     """(camera, lens) covariance (n, 6, 6) that their uncertainty adds to the poses, None without images.
 
     Where a camera stands and what its lens does go together: cameras' part is what is left were all lenses known,
     lenses' part the rest, so that both make up what all poses share
     """
-    shares: list[tuple[np.ndarray, np.ndarray]] = []
+    shares: list[tuple[Floats, Floats]] = []
     for samples, measurement in measured:
         if measurement is None:
             return None
@@ -123,11 +122,11 @@ def camera_and_lens_covariance(
 
 def uncertainty_budget(
     poses: HeldPoses,
-    model: np.ndarray,
+    model: Floats,
     repeat: Repeatability,
     measured: Sequence[tuple[Samples, Measurement | None]],
     scale: float | None,
-    warmth: np.ndarray | None,
+    warmth: Floats | None,
 ) -> Budget:
     """Uncertainty budget of held-out poses.
 
@@ -217,7 +216,7 @@ def uncertainty_budget(
     return Budget(tuple(rows), *totals)
 
 
-def _alike(errors: np.ndarray, sizes: Sequence[float]) -> np.ndarray:
+def _alike(errors: Floats, sizes: Sequence[float]) -> Floats:
     """(n, 6, 6) covariance of lengths of RMS sizes (m, rad) in the directions in which errors (n, 6) lie, the same for
     every pose.
     """
@@ -229,7 +228,7 @@ def _alike(errors: np.ndarray, sizes: Sequence[float]) -> np.ndarray:
     return out
 
 
-def thermometer_covariance(calibration: Calibration, held: Sequence[tuple[Recording, Samples]]) -> np.ndarray | None:
+def thermometer_covariance(calibration: Calibration, held: Sequence[tuple[Recording, Samples]]) -> Floats | None:
     """Covariance (n, 6, 6) of poses by thermometer noise through compensated physics; None where there is none.
 
     The noise is what a log shows against the straight line through a row's neighbours.
@@ -257,7 +256,7 @@ def thermometer_covariance(calibration: Calibration, held: Sequence[tuple[Record
     return np.concatenate(found) if followed else None
 
 
-def _row(name: str, of: str, covariance: np.ndarray | None, kind: str, source: str) -> Contribution:
+def _row(name: str, of: str, covariance: Floats | None, kind: str, source: str) -> Contribution:
     if covariance is None:
         return Contribution(name, of, None, None, None, kind, source)
     U = expanded_uncertainty(covariance)

@@ -27,11 +27,11 @@ from calib.models.platform.identification import (
 )
 from calib.models.platform.parameter_accuracy import Tolerance, expand_parameter_widths
 from calib.samples.pose_samples import Samples
+from rig.arrays import Floats
 from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import sobol_configurations
-from rig.planning.plan import FILL
+from rig.planning.configuration_sets import FILL, sobol_configurations
 
 PLACES = 128  # of the workspace
 DRAWS = 1000
@@ -85,12 +85,12 @@ class Workspace:
     owner's model against the corrected one; own (2,) or (d, 2) m^2 and rad^2, mean square of what no model corrects, or
     draws of it; words : what is meant by it."""
 
-    jacobian: np.ndarray
-    offset: np.ndarray
-    own: np.ndarray
+    jacobian: Floats
+    offset: Floats
+    own: Floats
     words: str
 
-    def squares(self, draws: np.ndarray) -> np.ndarray:
+    def squares(self, draws: Floats) -> Floats:
         """(before, after), each (d, 2) m^2 and rad^2, mean over the places, of machines that are draws (d, k) from the
         corrected model.
         """
@@ -116,7 +116,7 @@ class ConfigurationInformation(NamedTuple):
 
 def claim_of_drawn_machines(
     workspace: Workspace,
-    draws: np.ndarray,
+    draws: Floats,
     samples: Samples,
     information: ConfigurationInformation,
     rng: np.random.Generator,
@@ -131,8 +131,8 @@ def claim_of_drawn_machines(
 
 
 def claim_of_mean_squares(
-    before: np.ndarray,
-    after: np.ndarray,
+    before: Floats,
+    after: Floats,
     reference_name: str,
     samples: Samples,
     information: ConfigurationInformation,
@@ -154,18 +154,18 @@ def claim_of_mean_squares(
     return Claim(*information, reference_name, _both(before), _both(after), _three(ratio), _three(measured))
 
 
-def _wider(squares: np.ndarray) -> np.ndarray:
+def _wider(squares: Floats) -> Floats:
     """Draws (d, 2) of mean squares, spread about their medians by WIDER."""
     middle = np.median(squares, axis=0)
     share = np.divide(squares, middle, out=np.ones_like(squares), where=middle > 0)
     return np.where(middle > 0, middle * share**WIDER, squares)
 
 
-def _three(values: np.ndarray) -> tuple[float, ...]:
+def _three(values: Floats) -> tuple[float, ...]:
     return tuple(float(value) for value in np.quantile(values, EDGES))
 
 
-def _both(squares: np.ndarray) -> tuple[tuple[float, ...], ...]:
+def _both(squares: Floats) -> tuple[tuple[float, ...], ...]:
     return tuple(_three(np.sqrt(column)) for column in squares.T)
 
 
@@ -186,7 +186,7 @@ def _counted(distinct: int) -> str:
     return f"{distinct} distinct configuration" + ("" if distinct == 1 else "s")
 
 
-def draw_variance_ratio(cost: float, freedom: int, count: int, rng: np.random.Generator) -> np.ndarray:
+def draw_variance_ratio(cost: float, freedom: int, count: int, rng: np.random.Generator) -> Floats:
     """Draws (count,) of the ratio of true to stated variances, by a cost and its degrees of freedom.
 
     cost : whitened squares of a fit, its priors' included; freedom : how many numbers were fitted
@@ -240,19 +240,17 @@ def workspace_claim(
     return claim_of_drawn_machines(Workspace(J, -offset, own, middle), draws, samples, told, rng)
 
 
-def sample_workspace(correction: Correction[Any, Any]) -> tuple[np.ndarray, RigidTransform]:
+def sample_workspace(correction: Correction[Any, Any]) -> tuple[Floats, RigidTransform]:
     """Samples of the workspace: (commands (m, axes) m, poses (m,) of the corrected machine)."""
     return commands_with_pose(sobol_configurations(correction.nominal.strut_range, PLACES, FILL), correction)
 
 
-def draw_fit_variance_ratio(
-    identified: Identified, nominal: Struts, count: int, rng: np.random.Generator
-) -> np.ndarray:
+def draw_fit_variance_ratio(identified: Identified, nominal: Struts, count: int, rng: np.random.Generator) -> Floats:
     """Draws (count,) of the ratio of the poses' variances in a fit to the stated ones."""
     return draw_variance_ratio(identified.cost, len(nominal.axes) * int(identified.inliers.sum()), count, rng)
 
 
-def extension_error_squares(correction: Correction[Any, Any], commands: np.ndarray, back: np.ndarray) -> np.ndarray:
+def extension_error_squares(correction: Correction[Any, Any], commands: Floats, back: Floats) -> Floats:
     """Mean squares (2,) of pose errors by a correction's extension at commands (m, axes), m^2 and rad^2.
 
     back : (m, 6, axes) change of the pose with the axes there
@@ -267,7 +265,7 @@ def extension_error_squares(correction: Correction[Any, Any], commands: np.ndarr
     return np.asarray(square.mean(axis=0).reshape(2, 3).sum(axis=1))
 
 
-def _machines(found: Identified, tolerance: Tolerance, nominal: Struts, rng: np.random.Generator) -> np.ndarray:
+def _machines(found: Identified, tolerance: Tolerance, nominal: Struts, rng: np.random.Generator) -> Floats:
     """(DRAWS, p) m, parameters less the owner's, drawn from what poses and owner's tolerance leave."""
     pick = rng.choice(len(tolerance.weight), size=DRAWS, p=tolerance.weight)
     inflated = draw_fit_variance_ratio(found, nominal, DRAWS, rng)
@@ -281,7 +279,7 @@ def _machines(found: Identified, tolerance: Tolerance, nominal: Struts, rng: np.
     return mean + np.linalg.solve(np.swapaxes(L, 1, 2), z[..., None])[..., 0]
 
 
-def _scatters(found: Identified, rng: np.random.Generator) -> np.ndarray:
+def _scatters(found: Identified, rng: np.random.Generator) -> Floats:
     """(DRAWS, axes) m^2, draws of what each strut scatters by itself, where it was found to: few residuals tell it
     badly.
     """

@@ -29,11 +29,12 @@ from calib.models.platform.identification import (
 )
 from calib.models.platform.parameter_accuracy import stated_geometry_accuracy
 from calib.samples.pose_samples import Samples
+from rig.arrays import Booleans, Floats, Integers
 from rig.compute.parallel_map import parallel_map
 from rig.effects.framework.diagnosis_interface import PLOT_UNITS
 from rig.errors import NotConverged, RigError, Unreachable
 from rig.model import mechanisms
-from rig.model.design import Arm, Chain, Hexapod, Planar2
+from rig.model.mechanism_geometry import Arm, Chain, Hexapod, Planar2
 from rig.model.mechanism_kinds import Struts, require_struts
 
 ITERATIONS = 100
@@ -42,7 +43,7 @@ ROUNDS = 2  # of fitting the geometry and the remainder in turn
 
 
 M = TypeVar("M", bound=Hexapod | Planar2 | Arm | Chain)
-R = TypeVar("R", bound=Callable[[np.ndarray], np.ndarray])
+R = TypeVar("R", bound=Callable[[Floats], Floats])
 
 
 class Responses(NamedTuple):
@@ -50,9 +51,9 @@ class Responses(NamedTuple):
     the pose
     parameters : (n, 6, p) with the geometry's parameters."""
 
-    axes: np.ndarray
-    back: np.ndarray
-    parameters: np.ndarray
+    axes: Floats
+    back: Floats
+    parameters: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +73,7 @@ class Correction(Generic[M, R]):
     posed: tuple[PoseMap, ...] = field(default=(), kw_only=True)
     physics: tuple[str, ...] = field(default=(), kw_only=True)
 
-    def rho(self, commands: np.ndarray) -> np.ndarray:
+    def rho(self, commands: Floats) -> Floats:
         """(..., axes) m, the remainder at commands (..., axes)."""
         commands = np.asarray(commands, float)
         smooth = np.zeros(commands.shape) if self.extension is None else self.extension.value(commands)
@@ -81,7 +82,7 @@ class Correction(Generic[M, R]):
                 smooth[..., i] += part(commands)
         return smooth
 
-    def predict(self, commands: np.ndarray, guess: RigidTransform | None = None) -> RigidTransform:
+    def predict(self, commands: Floats, guess: RigidTransform | None = None) -> RigidTransform:
         """T_base_platform (...) that commands (..., axes) m will really give. Raises NotConverged like the
         mechanism.
         """
@@ -102,13 +103,13 @@ class Correction(Generic[M, R]):
             T_base_platform = one.compensated(T_base_platform)
         return T_base_platform
 
-    def summand(self, commands: np.ndarray) -> np.ndarray:
+    def summand(self, commands: Floats) -> Floats:
         """KSF (..., axes) m at commands (..., axes), docs/mathematics.md (19): commanded less what the owner's model
         says for the pose it gives.
         """
         return commands - mechanisms.kinematics_of(self.nominal).inverse(self.predict(commands), self.nominal)
 
-    def single_step(self, T_base_platform: RigidTransform) -> np.ndarray:
+    def single_step(self, T_base_platform: RigidTransform) -> Floats:
         """Commands (..., axes) m of the method's text for wanted poses (...): X + KSF(X), X = IK(wanted).
 
         `inverse` makes it exact: there KSF is taken where the struts then stand. Source: configuration-space patent,
@@ -119,13 +120,13 @@ class Correction(Generic[M, R]):
         x = self.uncorrected(T_base_platform)
         return x + self.summand(x)
 
-    def missed(self, T_base_platform: RigidTransform, commands: np.ndarray) -> np.ndarray:
+    def missed(self, T_base_platform: RigidTransform, commands: Floats) -> Floats:
         """(n, axes) m or rad by which commands (n, axes) differ from those that give wanted poses (n,). Raises
         NotConverged as `inverse`
         """
         return commands - self.inverse_without_physics(T_base_platform)
 
-    def corrected_forward(self, configurations: np.ndarray) -> RigidTransform:
+    def corrected_forward(self, configurations: Floats) -> RigidTransform:
         """KDK(x) = DK(x + KSF(x)), RigidTransform (...): what the owner's model says that a corrected configuration x
         (..., axes) gives.
 
@@ -135,7 +136,7 @@ class Correction(Generic[M, R]):
             configurations + self.summand(configurations), self.nominal
         )
 
-    def posed_error(self, T_base_platform: RigidTransform) -> np.ndarray:
+    def posed_error(self, T_base_platform: RigidTransform) -> Floats:
         """(..., 6) m and rad, standard error of what maps in pose space add to poses (...): of the last that holds
         there.
         """
@@ -149,23 +150,23 @@ class Correction(Generic[M, R]):
             out = np.sqrt((1 - weight) * out**2 + one.error(T_base_platform) ** 2)
         return out
 
-    def uncorrected(self, T_base_platform: RigidTransform) -> np.ndarray:
+    def uncorrected(self, T_base_platform: RigidTransform) -> Floats:
         """Commands (..., axes) m that the owner's model gives for wanted poses (...), for comparison."""
         return mechanisms.kinematics_of(self.nominal).inverse(T_base_platform, self.nominal)
 
-    def reached_poses(self, T_base_platform: RigidTransform, commands: np.ndarray) -> RigidTransform:
+    def reached_poses(self, T_base_platform: RigidTransform, commands: Floats) -> RigidTransform:
         """The poses (n,) that commands (n, axes) found for wanted poses (n,) give: these themselves, but for a machine
         of too few axes.
         """
         return T_base_platform
 
-    def goal(self, T_base_platform: RigidTransform, near: np.ndarray) -> np.ndarray:
+    def goal(self, T_base_platform: RigidTransform, near: Floats) -> Floats:
         """(n, axes) m or rad that the fitted geometry has to get for poses (n,). near : (n, axes), commands where there
         is more than one way.
         """
         return mechanisms.kinematics_of(self.fitted).inverse(T_base_platform, self.fitted)
 
-    def responses(self, T_base_platform: RigidTransform, effective: np.ndarray) -> Responses:
+    def responses(self, T_base_platform: RigidTransform, effective: Floats) -> Responses:
         """Responses at poses (n,), of which the fitted geometry gets effective (n, axes) m or rad."""
         fitted = require_struts(self.fitted)
         return Responses(
@@ -174,13 +175,13 @@ class Correction(Generic[M, R]):
             pose_parameter_jacobian(T_base_platform, fitted),
         )
 
-    def scattering(self, scatter: np.ndarray, responses: Responses) -> np.ndarray:
+    def scattering(self, scatter: Floats, responses: Responses) -> Floats:
         """(n, 6, k) m and rad, factor of the covariance by which poses scatter. scatter : as a Calibration has it, of
         each strut
         """
         return responses.axes * scatter
 
-    def inverse(self, T_base_platform: RigidTransform) -> np.ndarray:
+    def inverse(self, T_base_platform: RigidTransform) -> Floats:
         """Commands (..., axes) m that give wanted poses (...), to 1e-12 m, docs/mathematics.md (20); limits are for
         `require_reachable` to check.
 
@@ -190,7 +191,7 @@ class Correction(Generic[M, R]):
         self._refuse_physics()
         return self.inverse_without_physics(T_base_platform)
 
-    def inverse_without_physics(self, T_base_platform: RigidTransform) -> np.ndarray:
+    def inverse_without_physics(self, T_base_platform: RigidTransform) -> Floats:
         """The commands (..., axes) of `inverse` by the configuration alone, whatever else a calibration knows. Raises
         NotConverged as `inverse`
         """
@@ -208,7 +209,7 @@ class Correction(Generic[M, R]):
                 "what `rig correct` does"
             )
 
-    def near(self, T_base_platform: RigidTransform, guess: np.ndarray) -> np.ndarray:
+    def near(self, T_base_platform: RigidTransform, guess: Floats) -> Floats:
         """Commands (n, axes) as `inverse` for poses (n,), NaN where none is found. guess : (n, axes), what is near."""
         goal = mechanisms.kinematics_of(self.fitted).inverse(self.target_poses(T_base_platform), self.fitted)
         try:
@@ -218,7 +219,7 @@ class Correction(Generic[M, R]):
             out[rest] = self.settled(goal[rest])
             return out
 
-    def settled(self, goal: np.ndarray) -> np.ndarray:
+    def settled(self, goal: Floats) -> Floats:
         """Commands c (..., axes) m or rad with c = goal + rho(c): those that make the struts as long as the fitted
         model wants them.
 
@@ -235,7 +236,7 @@ class Correction(Generic[M, R]):
                 break
         return self._found(commands, change)
 
-    def _found(self, commands: np.ndarray, change: np.ndarray) -> np.ndarray:
+    def _found(self, commands: Floats, change: Floats) -> Floats:
         """The commands (..., axes) of a fixed point; raises NotConverged where its last step still changed them
         (...).
         """
@@ -250,15 +251,15 @@ class Correction(Generic[M, R]):
         return commands
 
 
-def commands_with_pose(commands: np.ndarray, correction: Correction[Any, Any]) -> tuple[np.ndarray, RigidTransform]:
+def commands_with_pose(commands: Floats, correction: Correction[Any, Any]) -> tuple[Floats, RigidTransform]:
     """Commands (m, axes) that close on a pose, and these poses (k,). Raises NotConverged where none does."""
     index, T = filter_closed_commands(commands, correction.predict)
     return commands[index], T
 
 
 def filter_closed_commands(
-    commands: np.ndarray, predict: Callable[[np.ndarray], RigidTransform]
-) -> tuple[np.ndarray, RigidTransform]:
+    commands: Floats, predict: Callable[[Floats], RigidTransform]
+) -> tuple[Integers, RigidTransform]:
     """(indices (k,) of the commands that close on a pose, these poses (k,)), by a prediction of poses.
 
     Raises NotConverged where none does
@@ -273,7 +274,7 @@ def filter_closed_commands(
                 raise
 
 
-def require_reachable(commands: np.ndarray, mechanism: Struts | Arm | Chain, labels: Sequence[str]) -> None:
+def require_reachable(commands: Floats, mechanism: Struts | Arm | Chain, labels: Sequence[str]) -> None:
     """Raise Unreachable, listing every pose whose commands (n, axes) m or rad leave the mechanism's range. labels : n
     texts.
     """
@@ -310,7 +311,7 @@ def calibrate_correction(
     nominal: Struts,
     remainder: str | tuple[Radial | None, ...] = "find",
     geometry: Identified | None = None,
-    only: np.ndarray | None = None,
+    only: Booleans | None = None,
 ) -> tuple[Correction[Struts, Radial], Identified]:
     """(Correction, Identified) calibrated on samples: geometry fitted, then its remainder extended.
 
@@ -350,7 +351,7 @@ def _remainder(
     nominal: Struts,
     before: tuple[Radial | None, ...],
     like: tuple[Radial | None, ...],
-    may: np.ndarray,
+    may: Booleans,
 ) -> tuple[Radial | None, ...]:
     """Per strut a Radial of what the geometry leaves; without one to be like, where it leaves more than noise, or
     None.

@@ -11,6 +11,7 @@ import numpy as np
 from calib.correction.correction import Correction
 from calib.models.platform.identification import strut_length_jacobian
 from calib.samples.pose_samples import Samples
+from rig.arrays import Floats
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts
@@ -28,8 +29,8 @@ def summand_columns(axes: int) -> tuple[str, ...]:
 class Summands(NamedTuple):
     """KSF_PM of n samples: values (n, axes) m or rad; covariance : (n, axes, axes), by that of the measured poses."""
 
-    values: np.ndarray
-    covariance: np.ndarray
+    values: Floats
+    covariance: Floats
 
 
 def strut_summands(samples: Samples, nominal: Struts) -> Summands:
@@ -56,9 +57,9 @@ class JointTables(NamedTuple):
     """levels, trims : (axes, count) m or rad: what is to be added to each axis' command at its own levels;
     left : (axes,) RMS of what a table for each axis alone cannot hold of the whole correction."""
 
-    levels: np.ndarray
-    trims: np.ndarray
-    left: np.ndarray
+    levels: Floats
+    trims: Floats
+    left: Floats
 
 
 def axis_correction_tables(correction: Correction[Any, Any], count: int) -> JointTables:
@@ -81,7 +82,7 @@ def axis_correction_tables(correction: Correction[Any, Any], count: int) -> Join
 
 def grid_correction_table(
     correction: Correction[Any, Any], divisions: int, fill: float = FILL
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Floats, Floats]:
     """Correction table on an even grid: (x, k), both (vertices, axes) m or rad; x + k is to be commanded for x.
 
     Raises RigError where a vertex has no pose

@@ -21,13 +21,15 @@ from calib.models.platform.identification import (
 )
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled
+from rig.arrays import Floats
 from rig.errors import RigError
-from rig.model.design import Camera, Design, Hexapod
+from rig.model.design import Camera, Design
+from rig.model.mechanism_geometry import Hexapod
 from rig.model.mechanism_kinds import Struts, require_hexapod
 from rig.model.mechanisms import hexapod as mechanism
 from rig.model.pose import exp, skew
 from vision import lens
-from vision.bundle.bundle_adjustment import stated_lens_sigmas
+from vision.bundle.unknown_priors import stated_lens_sigmas
 from vision.corner_observations import Observations
 from vision.predict import State, iterate_observed_cameras, observed_points_base, points_in_camera_frame
 from vision.recording_adjustment import Measurement
@@ -42,14 +44,14 @@ class Joint:
 
     mechanism: Hexapod
     cameras: tuple[Camera, ...]
-    covariance: np.ndarray
-    root: np.ndarray
-    residuals: np.ndarray
+    covariance: Floats
+    root: Floats
+    residuals: Floats
 
 
 def fit_cameras_and_geometry(
     observations: Observations,
-    commanded: np.ndarray,
+    commanded: Floats,
     state: State,
     stated: tuple[Camera, ...],
     nominal: Hexapod,
@@ -79,12 +81,12 @@ def fit_cameras_and_geometry(
     )
     guess = [state.platform]
 
-    def at(p: np.ndarray) -> State:
+    def at(p: Floats) -> State:
         cameras = tuple(_camera(c, p[a : a + size]) for c, a, size in zip(state.cameras, starts, sizes))
         guess[0] = mechanism.forward(commanded, mechanism_with_parameters(nominal, p[:42]), guess[0])
         return State(cameras, guess[0], {})
 
-    def linearise(p: np.ndarray) -> Linear:
+    def linearise(p: Floats) -> Linear:
         now = at(p)
         residual, J = np.empty((len(observations), 2)), np.zeros((len(observations), 2, len(p)))
         base, J_pose = (
@@ -109,7 +111,7 @@ def fit_cameras_and_geometry(
 
     order = np.r_[42 : len(begin), :42]  # the geometry last, so that its block of the triangle is what is left to it
 
-    def ordered(p: np.ndarray) -> Linear:
+    def ordered(p: Floats) -> Linear:
         now = linearise(p[np.argsort(order)])
         return Linear(now.residual, now.jacobian[..., order], now.common)
 
@@ -125,7 +127,7 @@ def fit_cameras_and_geometry(
     )
 
 
-def joint_fit_inputs(measured: Measurement, samples: Samples) -> tuple[Observations, np.ndarray, State]:
+def joint_fit_inputs(measured: Measurement, samples: Samples) -> tuple[Observations, Floats, State]:
     """Inputs of the joint fit: (Observations, commanded (F, 6) m, State) in the commanded frames.
 
     measured : vision Measurement; samples : Samples of it
@@ -138,11 +140,11 @@ def joint_fit_inputs(measured: Measurement, samples: Samples) -> tuple[Observati
     return kept, commanded, State(measured.adjustment.state.cameras, measured.T_base_platform[np.flatnonzero(keep)], {})
 
 
-def _lens(camera: Camera) -> np.ndarray:
+def _lens(camera: Camera) -> Floats:
     return np.r_[camera.matrix[0, 0], camera.matrix[1, 1], camera.matrix[0, 2], camera.matrix[1, 2], camera.distortion]
 
 
-def _camera(camera: Camera, q: np.ndarray) -> Camera:
+def _camera(camera: Camera, q: Floats) -> Camera:
     """The camera moved by the tangent q[:6] with the lens q[6:]."""
     fx, fy, cx, cy = q[6:10]
     return replace(

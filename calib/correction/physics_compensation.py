@@ -15,12 +15,14 @@ from scipy.spatial.transform import RigidTransform
 from calib.correction.correction import Correction
 from calib.correction.pose_route import Route
 from calib.samples.pose_samples import Samples
+from rig.arrays import Floats
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of_effects
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms, motion_simulation
 from rig.model import motion_simulation as machine
-from rig.model.design import Actuator, Arm, Chain, Design, Platform
+from rig.model.design import Actuator, Design, Platform
+from rig.model.mechanism_geometry import Arm, Chain
 from rig.model.mechanism_kinds import Struts, has_struts
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Sensors
@@ -48,9 +50,9 @@ class Physics:
     channels : {sensor channel: (median, standard deviation)} while all this was learnt; unknown : what has no name."""
 
     effects: tuple[Effect, ...]
-    own: np.ndarray
-    cross: np.ndarray
-    gravity: np.ndarray
+    own: Floats
+    cross: Floats
+    gravity: Floats
     actuator: Actuator
     platform: Platform
     channels: dict[str, tuple[float, float]]
@@ -65,7 +67,7 @@ class Physics:
         """Design of a mechanism with what effects look at besides; it has no cameras."""
         return Design("", self.gravity, mechanism, None, self.actuator, self.platform, (), ())
 
-    def sensed(self, sensors: Sensors | None, t: np.ndarray) -> tuple[Sensors, tuple[str, ...]]:
+    def sensed(self, sensors: Sensors | None, t: Floats) -> tuple[Sensors, tuple[str, ...]]:
         """(Sensors with every channel that physics was learnt with, names of those that were missing and now stand at
         their median).
 
@@ -150,11 +152,11 @@ class Machine:
     def effective(
         self,
         commands: Commands,
-        t: np.ndarray,
+        t: Floats,
         T: RigidTransform,
         effects: tuple[Effect, ...] | None = None,
         sensors: Sensors | None = None,
-    ) -> np.ndarray:
+    ) -> Floats:
         """(n, axes) m or rad that the fitted geometry gets of commands at times t (n,) s and poses T (n,). effects,
         sensors : in place of its own
         """
@@ -163,11 +165,11 @@ class Machine:
     def reached(
         self,
         commands: Commands,
-        t: np.ndarray,
+        t: Floats,
         T: RigidTransform,
         effects: tuple[Effect, ...] | None = None,
         sensors: Sensors | None = None,
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> tuple[Floats, Floats]:
         """(the same, (n, 6) m and rad by which an arm's hand stands beyond that, which of struts counts as their
         length).
         """
@@ -182,7 +184,7 @@ class Machine:
         return lengths - self.correction.rho(lengths), sway
 
 
-def commands_at_poses(machine: Machine, T: RigidTransform, route: Route, guess: np.ndarray) -> np.ndarray:
+def commands_at_poses(machine: Machine, T: RigidTransform, route: Route, guess: Floats) -> Floats:
     """Commands (n, axes) m or rad at the poses T (n,) of a Route, effects and history compensated.
     guess : (n, axes), near
 
@@ -213,13 +215,13 @@ def commands_at_poses(machine: Machine, T: RigidTransform, route: Route, guess: 
     )
 
 
-def path_memory_length(machine: Machine) -> np.ndarray:
+def path_memory_length(machine: Machine) -> Floats:
     """Length (axes,) of path memory: travel one way after which an axis' earlier path no longer matters."""
     places = mechanisms.axis_places(machine.correction.fitted)
     return np.max([e.axes(places) * e.forgets() for e in machine.effects] or [np.zeros(len(places))], axis=0)
 
 
-def unknown_history_uncertainty(machine: Machine, T: RigidTransform, route: Route, commands: np.ndarray) -> np.ndarray:
+def unknown_history_uncertainty(machine: Machine, T: RigidTransform, route: Route, commands: Floats) -> Floats:
     """Uncertainty (n, axes) by unknown history: half the change between a start approached from below and above.
 
     commands : (n, axes) at the poses
@@ -235,7 +237,7 @@ def unknown_history_uncertainty(machine: Machine, T: RigidTransform, route: Rout
     return np.abs(machine.effective(ends[0], route.times, T) - machine.effective(ends[1], route.times, T)) / 2
 
 
-def require_sensor_coverage(sensors: Sensors | None, t: np.ndarray, display_time: Callable[[float], float]) -> None:
+def require_sensor_coverage(sensors: Sensors | None, t: Floats, display_time: Callable[[float], float]) -> None:
     """Raise RigError where poses at times t (n,) s lie outside the sensor log's coverage.
     One row alone states what does not change. display_time : from s to the owner's clock
     """

@@ -1,9 +1,11 @@
 """Route through wanted poses in time: when the axes leave, arrive and wait, and from which side."""
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
+from rig.arrays import Booleans, Floats
 from rig.errors import Unreachable
 from rig.recording.recording_folder import Commands
 
@@ -26,27 +28,27 @@ class Route:
     reach : (m, axes) m or rad by which a row lies beyond its pose; start : (axes,) m or rad, where the axes stand at
         first."""
 
-    t: np.ndarray
-    pose: np.ndarray
-    doing: np.ndarray
-    reach: np.ndarray
-    start: np.ndarray
+    t: Floats
+    pose: Floats
+    doing: Floats
+    reach: Floats
+    start: Floats
 
-    def values(self, held: np.ndarray) -> np.ndarray:
+    def values(self, held: Floats) -> Floats:
         """(m, axes) what the rows command where the poses take values (n, axes)."""
         return np.where(self.pose[:, None] < 0, self.start, held[self.pose]) + self.reach
 
-    def commands(self, held: np.ndarray) -> Commands:
+    def commands(self, held: Floats) -> Commands:
         """Commands of values (n, axes) at the poses."""
         return Commands(self.t, self.values(held))
 
     @property
-    def times(self) -> np.ndarray:
+    def times(self) -> Floats:
         """(n,) s at which the poses are held."""
         return self.t[self.doing == HOLDING]
 
     @property
-    def approached(self) -> np.ndarray:
+    def approached(self) -> Booleans:
         """(n,) bool, whether a pose is come to from beyond it."""
         return np.isin(np.arange((self.doing == HOLDING).sum()), self.pose[self.doing == TURNING])
 
@@ -56,15 +58,13 @@ class Pace:
     """t : (n,) s, when poses are held; begin : s, from when the axes stand at the start, None for just in time;
     speed : m/s or rad/s at which the axes go where there is time; fastest : what they must not exceed, or None."""
 
-    t: np.ndarray
+    t: Floats
     begin: float | None
     speed: float
     fastest: float | None
 
 
-def timed_route(
-    pace: Pace, commands: np.ndarray, start: np.ndarray, approach_offsets: np.ndarray | None = None
-) -> Route:
+def timed_route(pace: Pace, commands: Floats, start: Floats, approach_offsets: Floats | None = None) -> Route:
     """Route through commands (n, axes) timed by a Pace: when the axes leave, arrive and wait.
 
     start : (axes,); approach_offsets : (n, axes) of approaches, zero for none. Raises Unreachable, listing the poses
@@ -106,10 +106,10 @@ def timed_route(
     return Route(when, pose, doing, np.where((doing == TURNING)[:, None], approach_offsets[pose], 0.0), start)
 
 
-def untimed_route(commands: np.ndarray, start: np.ndarray) -> Route:
+def untimed_route(commands: Floats, start: Floats) -> Route:
     """Route through commands (n, axes) without times: in order from start (axes,), each held until at rest."""
     return timed_route(
-        Pace(AT_REST * np.arange(1, len(commands) + 1), 0.0, np.abs(commands - start).max() + 1.0, None),
+        Pace(cast(Floats, AT_REST * np.arange(1, len(commands) + 1)), 0.0, np.abs(commands - start).max() + 1.0, None),
         commands,
         start,
     )

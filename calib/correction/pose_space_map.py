@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.correction.interpolation.field import Field
+from rig.arrays import Floats
 from rig.errors import NotConverged
 from rig.model.pose import exp, log
 
@@ -30,11 +31,11 @@ class PoseMap:
     coordinates: tuple[int, ...]
     field: Field
 
-    def at(self, T: RigidTransform) -> np.ndarray:
+    def at(self, T: RigidTransform) -> Floats:
         """(..., k) coordinates of poses (...)."""
         return pose_coordinates(T, self.home)[..., list(self.coordinates)]
 
-    def error(self, T: RigidTransform) -> np.ndarray:
+    def error(self, T: RigidTransform) -> Floats:
         """(..., 6) m and rad, standard error of what the map adds to poses (...)."""
         return self._whole(self.field.error(self.at(T)))
 
@@ -62,17 +63,17 @@ class PoseMap:
             np.ravel(change)[failed],
         )
 
-    def _whole(self, values: np.ndarray) -> np.ndarray:
+    def _whole(self, values: Floats) -> Floats:
         out = np.zeros((*values.shape[:-1], 6))
         out[..., list(self.coordinates)] = values
         return out
 
 
-def pose_coordinates(T: RigidTransform, home: RigidTransform) -> np.ndarray:
+def pose_coordinates(T: RigidTransform, home: RigidTransform) -> Floats:
     """Coordinates (..., 6) of poses (...): position (m) and rotation vector (rad) from home's orientation."""
     return np.concatenate([T.translation, (home.rotation.inv() * T.rotation).as_rotvec()], axis=-1)
 
 
-def pose_error_tangents(T_expected: RigidTransform, T_measured: RigidTransform) -> np.ndarray:
+def pose_error_tangents(T_expected: RigidTransform, T_measured: RigidTransform) -> Floats:
     """Tangents (n, 6) of pose errors, m and rad, on the right: from the expected to the measured pose."""
     return log(T_expected.inv() * T_measured)

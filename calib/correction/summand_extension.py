@@ -26,6 +26,7 @@ from calib.models.platform.identification import (
 )
 from calib.models.platform.parameter_accuracy import stated_geometry_accuracy
 from calib.samples.pose_samples import Samples
+from rig.arrays import Floats
 from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts
 from rig.planning.configuration_sets import FILL, sobol_configurations
@@ -49,7 +50,7 @@ def measured_summands(samples: Samples, model: Struts) -> Known:
     )
 
 
-def base_geometry(samples: Samples, nominal: Struts, alone: bool, prior: np.ndarray | None = None) -> Identified:
+def base_geometry(samples: Samples, nominal: Struts, alone: bool, prior: Floats | None = None) -> Identified:
     """Base geometry (Identified) of an extension; alone : the nominal geometry with nothing fitted.
     alone : the owner's own, with nothing sought. prior : (p,) m, or None: as poses have it.
     """

@@ -14,6 +14,7 @@ from calib.models.arm.error_model import parameter_names
 from calib.models.arm.geometry_and_joint_effects_fit import History, JointFit, Prior, fit_geometry_and_effects
 from calib.models.arm.instrument_observations import sample_observations
 from calib.samples.recording_samples import Sampled
+from rig.arrays import Floats
 from rig.effects.framework.fit_coordinates import coordinates_of_effects
 from rig.errors import RigError
 from rig.model import mechanisms
@@ -28,7 +29,7 @@ class ArmRefit:
     together: JointFit
     physics: Physics
 
-    def with_geometry(self, done: Certified) -> tuple[Physics, np.ndarray]:
+    def with_geometry(self, done: Certified) -> tuple[Physics, Floats]:
         """(Physics, (p, p) covariance of the geometry, m and rad), of a geometry certified on these samples and the
         physics together.
         """

@@ -31,6 +31,7 @@ from calib.files import calibration_file
 from calib.files.calibration_from_recording import SEED
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled
+from rig.arrays import Floats
 from rig.errors import NotEnoughData
 from rig.recording.frame_content_hashes import Marks, frames_with_known_hashes
 from rig.recording.recording_folder import Recording
@@ -119,7 +120,7 @@ def _widened_claim(calibration: Calibration, samples: Samples) -> Claim:
     )
 
 
-def _no_better(three: tuple[float, ...], errors: np.ndarray, covariance: np.ndarray) -> tuple[float, ...]:
+def _no_better(three: tuple[float, ...], errors: Floats, covariance: Floats) -> tuple[float, ...]:
     """(median, low, high) of a claim, no better than errors (n, 3) of a covariance (n, 3, 3) show; as it is where these
     were not measured.
     """

@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -20,6 +21,7 @@ from calib.diagnosis.report.diagnosis_json import SCHEMA, UNKNOWN
 from calib.models.platform.identification import Loops, geometric_parameters
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled, samples_within_freedoms
+from rig.arrays import Floats
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.catalogue.marker_swap import MarkerSwap
 from rig.effects.framework.effect import MOTION_STAGES, Effect
@@ -42,7 +44,7 @@ class Findings:
     unknown : what has no name."""
 
     effects: tuple[Effect, ...]
-    sigma: np.ndarray | None
+    sigma: Floats | None
     unknown: tuple[Unknown, ...]
 
 
@@ -56,7 +58,7 @@ class PlatformRefit:
     physics: Physics
     refined: Refined
 
-    def with_geometry(self, done: Certified) -> tuple[Physics, np.ndarray]:
+    def with_geometry(self, done: Certified) -> tuple[Physics, Floats]:
         """(Physics, (p, p) m^2 covariance of the geometry), of a geometry certified on these samples and the physics
         together.
         """
@@ -76,7 +78,7 @@ class PlatformRefit:
         course = np.einsum("nac,dc->dna", self._columns(), errors)
         return add_machine_draws(done, done.machines.with_more(errors @ self._response(done).T, course))
 
-    def _response(self, done: Certified) -> np.ndarray:
+    def _response(self, done: Certified) -> Floats:
         """(p, c) m, change of the fitted geometry with each coordinate of the physics."""
         found, s, base = done.found, self.samples, done.correction
         loops = Loops(s, s.effective - base.rho(s.effective), base.nominal, found.prior)
@@ -89,7 +91,7 @@ class PlatformRefit:
                 response[:, i] = (moved.fit(start, found.inliers, found.scatter).parameters - middle) / sigma[i]
         return response
 
-    def _columns(self) -> np.ndarray:
+    def _columns(self) -> Floats:
         """(n, axes, c) m by which struts lengthen with each coordinate; nothing for those that only cameras see."""
         k, effects = self.refined.point, self.physics.effects
         out = []
@@ -141,7 +143,7 @@ def _unknown(entry: Entries) -> Unknown:
     return Unknown(entry.text("place"), size.number("value"), size.text("unit"), names.texts("value"), False)
 
 
-def _sigma(effects: tuple[Effect, ...], entries: list[Entries], tree: Entries) -> np.ndarray:
+def _sigma(effects: tuple[Effect, ...], entries: list[Entries], tree: Entries) -> Floats:
     """(c,) standard deviations of effects' coordinates, by the intervals that their findings state."""
     out, left, found = [], list(entries), {}
     for number, effect in enumerate(effects):
@@ -204,7 +206,7 @@ def refit_platform_with_findings(
     return PlatformRefit(replace(samples, known=known), physics, refined)
 
 
-def _combined(refined: Refined, findings: Findings) -> tuple[tuple[Effect, ...], np.ndarray]:
+def _combined(refined: Refined, findings: Findings) -> tuple[tuple[Effect, ...], Floats]:
     """(effects, (c, c) covariance of their coordinates) as refined, and where another recording told them, by both
     together.
     """
@@ -214,7 +216,7 @@ def _combined(refined: Refined, findings: Findings) -> tuple[tuple[Effect, ...],
         kept = [e for e in findings.effects if not isinstance(e, MarkerSwap)]
         before = np.array([c.read(kept[c.effect]) for c in coordinates])
         weight = np.diag(1 / np.maximum(findings.sigma, 1e-300) ** 2)
-        own = np.linalg.inv(refined.model.linear.project(refined.column).gram + weight)
+        own = cast(Floats, np.linalg.inv(refined.model.linear.project(refined.column).gram + weight))
         for c, value in zip(coordinates, refined.values + own @ (weight @ (before - refined.values))):
             effects[c.effect] = c.written(effects[c.effect], value)
     return (*(e for e in findings.effects if isinstance(e, MarkerSwap)), *effects), own
@@ -224,7 +226,7 @@ def _motion(effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
     return tuple(e for e in effects if e.stage in MOTION_STAGES)
 
 
-def sensor_medians_and_deviations(recording: Recording, t: np.ndarray) -> dict[str, tuple[float, float]]:
+def sensor_medians_and_deviations(recording: Recording, t: Floats) -> dict[str, tuple[float, float]]:
     """{channel: (median, standard deviation)} of a recording's sensors at times t (n,) s."""
     if recording.sensors is None:
         return {}

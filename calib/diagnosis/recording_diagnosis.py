@@ -4,7 +4,7 @@ what nobody can name.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from threadpoolctl import threadpool_limits
 
@@ -80,8 +80,8 @@ class Diagnosis:
     options : DiagnosisOptions that it was asked with; confounds : of the recording, None where nothing was commanded"""
 
     recording: str
-    evidence: Evidence
-    selection: Selection
+    evidence: Evidence[Any, Any]
+    selection: Selection[Any, Any]
     design: Design | None
     cross_validations: list[CrossValidation]
     regions: list[list[CrossValidation]]
@@ -102,7 +102,7 @@ class Diagnosis:
     confounds: Confounds | None = None
 
     @property
-    def findings(self) -> list[Finding]:
+    def findings(self) -> list[Finding[Any]]:
         """The findings, in the order of their weight."""
         return self.selection.findings
 
@@ -126,7 +126,7 @@ class Diagnosis:
 class Explained(NamedTuple):
     """selection : of what explains the evidence; left : [LackOfFit]; tolerable : Tolerable; not_asked : [NotAsked]."""
 
-    selection: Selection
+    selection: Selection[Any, Any]
     left: list[LackOfFit]
     tolerable: Tolerable
     not_asked: list[NotAsked]
@@ -154,7 +154,7 @@ def diagnose(
     )
 
 
-def _measured_evidence(recording: Recording) -> Callable[..., Evidence]:
+def _measured_evidence(recording: Recording) -> Callable[..., Evidence[Any, Any]]:
     """The function that makes Evidence of a recording of its kind of machine: only what that takes is imported."""
     mechanism = recording.design.mechanism
     if mechanism.axes and mechanism.strut_joints is None:
@@ -166,7 +166,7 @@ def _measured_evidence(recording: Recording) -> Callable[..., Evidence]:
     return platform_evidence
 
 
-def diagnose_evidence(evidence: Evidence, name: str, progress: Progress | None = None) -> Diagnosis:
+def diagnose_evidence(evidence: Evidence[Any, Any], name: str, progress: Progress | None = None) -> Diagnosis:
     """Diagnosis of Evidence. name : of the recording"""
     (selection, left, tolerable, not_asked), outliers = _explained_without_outliers(evidence, progress)
     if isinstance(evidence, TemperatureAlternatives):
@@ -203,7 +203,7 @@ def diagnose_evidence(evidence: Evidence, name: str, progress: Progress | None =
     )
 
 
-def _explained_without_outliers(evidence: Evidence, progress: Progress | None) -> tuple[Explained, Outliers]:
+def _explained_without_outliers(evidence: Evidence[Any, Any], progress: Progress | None) -> tuple[Explained, Outliers]:
     """(Explained without outliers, Outliers): beside what explains the evidence, rows show as wild that a large effect
     hid; then all is explained anew without them.
     """
@@ -218,7 +218,7 @@ def _explained_without_outliers(evidence: Evidence, progress: Progress | None) -
     return explained, found
 
 
-def _explained(evidence: Evidence, outliers: Outliers, progress: Progress | None) -> Explained:
+def _explained(evidence: Evidence[Any, Any], outliers: Outliers, progress: Progress | None) -> Explained:
     """Explained of Evidence without outliers."""
     problem, not_asked = evidence.problem(outliers)
     selection = select_terms(problem, progress)

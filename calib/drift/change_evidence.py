@@ -10,6 +10,7 @@ mean is one while nothing changes. Source: Pollak, Optimal detection of a change
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import scipy
@@ -18,7 +19,8 @@ from scipy.special import logsumexp
 
 from calib.drift.first_visit_reference import Reference
 from calib.drift.visit_equations import GAP, GEOMETRY, GROWTH, OWN, SOFT, UNITS, Equations
-from vision.bundle.unknown_priors import POSE_SCALE
+from rig.arrays import Floats
+from vision.bundle.unknowns_and_estimate import POSE_SCALE
 
 SIZES = (1.0, 0.25, 0.0625)  # of the greatest plausible size, each as likely
 PLACE_SIZE, ZERO_SIZE, GAP_SIZE, GROWTH_SIZE, SOFT_SIZE = (
@@ -51,9 +53,9 @@ class Hypothesis:
 
     kind: str
     name: str
-    columns: np.ndarray
-    size: np.ndarray
-    unit: np.ndarray
+    columns: Floats
+    size: Floats
+    unit: Floats
     prior: float
 
 
@@ -82,7 +84,7 @@ def change_hypotheses(reference: Reference) -> list[Hypothesis]:
     ]
 
 
-def prior_information(reference: Reference, covariance: np.ndarray) -> np.ndarray:
+def prior_information(reference: Reference, covariance: Floats) -> Floats:
     """Prior information (p, p), scaled, in what stays constant between visits."""
     places = np.concatenate([np.full(6, POSE_SCALE / STATED[name.split(" ")[0]]) for name in reference.places])
     values, vectors = np.linalg.eigh(covariance / POSE_SCALE**2)
@@ -107,8 +109,8 @@ class Suspect:
     name: str
     since: int
     odds: float
-    value: np.ndarray
-    sigma: np.ndarray
+    value: Floats
+    sigma: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,7 +140,7 @@ class Verdict:
         return None if first.kind == SOMETHING or self.left < UNSAID else first
 
 
-def unexplained_squares(visits: Sequence[Equations], prior: np.ndarray) -> float:
+def unexplained_squares(visits: Sequence[Equations], prior: Floats) -> float:
     """Whitened squares of visits unexplained by constants with a prior information (p, p)."""
     total = np.sum([v.information for v in visits], axis=0) + prior
     right = np.sum([v.right for v in visits], axis=0)
@@ -149,7 +151,7 @@ def change_verdict(
     visits: Sequence[Equations],
     squares: Sequence[tuple[float, int]],
     scale: float,
-    prior: np.ndarray,
+    prior: Floats,
     evidence: Sequence[Hypothesis],
     first_visit_count: int,
 ) -> Verdict:
@@ -204,7 +206,7 @@ def _log_chance(square: float, count: int) -> float:
     return 0.0 if square <= count else -(square - count) / 2 + count / 2 * float(np.log(square / count))
 
 
-def _bayes(S: np.ndarray, r: np.ndarray, h: Hypothesis) -> tuple[float, float, np.ndarray, np.ndarray]:
+def _bayes(S: Floats, r: Floats, h: Hypothesis) -> tuple[float, float, Floats, Floats]:
     """(log of the likelihood ratio over all sizes, by how much the squares fall at the best, that best (q,), its
     covariance (q, q)), of information S (q, q) and right side r (q,)."""
     weights, best = [], None
@@ -215,7 +217,7 @@ def _bayes(S: np.ndarray, r: np.ndarray, h: Hypothesis) -> tuple[float, float, n
         weight = 0.5 * float(r @ value) - 0.5 * float(np.linalg.slogdet(M)[1] - np.linalg.slogdet(inverse)[1])
         weights.append(weight)
         if best is None or weight > best[0]:
-            best = weight, float(2 * r @ value - value @ S @ value), value, np.linalg.inv(M)
+            best = weight, float(2 * r @ value - value @ S @ value), cast(Floats, value), cast(Floats, np.linalg.inv(M))
     assert best is not None
     return float(logsumexp(weights)) - float(np.log(len(SIZES))), *best[1:]
 

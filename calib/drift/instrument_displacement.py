@@ -22,6 +22,7 @@ from calib.models.platform.identification import (
 )
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import sample_recording
+from rig.arrays import Floats, Integers
 from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts, require_struts
 from rig.model.pose import exp
@@ -40,7 +41,7 @@ class Place:
     p_value : of so much by chance"""
 
     recording: int
-    motion: np.ndarray
+    motion: Floats
     p_value: float
 
     def line(self, name: str) -> str:
@@ -78,7 +79,7 @@ def remove_instrument_displacement(recording: Recording) -> tuple[Recording, lis
     return _taken(recording, places), places
 
 
-def _clear(samples: Samples, motion: np.ndarray, m: Struts) -> bool:
+def _clear(samples: Samples, motion: Floats, m: Struts) -> bool:
     """Whether a place (6,) does CLEAR times as much to the closures of a recording's samples as it leaves, by a
     mechanism as fitted.
     """
@@ -88,8 +89,8 @@ def _clear(samples: Samples, motion: np.ndarray, m: Struts) -> bool:
 
 
 def _solved(
-    samples: Samples, number: np.ndarray, m: Struts, start: np.ndarray, scatter: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    samples: Samples, number: Integers, m: Struts, start: Floats, scatter: Floats
+) -> tuple[Floats, Floats, Floats]:
     """(step (p + 6 later,), its covariance, (parts, axes) m scatter) of geometry and places, linear about a mechanism
     and places as they are.
 
@@ -119,7 +120,7 @@ def _solved(
     return step, covariance, np.sqrt(np.maximum(spread, 0.0))
 
 
-def _back(T: RigidTransform, motions: np.ndarray) -> RigidTransform:
+def _back(T: RigidTransform, motions: Floats) -> RigidTransform:
     """Poses (n,) as the instrument would have seen them from its first place; motions : (n, 6) of the base, m and rad,
     along its axes.
     """
@@ -137,6 +138,6 @@ def _taken(recording: Recording, places: list[Place]) -> Recording:
     return replace(recording, poses=replace(poses, T_base_platform=_back(poses.T_base_platform, turned)))
 
 
-def _numbers(recording: Recording, frame: np.ndarray) -> np.ndarray:
+def _numbers(recording: Recording, frame: Integers) -> Integers:
     """(n,) which of several recordings together, from 0, frames (n,) are of."""
     return np.searchsorted([part.frames for part in recording.parts], frame, side="right") - 1

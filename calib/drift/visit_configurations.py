@@ -22,6 +22,7 @@ from calib.drift.visit_equations import (
 from calib.models.platform.identification import pose_parameter_jacobian
 from calib.models.platform.optimal_configurations import allowed_configurations
 from calib.workspace.reachable_poses import is_pose_lost
+from rig.arrays import Floats, Integers
 from rig.errors import RigError
 from rig.model.design import Actuator, Design
 from rig.planning import configuration_sets
@@ -48,9 +49,9 @@ class Chosen:
     spread.
     """
 
-    commands: np.ndarray
-    sigma: np.ndarray
-    even: np.ndarray
+    commands: Floats
+    sigma: Floats
+    even: Floats
 
     def expected_accuracy(self) -> list[tuple[str, float, float, str]]:
         """[(name, standard error, that of evenly spread poses, unit)] of what may change; of the struts the worst
@@ -112,12 +113,12 @@ class _Told:
     """What poses at candidates (n, 6) m, visited one after the other from start (6,) m, tell. steady : (n, 6, 14) and
     turned : (n, 6, 6) as `_columns` gives them."""
 
-    candidates: np.ndarray
-    start: np.ndarray
-    steady: np.ndarray
-    turned: np.ndarray
+    candidates: Floats
+    start: Floats
+    steady: Floats
+    turned: Floats
 
-    def rows(self, at: np.ndarray, come_from: np.ndarray) -> np.ndarray:
+    def rows(self, at: Integers, come_from: Floats) -> Floats:
         """(k, 6, 20) whitened columns of zeros, nuts, growth, sag, frame at candidates `at` (k,), come to from (k, 6)
         m.
         """
@@ -126,13 +127,13 @@ class _Told:
             [self.steady[at][..., :6], -self.turned[at] * side / 2, self.steady[at][..., 6:]], axis=-1
         )
 
-    def information(self, order: list[int]) -> np.ndarray:
+    def information(self, order: list[int]) -> Floats:
         """(20, 20) of the candidates visited in an order."""
         from_there = np.concatenate([self.start[None], self.candidates[order[:-1]]])
         rows = self.rows(np.array(order), from_there).reshape(-1, 20)
         return np.asarray(rows.T @ rows + BEFORE)
 
-    def worth(self, order: list[int], k: int) -> np.ndarray:
+    def worth(self, order: list[int], k: int) -> Floats:
         """(n,) logarithm of the volume in which changes are known, were each candidate the k-th of the order."""
         n, every = len(self.candidates), np.arange(len(self.candidates))
         kept = [i for i in range(len(order)) if i not in (k, k + 1)]
@@ -147,13 +148,13 @@ class _Told:
         return np.asarray(whole - frame)
 
 
-def _sigma(M: np.ndarray) -> np.ndarray:
+def _sigma(M: Floats) -> Floats:
     """(14,) standard errors in own units of information M in what changes, then the frame."""
     own = np.array([*(ZERO,) * 6, *UNITS])
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(M))[:14]) * own)
 
 
-def _columns(calibration: Calibration, design: Design | None, candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _columns(calibration: Calibration, design: Design | None, candidates: Floats) -> tuple[Floats, Floats]:
     """(n, 6, 14) whitened columns of zeros, growth, sag and the frame's motion, and (n, 6, 6) of the struts' lengths
     per GAP.
     """

@@ -16,16 +16,19 @@ from calib.drift.first_visit_reference import Reference
 from calib.models.platform.identification import inverse_strut_length_jacobian, pose_parameter_jacobian
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import sample_recording
+from rig.arrays import Floats, Integers
 from rig.effects.framework.machine_motion import Motion
 from rig.effects.framework.play_operator import play_deviation
 from rig.errors import RigError
 from rig.model import motion_simulation
-from rig.model.design import Design, Hexapod, Platform
+from rig.model.design import Design, Platform
+from rig.model.mechanism_geometry import Hexapod
 from rig.model.mechanism_kinds import require_hexapod
 from rig.model.pose import log, skew
 from rig.recording.recording_folder import Commands, Recording, Sensors
 from vision.bundle.normal_equations import linearise, normal_equations
-from vision.bundle.unknown_priors import POSE_SCALE, adjustment_unknowns
+from vision.bundle.unknown_priors import adjustment_unknowns
+from vision.bundle.unknowns_and_estimate import POSE_SCALE
 from vision.corner_observations import whitener
 from vision.lens import lens_parameter_names
 from vision.recording_adjustment import Measurement
@@ -53,8 +56,8 @@ def _expected_poses(calibration: Calibration, samples: Samples) -> RigidTransfor
 
 
 def machine_change_columns(
-    mechanism: Hexapod, design: Design, commands: Commands, t: np.ndarray, T: RigidTransform
-) -> np.ndarray:
+    mechanism: Hexapod, design: Design, commands: Commands, t: Floats, T: RigidTransform
+) -> Floats:
     """Columns (n, 6, 8) of machine changes: pose tangents (m, rad) per unit of each change, at exposures t (n,) s."""
     stated = (
         design.platform
@@ -64,11 +67,11 @@ def machine_change_columns(
     there = Design("", design.gravity, mechanism, None, design.actuator, stated, (), ())
     ends, goals = np.array([commands.t[0], commands.t[-1] + 1.0]), commands.at(t)
 
-    def moved(**channels: np.ndarray) -> Motion:
+    def moved(**channels: Floats) -> Motion:
         bare = motion_simulation.motion_of_commands(there, commands, t, (), Sensors(ends, channels))
         return replace(bare, T=T)
 
-    def sagging(motion: Motion) -> np.ndarray:
+    def sagging(motion: Motion) -> Floats:
         return motion.lengths - motion.loads() / (1 / SOFT) - goals
 
     motion, nuts = moved(), np.eye(6)
@@ -90,8 +93,8 @@ class Equations:
     """information : (p, p) and right : (p,) of the unknowns, scaled; square : what the visit's whitened numbers come
     to; count : how many these are."""
 
-    information: np.ndarray
-    right: np.ndarray
+    information: Floats
+    right: Floats
     square: float
     count: int
 
@@ -110,8 +113,8 @@ class _Seen:
     samples : Samples.
     """
 
-    information: np.ndarray
-    right: np.ndarray
+    information: Floats
+    right: Floats
     samples: Samples
 
 
@@ -158,7 +161,7 @@ def _by_instrument(samples: Samples, T: RigidTransform) -> _Seen:
     return _Seen(J.T @ D @ J * POSE_SCALE**2, J.T @ D @ y * POSE_SCALE, samples)
 
 
-def base_motion_columns(T: RigidTransform) -> np.ndarray:
+def base_motion_columns(T: RigidTransform) -> Floats:
     """Columns (n, 6, 6) of base motion: tangents of poses T (n,) per motion of the base (m, rad)."""
     matrix = T.as_matrix()
     back = np.swapaxes(matrix[:, :3, :3], 1, 2)
@@ -242,7 +245,7 @@ def _of_machine(seen: _Seen, T: RigidTransform, recording: Recording, calibratio
     return Equations(*_without(N, b, own), square, int(held.sum()))
 
 
-def _without(N: np.ndarray, b: np.ndarray, gone: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _without(N: Floats, b: Floats, gone: Integers) -> tuple[Floats, Floats]:
     """Normal equations N (p, p), b (p,) with the unknowns of an index eliminated."""
     stay = np.setdiff1d(np.arange(len(b)), gone)
     solved = cho_solve(cho_factor(N[np.ix_(gone, gone)]), np.column_stack([N[np.ix_(gone, stay)], b[gone]]))

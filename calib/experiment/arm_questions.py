@@ -32,9 +32,10 @@ from calib.experiment.experiment_question import (
     rival_hypotheses,
 )
 from calib.experiment.predicted_recording import predicted_sensor_log
+from rig.arrays import Floats, Integers
 from rig.errors import RigError
-from rig.model.design import Arm
-from rig.planning.plan import Plan
+from rig.model.mechanism_geometry import Arm
+from rig.planning.plan_construction_and_table import Plan
 
 WEAK = 1e-10  # of the greatest singular value; directions below are none
 
@@ -122,7 +123,7 @@ def arm_questions(diagnosis: Diagnosis) -> list[ArmQuestion]:
 
 def _seen(
     fits: Sequence[ArmFit], numbers: Sequence[int], plan: Plan, warmer: float
-) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
+) -> tuple[list[Floats], Floats, Integers]:
     """([(n k, p + c) whitened change of a plan's poses with each fit's freedoms and sizes], (n k, h) what each fit's
     term of a number does, (n,) which of its exposures are measured). Raises RigError as `linearise_planned_poses`, and
     for a cube that is to be turned"""
@@ -147,7 +148,7 @@ def _on(term: Term, arms: Arms) -> Term:
     return Term.at(joint_candidate(term.candidate.specs, arms), term.node)
 
 
-def _cosines(question: ArmQuestion, table: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+def _cosines(question: ArmQuestion, table: Floats, shapes: Floats) -> Floats:
     """(h, h) between what hypotheses do in all recordings so far and the new one, geometry and the other terms taken
     out of all together.
 
@@ -176,6 +177,6 @@ def _cosines(question: ArmQuestion, table: np.ndarray, shapes: np.ndarray) -> np
     return left.T @ left / size[:, None] / size
 
 
-def _square(root: np.ndarray) -> np.ndarray:
+def _square(root: Floats) -> Floats:
     """(r, r) root root.T."""
     return root @ root.T

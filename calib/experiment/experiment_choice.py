@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -14,10 +15,12 @@ from calib.experiment.experiment_information import (
 )
 from calib.experiment.experiment_question import Question
 from calib.experiment.investigation_folder import SETTING_UP
+from rig.arrays import Floats
 from rig.errors import RigError
 from rig.model.cube_remounting import quarter_turns, turning_instructions
 from rig.model.design import Design, Permission
-from rig.planning.plan import Plan, build_plan
+from rig.planning.plan import build_plan
+from rig.planning.plan_construction_and_table import Plan
 
 PARTS = ("sobol:12", "ladder:1", "axes:3", "repeat:12", "sobol:30", "sobol:90")  # at whose exposures the struts stand
 CHOSEN = (8, 16, 32, 64)  # configurations where the likeliest names come apart, see `discriminating_configurations`
@@ -74,7 +77,7 @@ def available_plans(
 
 
 def choose_experiment(
-    open_questions: Sequence[Question],
+    open_questions: Sequence[Question[Any]],
     design: Design,
     plan_texts: Sequence[str],
     seed: int,
@@ -88,7 +91,7 @@ def choose_experiment(
     """
     out: list[Experiment] = []
     refused: dict[str, str] = {}
-    own: dict[str, np.ndarray] = {}
+    own: dict[str, Floats] = {}
     try:
         own = _plan_configurations(open_questions, design, plan_texts, seed)
     except RigError as error:
@@ -124,8 +127,8 @@ def rank_experiments(experiments: Sequence[Experiment]) -> list[Experiment]:
 
 
 def _plan_configurations(
-    open_questions: Sequence[Question], design: Design, texts: Sequence[str], seed: int
-) -> dict[str, np.ndarray]:
+    open_questions: Sequence[Question[Any]], design: Design, texts: Sequence[str], seed: int
+) -> dict[str, Floats]:
     """{apart:N: configurations (N, axes)} of those plans' texts that ask for them, the first of one choice. Raises
     RigError where the rig cannot visit what is to be chosen from, and where no question has two names to come apart"""
     counts = sorted(int(text.partition(":")[2]) for text in texts if text.startswith(f"{NAME}:"))
@@ -136,11 +139,11 @@ def _plan_configurations(
 
 
 def evaluate_experiment(
-    open_questions: Sequence[Question],
+    open_questions: Sequence[Question[Any]],
     design: Design,
     plan_text: str,
     seed: int,
-    chosen_configurations: Mapping[str, np.ndarray] | None = None,
+    chosen_configurations: Mapping[str, Floats] | None = None,
 ) -> Experiment:
     """Experiment of one plan, evaluated. Raises RigError for a plan that the rig cannot follow.
     chosen_configurations : {apart:N: (N, axes)} of `_plan_configurations`. Raises RigError for one that the rig cannot
@@ -162,7 +165,7 @@ def evaluate_experiment(
     return Experiment(plan_text, seed, plan, minutes, sum(one.bits for one in found), settles, asks)
 
 
-def _worth(question: Question, plan: Plan) -> Information:
+def _worth(question: Question[Any], plan: Plan) -> Information:
     """Information of a plan for one question; where a hypothesis follows a temperature, over days as warm as the first
     recording's and others.
     """

@@ -2,24 +2,27 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
 from calib.diagnosis.engine.selection_inputs import PLATFORM
 from calib.experiment.experiment_question import PerFrame, Prediction, Question
+from rig.arrays import Floats
 from rig.errors import RigError
 from rig.model.design import Design
 from rig.planning.configuration_sets import grid_configurations, sobol_configurations
-from rig.planning.plan import Plan, axis_strokes, build_plan
+from rig.planning.plan import axis_strokes, build_plan
+from rig.planning.plan_construction_and_table import Plan
 
 POOL = 96  # configurations to choose from, beside the corners of what the axes reach
 NAME = "apart"  # of the part of a plan that they become
 
 
 def discriminating_configurations(
-    open_questions: Sequence[Question], design: Design, count: int, seed: int
-) -> np.ndarray:
+    open_questions: Sequence[Question[Any]], design: Design, count: int, seed: int
+) -> Floats:
     """Configurations (count, axes) that discriminate best between each question's two likeliest hypotheses.
 
     A camera counts by what its image shows: configurations that bring markers where the two differ are chosen for it.
@@ -35,7 +38,7 @@ def discriminating_configurations(
     return pool[choose_exposures([q.predict_outcomes_by_frame(plan) for q in open_ones], count)]
 
 
-def choose_exposures(questions: Sequence[PerFrame], count: int) -> np.ndarray:
+def choose_exposures(questions: Sequence[PerFrame], count: int) -> Floats:
     """Numbers (count,) of the exposures chosen greedily to give most information on the questions.
 
     Raises ValueError for more than there are, or no question
@@ -60,7 +63,7 @@ def choose_exposures(questions: Sequence[PerFrame], count: int) -> np.ndarray:
     return np.array(out)
 
 
-def camera_information_shares(open_questions: Sequence[Question], plan: Plan) -> dict[str, float]:
+def camera_information_shares(open_questions: Sequence[Question[Any]], plan: Plan) -> dict[str, float]:
     """{camera: share of the information that its images give on the questions}, the greatest first."""
     parts: dict[str, float] = {}
     for question in open_questions:
@@ -87,7 +90,7 @@ class Information:
     right: float
 
 
-def experiment_information(odds: np.ndarray, predictions: Prediction, data_log_odds: np.ndarray) -> Information:
+def experiment_information(odds: Floats, predictions: Prediction, data_log_odds: Floats) -> Information:
     """Information expected of an experiment, from drawn outcomes. odds : (h,) of the hypotheses
 
     data_log_odds : (h,) how much less likely the data so far make each, as minus twice a logarithm
@@ -119,7 +122,7 @@ def experiment_information(odds: np.ndarray, predictions: Prediction, data_log_o
     return Information(max(bits, 0.0), float(w @ alone), float(w @ (alone & (best == np.array(truth)))))
 
 
-def _log_likelihood(z: np.ndarray, mean: np.ndarray, root: np.ndarray) -> np.ndarray:
+def _log_likelihood(z: Floats, mean: Floats, root: Floats) -> Floats:
     """(n,) of outcomes (n, r) under a Gaussian of a mean (r,) and a covariance's root (r, r), but for a constant."""
     u = solve_triangular(root, (z - mean).T, lower=True)
     return -(u**2).sum(axis=0) / 2 - np.log(np.diag(root)).sum()

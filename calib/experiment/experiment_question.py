@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -10,7 +10,8 @@ from calib.diagnosis.engine.candidate_score import Alternative
 from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.selection_inputs import PLATFORM
 from calib.diagnosis.report.diagnosis_json import UNKNOWN
-from rig.planning.plan import Plan
+from rig.arrays import Floats
+from rig.planning.plan_construction_and_table import Plan
 
 FOREIGN = 0.05  # of all odds, for what is in no catalogue
 F = TypeVar("F")
@@ -49,9 +50,9 @@ class Prediction:
     """Of h hypotheses on r directions. means : (h, r); covariances : (h, r, r), the noise's own 1 included
     cosines : (h, h) between what they do, over all recordings with this one, nuisances taken out"""
 
-    means: np.ndarray
-    covariances: np.ndarray
-    cosines: np.ndarray
+    means: Floats
+    covariances: Floats
+    cosines: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,10 +64,10 @@ class PerFrame:
     by_camera : {name: (F,) squares of how otherwise its image looks, its corners' noise 1}; none where an instrument
         measures"""
 
-    of: np.ndarray
-    onto: np.ndarray
-    open: np.ndarray
-    by_camera: dict[str, np.ndarray]
+    of: Floats
+    onto: Floats
+    open: Floats
+    by_camera: dict[str, Floats]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,9 +109,7 @@ class Question(ABC, Generic[F]):
         """
 
 
-def predictions_with_unlisted_hypothesis(
-    question: Question[F], predictions: Prediction, shapes: np.ndarray
-) -> Prediction:
+def predictions_with_unlisted_hypothesis(question: Question[F], predictions: Prediction, shapes: Floats) -> Prediction:
     """Predictions with an unlisted hypothesis added last, for an effect in no catalogue.
 
     shapes : (r, h) what each name does
@@ -150,7 +149,7 @@ def rival_hypotheses(rivals: list[Rival[F]]) -> tuple[Hypothesis[F], ...]:
     return (*named, Hypothesis(UNKNOWN, rivals[0].place, FOREIGN, rivals[0].fit, rivals[0].number))
 
 
-def is_ruled_out(finding: Finding, alternative: Alternative, size: int) -> bool:
+def is_ruled_out(finding: Finding[Any], alternative: Alternative[Any], size: int) -> bool:
     """Whether an alternative is ruled out by its odds, or by the data alone where its effect is nearly the same."""
     same = abs(alternative.cosine) > PLATFORM.cosine
     return alternative.behind >= PLATFORM.alike and (
@@ -158,6 +157,6 @@ def is_ruled_out(finding: Finding, alternative: Alternative, size: int) -> bool:
     )
 
 
-def data_log_odds(finding: Finding, alternative: Alternative, size: int) -> float:
+def data_log_odds(finding: Finding[Any], alternative: Alternative[Any], size: int) -> float:
     """Log odds (minus twice a logarithm) of an alternative against its finding by the data, without complexity cost."""
     return float(alternative.behind - alternative.score.complexity(size) + finding.score.complexity(size))

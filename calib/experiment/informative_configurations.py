@@ -9,9 +9,10 @@ from scipy.spatial.transform import RigidTransform
 from calib.correction.correction import filter_closed_commands
 from calib.models.geometric_parameters import geometric_parameters
 from calib.models.platform.optimal_configurations import exchange_configurations, total_information
+from rig.arrays import Floats, Integers
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.design import Arm, Chain, Planar2
+from rig.model.mechanism_geometry import Arm, Chain, Planar2
 from rig.planning.approach_balance import balanced_order
 from rig.planning.configuration_sets import sobol_configurations
 
@@ -29,11 +30,11 @@ class Informative:
     what they may be off by or more
     seen : share of all configurations tried in which the machine is seen"""
 
-    values: np.ndarray
+    values: Floats
     names: tuple[str, ...]
     units: tuple[str, ...]
-    sigma: np.ndarray
-    even: np.ndarray
+    sigma: Floats
+    even: Floats
     undetermined: int
     seen: float
 
@@ -42,7 +43,7 @@ def informative_configurations(
     mechanism: Arm | Chain | Planar2,
     count: int,
     sigmas: tuple[float, float],
-    visible_marker_count: Callable[[RigidTransform], np.ndarray] | None = None,
+    visible_marker_count: Callable[[RigidTransform], Integers] | None = None,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Informative:

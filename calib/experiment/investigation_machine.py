@@ -13,7 +13,8 @@ from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from rig.model.cube_remounting import quarter_turns, turning_instructions
 from rig.model.design import Design
-from rig.planning.plan import Plan, build_plan
+from rig.planning.plan import build_plan
+from rig.planning.plan_construction_and_table import Plan
 
 Command = Callable[[Sequence[str]], int]  # words of a command of rig -> its exit status
 

@@ -8,6 +8,7 @@ in it as in a diagnosis.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -35,11 +36,12 @@ from calib.experiment.predicted_recording import (
     predicted_poses,
     predicted_sensor_log,
 )
+from rig.arrays import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.fit_coordinates import Coordinate
 from rig.model import mechanisms
 from rig.model.manufacturing_tolerances import SEAT
-from rig.planning.plan import Plan
+from rig.planning.plan_construction_and_table import Plan
 
 WEAK = 1e-12  # of the greatest eigenvalue; directions below are none
 
@@ -127,7 +129,7 @@ def predict_outcomes_by_frame(question: PlatformQuestion, plan: Plan) -> PerFram
     return PerFrame(of, onto, left, _by_camera(model, seen.other) if model.point.seen is not None else {})
 
 
-def _by_camera(model: LinearisedModel, other: OperatingPoint) -> dict[str, np.ndarray]:
+def _by_camera(model: LinearisedModel, other: OperatingPoint) -> dict[str, Floats]:
     """{camera: (F,)} squares of what images show otherwise at another OperatingPoint, in units of noise."""
     o, order = model.point.observed.observations, model.corners.order
     d = (
@@ -136,7 +138,9 @@ def _by_camera(model: LinearisedModel, other: OperatingPoint) -> dict[str, np.nd
     )
     squares, frame, camera = (d**2).sum(axis=1), o.frame[order], o.camera[order]
     return {
-        model.point.design.cameras[i].name: np.bincount(frame[camera == i], squares[camera == i], model.frames)
+        model.point.design.cameras[i].name: cast(
+            Floats, np.bincount(frame[camera == i], squares[camera == i], model.frames)
+        )
         for i in np.unique(camera)
     }
 
@@ -172,7 +176,7 @@ def _between(model: LinearisedModel, here: OperatingPoint, other: OperatingPoint
     return model.lengthened((_lengths(other, here) - _lengths(here, here))[..., None])
 
 
-def _lengths(point: OperatingPoint, by: OperatingPoint) -> np.ndarray:
+def _lengths(point: OperatingPoint, by: OperatingPoint) -> Floats:
     """(F, axes) m of a point's poses, by another's geometry."""
     return mechanisms.kinematics_of(by.design.mechanism).inverse(point.T, by.design.mechanism)
 
@@ -185,7 +189,7 @@ def _without(effects: Sequence[Effect], number: int) -> list[Effect]:
     return [e for i, e in enumerate(effects) if i != number]
 
 
-def _nuisances(model: LinearisedModel, new: LinearisedModel) -> tuple[list[tuple[str, str | int]], np.ndarray]:
+def _nuisances(model: LinearisedModel, new: LinearisedModel) -> tuple[list[tuple[str, str | int]], Floats]:
     """(names of the nuisances (p,) so far and of the new recording's own, (p, p) information on them that the
     recordings so far, and what remounting may do to a cube that is put back, give)."""
     before = list(model.nuisances.names)
@@ -199,7 +203,7 @@ def _nuisances(model: LinearisedModel, new: LinearisedModel) -> tuple[list[tuple
     return [*before, *fresh], information
 
 
-def _known(fit: Refined, new: LinearisedModel) -> np.ndarray:
+def _known(fit: Refined, new: LinearisedModel) -> Floats:
     """(p + c, p + c) covariance of the new recording's nuisances and of a fit's coordinates (c), as the recordings so
     far have them.
     """
@@ -225,9 +229,9 @@ def _cosines(
     named: Sequence[Hypothesis[Refined]],
     fits: Sequence[Refined],
     new: LinearisedModel,
-    shapes: np.ndarray,
-    nuisances: np.ndarray,
-) -> np.ndarray:
+    shapes: Floats,
+    nuisances: Floats,
+) -> Floats:
     """(h, h) cosines between what the hypotheses do in all recordings so far and the new one, cameras and geometry
     taken out of all together.
     """
@@ -255,7 +259,7 @@ def _cosines(
     return left / size[:, None] / size
 
 
-def _inverse(information: np.ndarray) -> np.ndarray:
+def _inverse(information: Floats) -> Floats:
     """(p, p) pseudo-inverse of information (p, p) whose numbers are of different units: scaled to a diagonal of ones
     first.
     """
@@ -263,7 +267,7 @@ def _inverse(information: np.ndarray) -> np.ndarray:
     return np.linalg.pinv(information * scale[:, None] * scale, rcond=1e-13, hermitian=True) * scale[:, None] * scale
 
 
-def _prior_standard_deviations(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> np.ndarray:
+def _prior_standard_deviations(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> Floats:
     """(c,) standard deviations of coordinates by what rigs show, so that what no data hold stays within reason."""
     out = []
     for c in coordinates:

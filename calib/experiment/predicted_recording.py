@@ -11,7 +11,8 @@ from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Design
 from rig.model.pose import exp
-from rig.planning.plan import Plan, sensors_with_payload
+from rig.planning.plan import sensors_with_payload
+from rig.planning.plan_construction_and_table import Plan
 from rig.recording.corner_and_pose_tables import Corners
 from rig.recording.recording_folder import PAYLOAD, Sensors
 from vision.corner_observations import observations_from_corners

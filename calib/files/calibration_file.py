@@ -33,6 +33,7 @@ from calib.models.arm.joint_profiles import Profile
 from calib.models.machine_models import model_of
 from calib.samples.confounded_conditions import confounds_from_entries
 from calib.workspace.workspace_cells import workspace_dict, workspace_from_entries
+from rig.arrays import Floats
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.texts.effect_notation import Kinds
 from rig.formats import json_file, remote_folders
@@ -227,7 +228,7 @@ def _parts_in(tree: Entries, axes: int) -> list[Entries | None]:
     ]
 
 
-def covariance_from_entries(tree: Entries, count: int, key: str = "parameter_covariance") -> np.ndarray:
+def covariance_from_entries(tree: Entries, count: int, key: str = "parameter_covariance") -> Floats:
     """Covariance (count, count) from a file's entries, symmetric to rounding. Raises FileError for what is none."""
     covariance = tree.array(key, (count, count))
     scale = np.sqrt(np.abs(np.diag(covariance)))
@@ -240,7 +241,7 @@ def covariance_from_entries(tree: Entries, count: int, key: str = "parameter_cov
     return covariance
 
 
-def _spread_in(tree: Entries, key: str, axes: int) -> np.ndarray:
+def _spread_in(tree: Entries, key: str, axes: int) -> Floats:
     values = tree.array(key, (None,))
     counts = (6, 3) if key == "pose_scatter" else (axes,)  # 3: an arm whose rotations were never measured
     if len(values) not in counts:
@@ -250,7 +251,7 @@ def _spread_in(tree: Entries, key: str, axes: int) -> np.ndarray:
     return values
 
 
-def _strut_covariance_in(tree: Entries) -> np.ndarray:
+def _strut_covariance_in(tree: Entries) -> Floats:
     """(axes, axes) m^2, whose diagonal are the squares of strut_scatter; not in files of before it was worked out."""
     scatter = tree.array("strut_scatter", (None,))
     covariance = covariance_from_entries(tree, len(scatter), "strut_covariance")

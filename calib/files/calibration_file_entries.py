@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from calib.correction.physics_compensation import Physics, Unknown
+from rig.arrays import Booleans
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_notation import Kinds, effect_from_dict, effect_to_dict, require_existing_place
@@ -14,7 +15,8 @@ from rig.errors import FileError, RigError
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.input_files import short_repr
 from rig.model import mechanisms
-from rig.model.design import Actuator, Arm, Chain, Hexapod, Planar2, Platform
+from rig.model.design import Actuator, Platform
+from rig.model.mechanism_geometry import Arm, Chain, Hexapod, Planar2
 from rig.model.mechanism_kinds import Struts, has_links, has_stages, has_struts
 from rig.model.pose import pose_to_entry
 
@@ -200,7 +202,7 @@ def _hexapod(table: Entries) -> Hexapod:
     )
 
 
-def _slides_in(table: Entries, count: int) -> np.ndarray:
+def _slides_in(table: Entries, count: int) -> Booleans:
     """(count,) bool, which joints slide; none where nothing is said."""
     listed = table.get("slides", [False] * count)
     if not isinstance(listed, list) or len(listed) != count or not all(isinstance(slide, bool) for slide in listed):

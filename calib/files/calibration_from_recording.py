@@ -15,6 +15,7 @@ from calib.models.chain.certification import Certified as ChainCertified
 from calib.models.corrected_pose_covariance import calibration_with_workspace
 from calib.samples.confounded_conditions import confounds_of_samples
 from calib.samples.recording_samples import Sampled
+from rig.arrays import Floats
 from rig.recording.recording_folder import Recording
 
 SEED = 0  # of draws; results are the same from run to run
@@ -26,7 +27,7 @@ def calibration_with_provenance(
     certified: Certified | ArmCertified | ChainCertified,
     claim: Claim,
     arguments: Sequence[str] = (),
-    known: tuple[Physics, np.ndarray] | None = None,
+    known: tuple[Physics, Floats] | None = None,
     previous_calibration: tuple[Calibration, dict[str, Any]] | None = None,
 ) -> Calibration:
     """Calibration of a recording's fit, with its provenance and workspace.

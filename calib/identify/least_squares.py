@@ -13,14 +13,15 @@ import numpy as np
 import scipy
 from scipy.linalg import null_space, qr, solve_triangular
 
+from rig.arrays import Booleans, Floats
 from rig.errors import NotEnoughData, RigError
 
 NULL = 1e-11  # of the greatest eigenvalue; directions below are not stepped along
 
 
 def bounded_least_squares_step(
-    b: np.ndarray, G: np.ndarray, values: np.ndarray, bounds: np.ndarray, preserved_sums: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    b: Floats, G: Floats, values: Floats, bounds: Floats, preserved_sums: Floats
+) -> tuple[Floats, Floats]:
     """Least-squares step within bounds: (step (c,), covariance (c, c), which ignores the bounds).
 
     b : (c,) gradient; G : (c, c) information, priors included in both; bounds : (c, 2) bounds; preserved_sums : (k, c)
@@ -41,7 +42,7 @@ def bounded_least_squares_step(
     return step, covariance
 
 
-def _solved(b: np.ndarray, G: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _solved(b: Floats, G: Floats, kept: Floats) -> tuple[Floats, Floats]:
     """(G^-1 b, G^-1) in the directions that anything sees and that keep sums (k, c)."""
     if not len(b):
         return np.zeros(0), np.zeros((0, 0))
@@ -74,9 +75,9 @@ class Linear:
         common z + noise
     """
 
-    residual: np.ndarray
-    jacobian: np.ndarray
-    common: np.ndarray
+    residual: Floats
+    jacobian: Floats
+    common: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,23 +90,23 @@ class Fit:
     iterations : how many it took
     """
 
-    parameters: np.ndarray
-    covariance: np.ndarray
-    shared: np.ndarray
-    root: np.ndarray
-    residual: np.ndarray
-    inliers: np.ndarray
+    parameters: Floats
+    covariance: Floats
+    shared: Floats
+    root: Floats
+    residual: Floats
+    inliers: Booleans
     cost: float
     iterations: int
 
 
 def fit_least_squares(
-    linearise: Callable[[np.ndarray], Linear],
-    start: np.ndarray,
-    mean: np.ndarray,
-    sigma: np.ndarray,
-    basis: np.ndarray | None = None,
-    inliers: np.ndarray | None = None,
+    linearise: Callable[[Floats], Linear],
+    start: Floats,
+    mean: Floats,
+    sigma: Floats,
+    basis: Floats | None = None,
+    inliers: Booleans | None = None,
     robust: bool = False,
 ) -> Fit:
     """Least-squares fit by Gauss-Newton, docs/mathematics.md (7).
@@ -152,7 +153,7 @@ def fit_least_squares(
     )
 
 
-def _triangle(linear: Linear, inliers: np.ndarray, basis: np.ndarray | None) -> np.ndarray:
+def _triangle(linear: Linear, inliers: Booleans, basis: Floats | None) -> Floats:
     """(c + j + 1,) square upper triangle of [common, jacobian, residual], the shared draw's prior included."""
     J = linear.jacobian if basis is None else linear.jacobian @ basis
     rows = np.concatenate([linear.common, J, linear.residual[..., None]], axis=2)
@@ -160,7 +161,7 @@ def _triangle(linear: Linear, inliers: np.ndarray, basis: np.ndarray | None) -> 
     return _r(np.concatenate([rows[inliers].reshape(-1, width), np.eye(c, width)]), width)
 
 
-def _r(rows: np.ndarray, width: int) -> np.ndarray:
+def _r(rows: Floats, width: int) -> Floats:
     """Upper triangle (width, width) of the QR factorisation of rows, with zeros below where there are fewer rows."""
     if len(rows) > 2 * CHUNK:
         rows = np.concatenate(
@@ -175,13 +176,13 @@ class _Step(NamedTuple):
     step's end.
     """
 
-    parameters: np.ndarray
-    shared: np.ndarray
-    root: np.ndarray
+    parameters: Floats
+    shared: Floats
+    root: Floats
     cost: float
 
 
-def _step(data: np.ndarray, c: int, weight: np.ndarray, to_mean: np.ndarray, basis: np.ndarray) -> _Step:
+def _step(data: Floats, c: int, weight: Floats, to_mean: Floats, basis: Floats) -> _Step:
     """The step that the triangle of the data and the prior, of weight (k,) and to_mean (k,) away, ask for together."""
     held = np.isfinite(weight) & (weight > 0)
     prior = np.concatenate(
@@ -198,7 +199,7 @@ def _step(data: np.ndarray, c: int, weight: np.ndarray, to_mean: np.ndarray, bas
     return _Step(step, z, root, float(R[-1, -1] ** 2))
 
 
-def _agreeing(left: np.ndarray, inliers: np.ndarray) -> np.ndarray:
+def _agreeing(left: Floats, inliers: Booleans) -> Floats:
     """(n,) bool, the blocks whose residual (n, m) is no larger than the others' scale makes likely."""
     square, m = (left**2).sum(axis=1), left.shape[1]
     scale = max(1.0, float(np.median(square[inliers])) / scipy.special.chdtri(m, 0.5))
@@ -214,13 +215,13 @@ class Visibility:
     condition : greatest over smallest; parameters : covariance-ordered permutation, the best determined first
     """
 
-    singular: np.ndarray
-    directions: np.ndarray
+    singular: Floats
+    directions: Floats
     condition: float
-    order: np.ndarray
+    order: Floats
 
 
-def parameter_visibility(root: np.ndarray, size: np.ndarray) -> Visibility:
+def parameter_visibility(root: Floats, size: Floats) -> Visibility:
     """Visibility of parameters from the square root of their information. root : (j, k); size : (k,) plausible sizes"""
     _, s, directions = np.linalg.svd(root * size, full_matrices=False)
     order = qr(root * size, mode="r", pivoting=True)[1]

@@ -14,6 +14,8 @@ import scipy
 from scipy.spatial import cKDTree
 from scipy.special import chdtri
 
+from rig.arrays import Booleans, Floats
+
 CONSISTENT = 1.4826  # times the median of absolute residuals: the standard deviation of normal ones
 HUBER, TUKEY = 1.5, 6.0  # standard deviations: of the weights at first, and from which a row counts for nothing
 ROUNDS = 12  # of either weights
@@ -29,16 +31,16 @@ FIRM = 1e-8  # share of a column's square that is added to it, so that columns t
 class Robust:
     """What a robust fit leaves. residual : (n, k) as given; scale : (k,) its scatter, by its middle"""
 
-    residual: np.ndarray
-    scale: np.ndarray
+    residual: Floats
+    scale: Floats
 
     @property
-    def relative(self) -> np.ndarray:
+    def relative(self) -> Floats:
         """(n, k) residual over its scatter."""
         return self.residual / self.scale
 
 
-def robust_fit(parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> Robust:
+def robust_fit(parts: Sequence[tuple[Floats, Floats]]) -> Robust:
     """Robust fit of parts [(residual (n, k), columns (n, k, p))], whitened; a row has one weight in all parts."""
     n = len(parts[0][0])
     free = [1 - min(columns.shape[2] / max(n * columns.shape[1], 1), 0.8) for _, columns in parts]
@@ -58,7 +60,7 @@ def robust_fit(parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> Robust:
     return Robust(left, scale)
 
 
-def _left(residual: np.ndarray, columns: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def _left(residual: Floats, columns: Floats, weight: Floats) -> Floats:
     """(n, k) residual less columns (n, k, p) at their best for weights (n,)."""
     p = columns.shape[2]
     if not p:
@@ -70,7 +72,7 @@ def _left(residual: np.ndarray, columns: np.ndarray, weight: np.ndarray) -> np.n
     return residual - (flat @ np.linalg.solve(gram, weighted.T @ y)).reshape(residual.shape)
 
 
-def outlier_rows(scaled_residuals: np.ndarray, t: np.ndarray, q: np.ndarray, gate: float) -> np.ndarray:
+def outlier_rows(scaled_residuals: Floats, t: Floats, q: Floats, gate: float) -> Booleans:
     """Whether rows (n,) are outliers: a residual beyond the gate that no neighbour shares.
 
     scaled_residuals : (n, k) residuals over their scatter; t : (n,) s; q : (n, axes) where rows stand
@@ -94,7 +96,7 @@ def outlier_rows(scaled_residuals: np.ndarray, t: np.ndarray, q: np.ndarray, gat
     return out
 
 
-def tail_length_ratio(scaled_residuals: np.ndarray, gate: float) -> float:
+def tail_length_ratio(scaled_residuals: Floats, gate: float) -> float:
     """Ratio of the tail length of rows (n, k) within a gate to a normal one's; 1 at the least."""
     size = np.abs(scaled_residuals).max(axis=1)
     near = size[size <= gate]
@@ -102,7 +104,7 @@ def tail_length_ratio(scaled_residuals: np.ndarray, gate: float) -> float:
     return max(1.0, float(np.quantile(near, TAIL) / usual)) if len(near) else 1.0
 
 
-def has_many_deviations(scaled_residuals: np.ndarray, gate: float) -> np.ndarray:
+def has_many_deviations(scaled_residuals: Floats, gate: float) -> Booleans:
     """Whether rows (n,) have many deviations: more than one number far off, as a wrong pose has.
     lace.
 
@@ -118,9 +120,7 @@ FAR = 1e-3  # chance of a length beyond which a pose counts less
 EXCESS = 3.0  # standard errors by which scatter must exceed the instrument's own before it counts
 
 
-def excess_scatter(
-    residuals: np.ndarray, instrument_covariance: np.ndarray, share: float | np.ndarray = 0.0
-) -> np.ndarray:
+def excess_scatter(residuals: Floats, instrument_covariance: Floats, share: float | Floats = 0.0) -> Floats:
     """Excess scatter (k,) m and rad beyond the instrument's own: one figure for positions, one for rotations.
 
     residuals : (m, k) residuals, m and rad; instrument_covariance : (m, k, k) the instrument's covariance; share : of
@@ -146,7 +146,7 @@ def excess_scatter(
     return out
 
 
-def robust_weights(squared_lengths: np.ndarray, count: int) -> np.ndarray:
+def robust_weights(squared_lengths: Floats, count: int) -> Floats:
     """Robust weights (m,) of poses by the squared length (m,) of their `count` whitened numbers.
     lained.
     """

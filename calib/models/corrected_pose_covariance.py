@@ -2,17 +2,15 @@
 
 from dataclasses import replace
 
-import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration import Calibration
 from calib.models.machine_models import model_of
 from calib.workspace.workspace_cells import map_workspace
+from rig.arrays import Floats
 
 
-def corrected_pose_covariance(
-    calibration: Calibration, T_base_platform: RigidTransform, commands: np.ndarray
-) -> np.ndarray:
+def corrected_pose_covariance(calibration: Calibration, T_base_platform: RigidTransform, commands: Floats) -> Floats:
     """Covariance (n, 6, 6) (m, rad) of the corrected poses (n,) at commands (n, axes), docs/mathematics.md (21)."""
     return model_of(calibration.correction.nominal).pose_covariance(calibration, T_base_platform, commands)
 

@@ -12,8 +12,9 @@ from calib.models.arm import error_model, identification
 from calib.models.arm.independent_parameters import PLAUSIBLE
 from calib.models.chain import error_model as chains
 from calib.models.platform.identification import NAMES, PRIOR, pose_parameter_jacobian
+from rig.arrays import Booleans, Floats
 from rig.model import mechanisms
-from rig.model.design import Arm, Chain, Hexapod, Planar2
+from rig.model.mechanism_geometry import Arm, Chain, Hexapod, Planar2
 from rig.model.mechanism_kinds import Mechanism, require_struts
 
 
@@ -25,8 +26,8 @@ class Freedoms:
 
     names: tuple[str, ...]
     units: tuple[str, ...]
-    size: np.ndarray
-    jacobian: Callable[[np.ndarray], np.ndarray]
+    size: Floats
+    jacobian: Callable[[Floats], Floats]
     alike: bool
 
 
@@ -57,16 +58,12 @@ def geometric_parameters(mechanism: Mechanism) -> Freedoms:
     return Freedoms(names, ("m",) * len(names), np.full(len(names), PRIOR), partial(_of_struts, struts), False)
 
 
-def _of_struts(struts: Hexapod | Planar2, values: np.ndarray) -> np.ndarray:
+def _of_struts(struts: Hexapod | Planar2, values: Floats) -> Floats:
     return pose_parameter_jacobian(mechanisms.kinematics_of(struts).forward(values, struts), struts)
 
 
 def _asked(
-    free: np.ndarray,
-    names: tuple[str, ...],
-    units: tuple[str, ...],
-    size: np.ndarray,
-    jacobian: Callable[[np.ndarray], np.ndarray],
+    free: Booleans, names: tuple[str, ...], units: tuple[str, ...], size: Floats, jacobian: Callable[[Floats], Floats]
 ) -> Freedoms:
     """Freedoms of those of the parameters that are free (p,) bool."""
     kept = np.flatnonzero(free).tolist()

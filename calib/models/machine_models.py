@@ -22,6 +22,7 @@ from calib.models.chain import certification as chain_certification
 from calib.models.chain import error_model as chain_errors
 from calib.models.platform.identification import geometric_parameters
 from calib.samples.recording_samples import Sampled
+from rig.arrays import Floats
 from rig.formats.checked_entries import Entries
 from rig.model.mechanism_kinds import Commanded, Mechanism, require_arm, require_axes, require_chain, require_struts
 
@@ -69,7 +70,7 @@ class MachineModel(Protocol):
         """
         ...
 
-    def pose_covariance(self, calibration: Calibration, T: RigidTransform, commands: np.ndarray) -> np.ndarray:
+    def pose_covariance(self, calibration: Calibration, T: RigidTransform, commands: Floats) -> Floats:
         """(n, 6, 6) covariance (m, rad) of the poses T (n,) that commands (n, axes) give, docs/mathematics.md (21)."""
         ...
 
@@ -103,7 +104,7 @@ class PlatformModel:
         done = platform_certification.certify_platform(sampled.samples, require_struts(nominal), rng, progress)
         return done, platform_certification.platform_workspace_claim(sampled.samples, done, rng)
 
-    def pose_covariance(self, calibration: Calibration, T: RigidTransform, commands: np.ndarray) -> np.ndarray:
+    def pose_covariance(self, calibration: Calibration, T: RigidTransform, commands: Floats) -> Floats:
         """(n, 6, 6) covariance (m, rad) of the poses T (n,)."""
         return platform_certification.platform_pose_covariance(calibration, T)
 
@@ -136,7 +137,7 @@ class ArmModel:
         done = arm_certification.certify_arm(sampled.samples, require_arm(nominal), sampled.instrument, rng, progress)
         return done, arm_certification.arm_workspace_claim(sampled.samples, done, rng)
 
-    def pose_covariance(self, calibration: Calibration, T: RigidTransform, commands: np.ndarray) -> np.ndarray:
+    def pose_covariance(self, calibration: Calibration, T: RigidTransform, commands: Floats) -> Floats:
         """(n, 6, 6) covariance (m, rad) of the poses that commands (n, axes) give."""
         return arm_certification.arm_pose_covariance(calibration, commands)
 
@@ -172,7 +173,7 @@ class ChainModel:
         done = chain_certification.certify_chain(sampled.samples, require_chain(nominal), rng, progress)
         return done, chain_certification.chain_workspace_claim(sampled.samples, done, rng)
 
-    def pose_covariance(self, calibration: Calibration, T: RigidTransform, commands: np.ndarray) -> np.ndarray:
+    def pose_covariance(self, calibration: Calibration, T: RigidTransform, commands: Floats) -> Floats:
         """(n, 6, 6) covariance (m, rad) of the poses that commands (n, axes) give."""
         return chain_certification.chain_pose_covariance(calibration, commands)
 

@@ -18,6 +18,7 @@ from calib.correction.physics_compensation import (
 )
 from calib.correction.pose_route import Pace, Route, timed_route, untimed_route
 from calib.models.corrected_pose_covariance import corrected_pose_covariance
+from rig.arrays import Booleans, Floats
 from rig.effects.framework.effect import Effect
 from rig.errors import NotConverged, Unreachable
 from rig.model import mechanisms
@@ -35,10 +36,10 @@ class Commanded:
     on the right), None for commands that were given;
     missing : sensor channels that nobody logged, whose spread is in it."""
 
-    values: np.ndarray
+    values: Floats
     route: Route
     T_base_platform: RigidTransform
-    covariance: np.ndarray | None
+    covariance: Floats | None
     missing: tuple[str, ...]
 
 
@@ -48,12 +49,12 @@ class _Spread:
     change something.
     """
 
-    covariance: np.ndarray
+    covariance: Floats
     responses: Responses
     missing: tuple[str, ...]
 
 
-def route_pace(calibration: Calibration, t: np.ndarray, sensors: Sensors | None) -> Pace:
+def route_pace(calibration: Calibration, t: Floats, sensors: Sensors | None) -> Pace:
     """Pace of a route whose poses are held at times t (n,) s."""
     top = calibration.physics.actuator.max_speed if calibration.physics is not None else None
     unstated = min(UNSTATED_SPEED[unit] for unit in mechanisms.axis_units(calibration.correction.nominal))
@@ -64,11 +65,11 @@ def route_pace(calibration: Calibration, t: np.ndarray, sensors: Sensors | None)
 def commands_along_route(
     calibration: Calibration,
     T: RigidTransform,
-    start: np.ndarray,
+    start: Floats,
     pace: Pace | None = None,
     sensors: Sensors | None = None,
     approach: str = "auto",
-    given: np.ndarray | None = None,
+    given: Floats | None = None,
 ) -> Commanded:
     """Commands (Commanded) along a route of wanted poses T (n,), in their order.
 
@@ -103,9 +104,7 @@ def commands_along_route(
     return Commanded(values, route, T, base.covariance + forgotten, base.missing)
 
 
-def _approached(
-    of: Machine, T: RigidTransform, route: Route, values: np.ndarray, pace: Pace, sure: np.ndarray | None
-) -> Route:
+def _approached(of: Machine, T: RigidTransform, route: Route, values: Floats, pace: Pace, sure: Floats | None) -> Route:
     """The Route with approaches. sure : (n, axes) m^2, variances that forgotten ways must exceed to be worth one; None:
     to every pose
     """
@@ -131,7 +130,7 @@ def _approached(
     return route
 
 
-def _exists(of: Machine, T: RigidTransform, values: np.ndarray) -> np.ndarray:
+def _exists(of: Machine, T: RigidTransform, values: Floats) -> Booleans:
     """(n,) bool, whether the machine has a pose near T (n,) at these values (n, axes)."""
     there = np.ones(len(values), bool)
     try:
@@ -141,7 +140,7 @@ def _exists(of: Machine, T: RigidTransform, values: np.ndarray) -> np.ndarray:
     return there
 
 
-def _axes(covariance: np.ndarray, A: np.ndarray) -> np.ndarray:
+def _axes(covariance: Floats, A: Floats) -> Floats:
     """(n, axes) variances of the axes that poses' covariance (n, 6, 6) amounts to. A : (n, axes, 6) of the axes with
     the pose
     """
@@ -149,7 +148,7 @@ def _axes(covariance: np.ndarray, A: np.ndarray) -> np.ndarray:
 
 
 def _covariance(
-    calibration: Calibration, physics: Physics, of: Machine, T: RigidTransform, at: tuple[Route, np.ndarray]
+    calibration: Calibration, physics: Physics, of: Machine, T: RigidTransform, at: tuple[Route, Floats]
 ) -> _Spread:
     """_Spread: of the calibration without its physics, of the physics and of both together, of channels that nobody
     logged, and of what comes again at no moment that anybody knows. docs/mathematics.md (21)
@@ -161,7 +160,7 @@ def _covariance(
     lengths = of.effective(commands, t, T)
     responses = calibration.correction.responses(T, lengths)
 
-    def stands(at: np.ndarray, effects: tuple[Effect, ...] = of.effects, sensors: Sensors | None = None) -> np.ndarray:
+    def stands(at: Floats, effects: tuple[Effect, ...] = of.effects, sensors: Sensors | None = None) -> Floats:
         """(n, 6) m and rad, of which differences tell how the machine moves between effects, or sensors, at times `at`
         (n,) s.
         """
@@ -191,7 +190,7 @@ def _covariance(
     return _Spread(sum((part @ np.swapaxes(part, 1, 2) for part in parts), covariance), responses, tuple(missing))
 
 
-def _columns(physics: Physics, of: Machine, stands: Callable[[tuple[Effect, ...]], np.ndarray]) -> np.ndarray:
+def _columns(physics: Physics, of: Machine, stands: Callable[[tuple[Effect, ...]], Floats]) -> Floats:
     """(n, 6, c) m and rad by which poses move with each coordinate of the physics; nothing for what commands do not
     undo.
 

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri, ndtri
 
+from rig.arrays import Floats
+
 STRUTS, WINDOW = 6, 3  # the poses within which a change must show, each a possible onset
 FALSE_ALARM = 2e-6  # at most, of a strut's jump at a quiet pose, over struts and onsets
 FALSE_OTHER = 1.6e-7  # of the same for what has more freedom
@@ -53,8 +55,8 @@ class Change:
     kind: str
     strut: int | None
     onset: int
-    size: float | np.ndarray
-    sigma: float | np.ndarray
+    size: float | Floats
+    sigma: float | Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,9 +70,9 @@ class Evidence:
 
     onset: int
     total: float
-    projected: np.ndarray
-    gram: np.ndarray
-    single: np.ndarray
+    projected: Floats
+    gram: Floats
+    single: Floats
 
 
 def detect_changes(evidence: list[Evidence]) -> tuple[Change, ...]:

@@ -15,24 +15,24 @@ import numpy as np
 
 from calib.models.platform.identification import geometric_parameters, mechanism_with_parameters
 from calib.models.platform.parameter_accuracy import frame_motion_columns
-from calib.online.change_detection import Change, Evidence
+from calib.online.change_detection import WINDOW, Change, Evidence
 from calib.online.square_root_kernels import (
     ALARM,
     KINDS,
     REFUSED,
     SUMS,
-    WINDOW,
     Estimate,
     Machine,
     Pose,
     add_pose_to_estimate,
     update_estimate,
 )
+from rig.arrays import Floats
 from rig.errors import FileError, RigError
 from rig.formats import json_file
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.output_files import write_text
-from rig.model.design import Hexapod
+from rig.model.mechanism_geometry import Hexapod
 from rig.model.pose import pose as pose_of
 from rig.model.pose import pose_to_vector
 
@@ -48,7 +48,7 @@ class Start:
     """
 
     nominal: Hexapod
-    root: np.ndarray
+    root: Floats
     machine: Machine
 
 
@@ -56,7 +56,7 @@ class Learnt(NamedTuple):
     """One of the last poses. own : (SUMS,) its own sums; before, first : the state's before it."""
 
     pose: Pose
-    own: np.ndarray
+    own: Floats
     before: Estimate
     first: tuple[Pose, ...] | None
 
@@ -70,7 +70,7 @@ class State(NamedTuple):
     learnt: int
     recent: tuple[Learnt, ...]
     first: tuple[Pose, ...] | None
-    innovation: np.ndarray
+    innovation: Floats
     alarm: bool
 
     @property
@@ -79,7 +79,7 @@ class State(NamedTuple):
         return float(self.innovation @ self.innovation)
 
 
-def _initial_estimate(p: np.ndarray, root: np.ndarray, shared: int) -> Estimate:
+def _initial_estimate(p: Floats, root: Floats, shared: int) -> Estimate:
     """Estimate of parameters p (42,) m with the square root (42, 42) 1/m of their information, before any pose;
     `shared` draws, unknown.
     """
@@ -214,7 +214,7 @@ class Saved:
     """
 
     start: Start
-    scatter: np.ndarray
+    scatter: Floats
     state: State
     held: tuple[Pose, ...]
     number: int

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.models.platform.identification import PRIOR, mechanism_with_parameters
 from calib.online import filter_state
-from calib.online.change_detection import SUSPECT, Change, detect_changes
+from calib.online.change_detection import SUSPECT, WINDOW, Change, detect_changes
 from calib.online.filter_state import (
     AGAIN,
     Start,
@@ -28,9 +28,10 @@ from calib.online.filter_state import (
     state_with_freed_changes,
     state_with_pose,
 )
-from calib.online.square_root_kernels import WINDOW, Machine, Pose
+from calib.online.square_root_kernels import Machine, Pose
+from rig.arrays import Floats
 from rig.errors import RigError
-from rig.model.design import Hexapod
+from rig.model.mechanism_geometry import Hexapod
 
 LARGEST = 6  # changes at one pose
 EARLY = 2  # times that the first poses are linearised again before what they seem to show is believed
@@ -43,7 +44,7 @@ class Update:
     held : whether the pose waits for the next one's word; dropped : numbers of poses found wrong with it"""
 
     number: int
-    innovation: np.ndarray
+    innovation: Floats
     changes: tuple[Change, ...]
     held: bool
     dropped: tuple[int, ...]
@@ -57,7 +58,7 @@ class Online:
     """
 
     def __init__(
-        self, nominal: Hexapod, shared: int = 0, scatter: np.ndarray | None = None, covariance: np.ndarray | None = None
+        self, nominal: Hexapod, shared: int = 0, scatter: Floats | None = None, covariance: Floats | None = None
     ) -> None:
         """A filter before its first pose.
 
@@ -82,7 +83,7 @@ class Online:
         return self.start.nominal
 
     @property
-    def p(self) -> np.ndarray:
+    def p(self) -> Floats:
         """(42,) m, the parameters as estimated now."""
         return self.state.estimate.p
 
@@ -92,7 +93,7 @@ class Online:
         return mechanism_with_parameters(self.nominal, self.p)
 
     @property
-    def covariance(self) -> np.ndarray:
+    def covariance(self) -> Floats:
         """(42, 42) m^2 of the estimate."""
         S = self.state.estimate.S
         half = np.linalg.inv(S[:, : len(S)])
@@ -107,7 +108,7 @@ class Online:
         self.state, self.held = state_of_new_session(self.state, shared), ()
 
     def update(
-        self, x: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray, common: np.ndarray | None = None
+        self, x: Floats, T_base_platform: RigidTransform, covariance: Floats, common: Floats | None = None
     ) -> Update:
         """One pose. x : (6,) m commanded; T_base_platform : RigidTransform measured; covariance : (6, 6) tangent on the
         right
@@ -171,7 +172,7 @@ class _Taken(NamedTuple):
 
     state: State
     held: tuple[Pose, ...]
-    innovation: np.ndarray
+    innovation: Floats
     changes: tuple[Change, ...]
     dropped: tuple[int, ...]
 

@@ -6,7 +6,7 @@ They watch for nothing: each says how far a pose was from what it expected, and 
 import json
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -15,11 +15,12 @@ from calib.files.calibration_file_entries import mechanism_dict, mechanism_from_
 from calib.models.platform import closed_loop_equations
 from calib.models.platform.identification import PRIOR, geometric_parameters, mechanism_with_parameters
 from calib.models.platform.parameter_accuracy import PLAUSIBLE
+from rig.arrays import Floats
 from rig.errors import RigError
 from rig.formats import json_file
 from rig.formats.checked_entries import LARGEST_RIG
 from rig.formats.output_files import write_text
-from rig.model.design import Hexapod
+from rig.model.mechanism_geometry import Hexapod
 from rig.model.mechanism_kinds import has_plates
 
 NO_SCATTER = np.zeros(6)
@@ -35,7 +36,7 @@ class Learner(ABC):
 
     SETTING: ClassVar[str]
     setting: float
-    memory: np.ndarray
+    memory: Floats
 
     def __init__(self, nominal: Hexapod) -> None:
         self.nominal, self.p = nominal, geometric_parameters(nominal)
@@ -43,15 +44,15 @@ class Learner(ABC):
         self.number, self.data = 0, set[str]()
 
     @property
-    def covariance(self) -> np.ndarray | None:
+    def covariance(self) -> Floats | None:
         """(42, 42) m^2 of the estimate; None of a learner that keeps none."""
         return None
 
     @abstractmethod
-    def start_from(self, covariance: np.ndarray) -> None:
+    def start_from(self, covariance: Floats) -> None:
         """Begin with what a calibration knows. covariance : (42, 42) m^2 of the nominal's parameters"""
 
-    def update(self, x: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray) -> np.ndarray:
+    def update(self, x: Floats, T_base_platform: RigidTransform, covariance: Floats) -> Floats:
         """One pose, x (6,) m commanded, covariance (6, 6); returns its whitened error (6,). Raises RigError as `rows`
         does.
         """
@@ -60,7 +61,7 @@ class Learner(ABC):
         return e
 
     @abstractmethod
-    def _followed(self, x: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray) -> np.ndarray:
+    def _followed(self, x: Floats, T_base_platform: RigidTransform, covariance: Floats) -> Floats:
         """The estimate follows one pose, as `update` says."""
 
     @property
@@ -68,9 +69,7 @@ class Learner(ABC):
         """The Hexapod as estimated now."""
         return mechanism_with_parameters(self.nominal, self.p)
 
-    def rows(
-        self, x: np.ndarray, matrix: np.ndarray, covariance: np.ndarray, p: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def rows(self, x: Floats, matrix: Floats, covariance: Floats, p: Floats) -> tuple[Floats, Floats]:
         """Whitened error (6,) and J_p (6, 42) at parameters p. Raises RigError for a command that closes on no pose."""
         R, t = self.home[:3, :3].copy(), self.home[:3, 3].copy()
         right, J = np.empty((6, 1)), np.zeros((6, 42))
@@ -104,15 +103,15 @@ class Forgetting(Learner):
         self.setting, self.memory = kept, np.eye(42) / prior**2
 
     @property
-    def covariance(self) -> np.ndarray:
+    def covariance(self) -> Floats:
         """(42, 42) m^2 of the estimate."""
-        return np.linalg.inv(self.memory)
+        return cast(Floats, np.linalg.inv(self.memory))
 
-    def start_from(self, covariance: np.ndarray) -> None:
+    def start_from(self, covariance: Floats) -> None:
         """Begin with what a calibration knows. covariance : (42, 42) m^2"""
-        self.memory = np.linalg.inv(covariance)
+        self.memory = cast(Floats, np.linalg.inv(covariance))
 
-    def _followed(self, x: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray) -> np.ndarray:
+    def _followed(self, x: Floats, T_base_platform: RigidTransform, covariance: Floats) -> Floats:
         e, J = self.rows(x, T_base_platform.as_matrix(), covariance, self.p)
         told = J @ self.memory
         self.memory = self.memory + J.T @ J - (1 - self.setting) * told.T @ np.linalg.solve(told @ J.T, told)
@@ -139,15 +138,15 @@ class Drifting(Learner):
         self.setting, self.iterations, self.memory = drift, iterations, np.eye(42) * prior**2
 
     @property
-    def covariance(self) -> np.ndarray:
+    def covariance(self) -> Floats:
         """(42, 42) m^2 of the estimate."""
         return self.memory
 
-    def start_from(self, covariance: np.ndarray) -> None:
+    def start_from(self, covariance: Floats) -> None:
         """Begin with what a calibration knows. covariance : (42, 42) m^2"""
         self.memory = np.array(covariance)
 
-    def _followed(self, x: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray) -> np.ndarray:
+    def _followed(self, x: Floats, T_base_platform: RigidTransform, covariance: Floats) -> Floats:
         matrix, before = T_base_platform.as_matrix(), self.p
         P = self.memory + self.setting**2 * np.eye(42)
         p, innovation = before, np.zeros(0)
@@ -183,11 +182,11 @@ class FirstOrder(Learner):
             raise ValueError(f"step is a length (m) above 0, got {step}")
         self.setting, self.memory = step, np.zeros(42)
 
-    def start_from(self, covariance: np.ndarray) -> None:
+    def start_from(self, covariance: Floats) -> None:
         """Begin with what a calibration knows: steps no longer than that is uncertain. covariance : (42, 42) m^2"""
         self.setting = min(self.setting, float(np.sqrt(np.mean(np.diag(covariance)))))
 
-    def _followed(self, x: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray) -> np.ndarray:
+    def _followed(self, x: Floats, T_base_platform: RigidTransform, covariance: Floats) -> Floats:
         e, J = self.rows(x, T_base_platform.as_matrix(), covariance, self.p)
         gradient = -J.T @ e
         self.memory = self.memory + gradient**2

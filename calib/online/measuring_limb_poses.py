@@ -21,7 +21,8 @@ from calib.online.information_filter import Online
 from calib.online.measuring_limbs_file import Accepted
 from calib.samples.pose_samples import Samples, pair_samples
 from calib.samples.recording_samples import Sampled
-from rig.model.design import Hexapod
+from rig.arrays import Floats, Integers
+from rig.model.mechanism_geometry import Hexapod
 from rig.model.mechanism_kinds import require_hexapod
 from rig.recording.frame_selection import select_frames
 from rig.recording.recording_folder import Recording
@@ -59,11 +60,7 @@ class LimbCheck:
         return bool(self._online.held)
 
     def take(
-        self,
-        lengths: np.ndarray,
-        T_base_platform: RigidTransform,
-        covariance: np.ndarray,
-        common: np.ndarray | None = None,
+        self, lengths: Floats, T_base_platform: RigidTransform, covariance: Floats, common: Floats | None = None
     ) -> Disagreement | None:
         """What vision's pose says of limbs that read lengths (limbs,) m: None while they agree.
 
@@ -79,7 +76,7 @@ class LimbCheck:
         return None
 
 
-def _named(change: Change, limbs: np.ndarray) -> Disagreement:
+def _named(change: Change, limbs: Floats | Integers) -> Disagreement:
     """What a Change says of limbs, of which the six whose numbers (from 0) are given tell the pose."""
     if not isinstance(change.size, float):
         position, rotation = (float(np.linalg.norm(part)) for part in (change.size[:3], change.size[3:]))
@@ -106,14 +103,14 @@ class LimbPoses:
     own : (f, 6, 6) covariance of each pose's readings; common : (f, 6, 42) factor of what the limbs' geometry adds to
         all"""
 
-    frames: np.ndarray
-    lengths: np.ndarray
+    frames: Integers
+    lengths: Floats
     T_base_platform: RigidTransform
-    own: np.ndarray
-    common: np.ndarray
+    own: Floats
+    common: Floats
 
     @property
-    def covariance(self) -> np.ndarray:
+    def covariance(self) -> Floats:
         """(f, 6, 6) of each pose, the geometry's share included, m and rad."""
         return self.own + self.common @ np.swapaxes(self.common, 1, 2)
 
@@ -146,7 +143,7 @@ def samples_of_limb_poses(recording: Recording, poses: LimbPoses) -> Sampled:
     )
 
 
-def _is_checked_by_vision(found: Samples, nominal: Hexapod, every: int) -> np.ndarray:
+def _is_checked_by_vision(found: Samples, nominal: Hexapod, every: int) -> Floats:
     """(n,) bool: the poses of Samples by limbs at which vision looks, every so many and those after struts told
     otherwise.
     """
@@ -202,9 +199,9 @@ class LiveLimbPoses:
     def __init__(self, accepted: Accepted, every: int) -> None:
         self.accepted, self.in_force = accepted, True
         self._checks, self._every, self._number, self._looks = LimbCheck(accepted.limbs), every, 0, 0
-        self._last: list[np.ndarray] = []
+        self._last: list[Floats] = []
 
-    def pose(self, lengths: np.ndarray) -> tuple[RigidTransform, np.ndarray, np.ndarray]:
+    def pose(self, lengths: Floats) -> tuple[RigidTransform, Floats, Floats]:
         """(T_base_platform, own (6, 6), common (6, 42)) of readings (limbs,) m; own : covariance, common : factor of
         what all poses share, m and rad.
 
@@ -213,7 +210,7 @@ class LiveLimbPoses:
         T = self.accepted.limbs.pose(lengths)
         return T, *self.accepted.limbs.uncertainty(T)
 
-    def is_closed(self, lengths: np.ndarray) -> Disagreement | None:
+    def is_closed(self, lengths: Floats) -> Disagreement | None:
         """What limbs beyond six say of readings (limbs,) m and those before; where they disagree, limbs are out of
         force. Raises as `pose`
         """
@@ -231,9 +228,7 @@ class LiveLimbPoses:
         self._number += 1
         return now
 
-    def check(
-        self, lengths: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray
-    ) -> Disagreement | None:
+    def check(self, lengths: Floats, T_base_platform: RigidTransform, covariance: Floats) -> Disagreement | None:
         """What vision's pose with its covariance (6, 6), m and rad, says of limbs that read lengths (limbs,) m; where
         it disagrees they are out of force."""
         found = self._checks.take(lengths, T_base_platform, covariance)

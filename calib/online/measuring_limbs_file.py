@@ -16,7 +16,8 @@ from rig.errors import FileError, RigError
 from rig.formats import json_file
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files import write_text
-from rig.model.design import Design, Hexapod
+from rig.model.design import Design
+from rig.model.mechanism_geometry import Hexapod
 from rig.model.mechanism_kinds import has_plates
 
 SCHEMA = "limbs/1"

@@ -12,8 +12,10 @@ from calib.correction.correction import Correction
 from calib.online.change_detection import Change
 from calib.online.information_filter import Online
 from calib.samples.pose_samples import Samples
+from rig.arrays import Floats
 from rig.model import mechanisms
-from rig.model.design import Design, Hexapod
+from rig.model.design import Design
+from rig.model.mechanism_geometry import Hexapod
 from rig.model.pose import pose_difference
 
 LATEST = 5  # poses whose median error must exceed the tolerance: one is a bad measurement, five are a drift
@@ -29,8 +31,8 @@ class Learnt:
         the tolerance, or None
     """
 
-    error: np.ndarray
-    struts: np.ndarray
+    error: Floats
+    struts: Floats
     innovation: float
     changes: tuple[Change, ...]
     unsure: bool
@@ -57,7 +59,7 @@ class Learner:
             else Online(nominal, shared)
         )
         self._kept = copy(self._online)
-        self._calibrated, self._errors = calibration is not None, list[np.ndarray]()
+        self._calibrated, self._errors = calibration is not None, list[Floats]()
         self._drifting = False
 
     @property
@@ -65,7 +67,7 @@ class Learner:
         """The geometry as learnt by now."""
         return self._online.hexapod
 
-    def expected(self, commanded: np.ndarray) -> RigidTransform:
+    def expected(self, commanded: Floats) -> RigidTransform:
         """T_base_platform that commanded lengths (6,) m should give, by what is known so far."""
         return mechanisms.kinematics_of(self._nominal).forward(
             commanded - self._correction.rho(commanded), self._online.hexapod
@@ -83,11 +85,7 @@ class Learner:
         self._online.new_session()
 
     def learn(
-        self,
-        commanded: np.ndarray,
-        T_base_platform: RigidTransform,
-        covariance: np.ndarray,
-        common: np.ndarray | None = None,
+        self, commanded: Floats, T_base_platform: RigidTransform, covariance: Floats, common: Floats | None = None
     ) -> Learnt:
         """One pose. commanded : (6,) m; covariance : (6, 6) tangent on the right; common : (6, shared) factor of errors
         that poses share.
@@ -107,7 +105,7 @@ class Learner:
             error, struts, float(np.sqrt(update.innovation @ update.innovation / 6)), update.changes, update.held, fresh
         )
 
-    def _drift(self, error: np.ndarray) -> tuple[float, float] | None:
+    def _drift(self, error: Floats) -> tuple[float, float] | None:
         """(m, rad) of the drift from the calibration, once, when it leaves the tolerance."""
         self._errors = [*self._errors[1 - LATEST :], error]
         if self._tolerance is None or len(self._errors) < LATEST:
@@ -127,11 +125,11 @@ class LimbWatch:
         self._design, self._stated = design, measuring_limbs.stated_limbs(design)
         self._home = measuring_limbs.limb_hexapod(design).home
         self.channels = self._stated.channels
-        self._read: list[tuple[np.ndarray, RigidTransform, np.ndarray]] = []
-        self._limbs: measuring_limbs.Limbs | None = None
+        self._read: list[tuple[Floats, RigidTransform, Floats]] = []
+        self._limbs: measuring_limb_checks.Limbs | None = None
         self._agreed = True
 
-    def take(self, lengths: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray) -> bool:
+    def take(self, lengths: Floats, T_base_platform: RigidTransform, covariance: Floats) -> bool:
         """Whether limbs that read lengths (limbs,) m newly disagree with vision's pose and its covariance (6, 6)."""
         if self._limbs is None:
             self._read.append((lengths, T_base_platform, covariance))

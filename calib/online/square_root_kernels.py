@@ -15,6 +15,7 @@ import numpy as np
 
 from calib.models.platform.closed_loop_equations import Measured, forward_kinematics_kernel, whitened_pose_row
 from calib.online.change_detection import JUMP, MOVED, WINDOW
+from rig.arrays import Floats
 from rig.compute.numba_kernels import njit
 
 KINDS = 12  # signatures of an onset: six struts, six motions of the measuring frame against the base
@@ -31,11 +32,11 @@ class Pose(NamedTuple):
     common : (6, c) factor of the errors that all poses share."""
 
     number: int
-    command: np.ndarray
-    R: np.ndarray
-    t: np.ndarray
-    covariance: np.ndarray
-    common: np.ndarray
+    command: Floats
+    R: Floats
+    t: Floats
+    covariance: Floats
+    common: Floats
 
 
 class Machine(NamedTuple):
@@ -43,8 +44,8 @@ class Machine(NamedTuple):
     the poses' covariance.
     """
 
-    home: np.ndarray
-    variance: np.ndarray
+    home: Floats
+    variance: Floats
 
 
 class Estimate(NamedTuple):
@@ -52,14 +53,14 @@ class Estimate(NamedTuple):
     triangle, about p and s;
     sums : (WINDOW, SUMS), of the onset that began at each of the last poses."""
 
-    p: np.ndarray
-    s: np.ndarray
-    S: np.ndarray
-    sums: np.ndarray
+    p: Floats
+    s: Floats
+    S: Floats
+    sums: Floats
 
 
 @njit(cache=True)
-def _absorb(S: np.ndarray, rows: np.ndarray) -> None:
+def _absorb(S: Floats, rows: Floats) -> None:
     """Householder reflections: the upper triangle S (k, w) takes in rows (m, w), whose first k columns become zero."""
     k, width, m = S.shape[0], S.shape[1], rows.shape[0]
     dot = np.empty(width)
@@ -92,7 +93,7 @@ def _absorb(S: np.ndarray, rows: np.ndarray) -> None:
 
 
 @njit(cache=True)
-def _frame_motion(R: np.ndarray, t: np.ndarray, out: np.ndarray) -> None:
+def _frame_motion(R: Floats, t: Floats, out: Floats) -> None:
     """Into out (6, 6): the pose's tangent on the right by the base's tangent on the left, at pose R (3, 3), t (3,)."""
     out[:] = 0.0
     for i in range(3):
@@ -105,7 +106,7 @@ def _frame_motion(R: np.ndarray, t: np.ndarray, out: np.ndarray) -> None:
 
 
 @njit(cache=True)
-def update_estimate(p: np.ndarray, s: np.ndarray, S: np.ndarray) -> None:
+def update_estimate(p: Floats, s: Floats, S: Floats) -> None:
     """Update the estimate p (42,), s (c,) to that of the triangle S; its right side becomes zero."""
     c = len(s)
     k = c + 42
@@ -124,7 +125,7 @@ def update_estimate(p: np.ndarray, s: np.ndarray, S: np.ndarray) -> None:
 
 @njit(cache=True)
 def add_pose_to_estimate(
-    pose: Pose, machine: Machine, estimate: Estimate, slot: int, innovation: np.ndarray, move: bool
+    pose: Pose, machine: Machine, estimate: Estimate, slot: int, innovation: Floats, move: bool
 ) -> int:
     """Add one pose to the estimate, in place. Returns REFUSED where the pose does not close or is not regular;
 
@@ -167,7 +168,7 @@ def add_pose_to_estimate(
 
 
 @njit(cache=True)
-def _begin(S: np.ndarray, sums: np.ndarray, slot: int) -> None:
+def _begin(S: Floats, sums: Floats, slot: int) -> None:
     """An onset begins in a slot: its KINDS columns of the triangle S (n, n) and its row of the sums (slots, ..) are
     nothing yet.
     """
@@ -178,7 +179,7 @@ def _begin(S: np.ndarray, sums: np.ndarray, slot: int) -> None:
 
 
 @njit(cache=True)
-def _gather(rows: np.ndarray, k: int, sums: np.ndarray) -> None:
+def _gather(rows: Floats, k: int, sums: Floats) -> None:
     """Add to every onset's sums (WINDOW, SUMS) what a pose's rows (6, w) tell of it: the innovation is their column
     k.
     """
@@ -196,7 +197,7 @@ def _gather(rows: np.ndarray, k: int, sums: np.ndarray) -> None:
 
 
 @njit(cache=True)
-def _suspicious(sums: np.ndarray) -> bool:
+def _suspicious(sums: Floats) -> bool:
     """Whether any onset's sums (WINDOW, SUMS) leave room for a change."""
     for w in range(WINDOW):
         if sums[w, -1] > 0:

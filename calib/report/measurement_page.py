@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.report.pose_figures import pose_coverage_figures
+from rig.arrays import Floats
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_elements import folding_section, heading, list_html, note, paragraph, table
@@ -55,7 +56,7 @@ def _frame_of_greatest_residual(measurement: Measurement) -> int:
     return int(measurement.frames[int(np.argmax(_by_frame(measurement)))])
 
 
-def _by_frame(m: Measurement) -> np.ndarray:
+def _by_frame(m: Measurement) -> Floats:
     """(f,) px RMS of the corners of each solved frame, those set aside as well."""
     o, square = m.observations, (m.residuals**2).sum(axis=1)
     out = np.zeros(len(m.frames))
@@ -236,7 +237,7 @@ def _residual_map(m: Measurement, i: int) -> str:
     )
 
 
-def _uncertainty(m: Measurement, position: np.ndarray, rotation: np.ndarray) -> str:
+def _uncertainty(m: Measurement, position: Floats, rotation: Floats) -> str:
     return panel_row(
         *(
             plot_panel(

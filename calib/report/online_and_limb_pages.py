@@ -9,6 +9,7 @@ import numpy as np
 from calib.certification.calibration_evidence import ALONE, OfCalibrations, confound_sentences
 from calib.certification.measuring_limbs import AXES, MOVES, Agreement
 from calib.samples.confounded_conditions import Confounds
+from rig.arrays import Floats, Integers
 from rig.report.pages.html_elements import heading, list_html, note, paragraph, table
 from rig.report.pages.page_and_svg_templates import Link, Page, write_page
 from rig.report.pages.plots import Series, bar_chart, panel_row, plot_panel
@@ -27,8 +28,8 @@ class OnlineResult:
     returning : struts that go back and forth, a sentence each; confounds : of the recording, or None
     calibrations : OfCalibrations made from it: what they leave out, these poses teach no better"""
 
-    frames: np.ndarray
-    innovations: np.ndarray
+    frames: Integers
+    innovations: Floats
     source: str
     said: Sequence[str]
     dropped: Sequence[int]

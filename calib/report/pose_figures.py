@@ -1,8 +1,12 @@
 """Figures of poses for pages: plots, a 3-D scene of the rig, and displacements by effects."""
 
+from typing import Any
+
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats, Integers
+from rig.formats.json_tree import Json
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry import Arm, Chain
@@ -12,7 +16,7 @@ from rig.report.pages.view_3d import Effect, Scene
 from vision.targets import MarkerMap, marker_map
 
 
-def pose_coverage_figures(vectors: np.ndarray) -> str:
+def pose_coverage_figures(vectors: Floats) -> str:
     """Figures of pose coverage: vectors (n, 6) position (m) and rotation vector (rad)."""
     mm = vectors[:, :3] * 1e3
     places = [
@@ -26,7 +30,7 @@ def pose_coverage_figures(vectors: np.ndarray) -> str:
     return panel_row(*places, plot_panel("how it was turned", ("pose", "rotation vector, degrees"), turns))
 
 
-def correction_error_figures(before: np.ndarray, after: np.ndarray, frames: np.ndarray) -> str:
+def correction_error_figures(before: Floats, after: Floats, frames: Integers) -> str:
     """Figures of errors (n, 6) m and rad before and after correction, frame (n,) by frame; nan is left out."""
     seen = [
         (part, label)
@@ -56,10 +60,10 @@ REACH = 0.15  # m, of the cross at an arm's hand
 
 def rig_scene(
     design: Design,
-    frames: np.ndarray,
+    frames: Integers,
     T: RigidTransform,
-    values: np.ndarray | None = None,
-    errors: dict[str, np.ndarray] | None = None,
+    values: Floats | None = None,
+    errors: dict[str, Floats] | None = None,
     effects: tuple[Effect, ...] = (),
 ) -> Scene:
     """Scene of a rig. frames : (n,) numbers; T : T_base_platform (n,); values : (n, axes) commanded, or None
@@ -94,7 +98,7 @@ def rig_scene(
 
 
 def mechanism_scene(
-    mechanism: Arm | Chain, frames: np.ndarray, values: np.ndarray, effects: tuple[Effect, ...] = ()
+    mechanism: Arm | Chain, frames: Integers, values: Floats, effects: tuple[Effect, ...] = ()
 ) -> Scene:
     """Scene of a mechanism without cameras and targets. frames : (n,) numbers; values : (n, axes) rad or m"""
     kinematics = mechanisms.kinematics_of(mechanism)
@@ -106,12 +110,12 @@ def mechanism_scene(
     return Scene(frames, pose_to_vector(T), (), _cross(), _middle(T, base, links), size, links=links, effects=effects)
 
 
-def _cross() -> list[dict]:
+def _cross() -> list[Json]:
     """The axes at a hand that carries nothing."""
     return [{"kind": "plate", "points": np.outer([-REACH / 2, REACH / 2], axis)} for axis in np.eye(3)]
 
 
-def fixed_rig_lines(design: Design, markers: MarkerMap | None) -> list[dict]:
+def fixed_rig_lines(design: Design, markers: MarkerMap | None) -> list[Json]:
     """Lines of the fixed parts of a rig: base targets and camera sights."""
     parts = []
     for camera in design.cameras:
@@ -132,23 +136,23 @@ def fixed_rig_lines(design: Design, markers: MarkerMap | None) -> list[dict]:
     return parts
 
 
-def closed_outline(joints: np.ndarray) -> list:
+def closed_outline(joints: Floats) -> list[Any]:
     """Closed outline [(x, y, z) ..] m around joints (n, 3) m."""
     around = np.argsort(np.arctan2(*(joints - joints.mean(axis=0))[:, 1::-1].T))
     return joints[np.r_[around, around[0]]].tolist()
 
 
-def _face(markers: MarkerMap, k: int) -> dict:
+def _face(markers: MarkerMap, k: int) -> Json:
     return {"kind": "face", "points": markers.corners[k].tolist()}
 
 
-def _middle(T: RigidTransform, base: np.ndarray, links: np.ndarray | None) -> list[float]:
+def _middle(T: RigidTransform, base: Floats, links: Floats | None) -> list[float]:
     ends = [T.translation, base] + ([] if links is None else [links.reshape(-1, 3)])
     every = np.concatenate([np.atleast_2d(part) for part in ends])
     return ((every.min(axis=0) + every.max(axis=0)) / 2).tolist()
 
 
-def _size(design: Design, T: RigidTransform, links: np.ndarray | None) -> float:
+def _size(design: Design, T: RigidTransform, links: Floats | None) -> float:
     """m, what there is to see."""
     if links is not None:
         return float(np.ptp(links.reshape(-1, 3), axis=0).max())

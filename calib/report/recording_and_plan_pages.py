@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.report.pose_figures import pose_coverage_figures, rig_scene
 from calib.samples.effect_playback import effect_displacements
+from rig.arrays import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
 from rig.model import mechanisms
@@ -32,7 +33,7 @@ def write_recording_page(
     Raises RigError for a recording with neither, for effects on one without commands, and as their models do
     """
     design, poses, values = recording.design, recording.poses, None
-    errors: dict[str, np.ndarray] = {}
+    errors: dict[str, Floats] = {}
     tried: list[Played | None] = []
     if recording.commands is not None:
         frames, t, values = recording.commanded()
@@ -81,7 +82,7 @@ def write_recording_page(
     )
 
 
-def _recording_verdict(recording: Recording, frames: np.ndarray, errors: dict[str, np.ndarray]) -> Verdict:
+def _recording_verdict(recording: Recording, frames: Integers, errors: dict[str, Floats]) -> Verdict:
     """The verdict on what is shown. frames : (n,) numbers; errors : of its poses, tangents (n, 6) m and rad"""
     if recording.poses is None:
         return judge_evidence(
@@ -117,7 +118,7 @@ class PlanFigures(Protocol):
         """The rig that is planned for."""
 
     @property
-    def values(self) -> np.ndarray:
+    def values(self) -> Floats:
         """(n, axes) m or rad, in their order."""
 
     @property

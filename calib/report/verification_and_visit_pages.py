@@ -20,6 +20,7 @@ from calib.drift.change_evidence import Verdict as Changes
 from calib.report.pose_figures import correction_error_figures, pose_coverage_figures, rig_scene
 from calib.samples.confounded_conditions import Confounds
 from calib.samples.pose_samples import Samples
+from rig.arrays import Floats, Integers
 from rig.model.design import Design
 from rig.model.pose import pose_to_vector
 from rig.report.pages.html_elements import heading, note, paragraph, table
@@ -48,14 +49,14 @@ class Verified:
 
     design: Design
     samples: Samples
-    before: np.ndarray
-    after: np.ndarray
+    before: Floats
+    after: Floats
     held: HeldOut
     found: Verification | None
     calibration: Calibration
     refutations: Sequence[Refutation]
     same: Sequence[int]
-    driven: tuple[Figures, tuple[float, float], np.ndarray] | None
+    driven: tuple[Figures, tuple[float, float], Floats] | None
     unsolved: dict[int, str]
     confounds: Confounds | None = None
 
@@ -143,7 +144,7 @@ def _of_driven(v: Verified) -> Evidence:
     return replace(known, missing=(*known.missing, *([Missing(beyond, CHANGED)] if times > AGREES else [])))
 
 
-def _driven(frames: np.ndarray, figures: Figures, stated: tuple[float, float], errors: np.ndarray) -> str:
+def _driven(frames: Integers, figures: Figures, stated: tuple[float, float], errors: Floats) -> str:
     rows = [
         ("position", *(f"{value * 1e3:.4f} mm" for value in (*figures.position, stated[0]))),
         ("rotation", *(f"{value * 1e3:.4f} mrad" for value in (*figures.rotation, stated[1]))),

@@ -10,15 +10,16 @@ Source: Draper and Smith, Applied Regression Analysis, 3rd ed., ch. 5 and 6 (R^2
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy.special import betainc
 
 from calib.samples.pose_samples import Samples, conditions_of_exposures
+from rig.arrays import Floats
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
-from rig.model.design import Arm, Chain, Free
+from rig.model.mechanism_geometry import Arm, Chain, Free
 from rig.model.mechanism_kinds import Struts
 from rig.recording.recording_folder import PAYLOAD, Recording
 
@@ -114,14 +115,14 @@ def confounds_of_samples(samples: Samples, mechanism: Struts | Arm | Chain | Fre
     )
 
 
-def confounds_of_configurations(
-    values: np.ndarray, start: np.ndarray, mechanism: Struts | Arm | Chain | Free
-) -> Confounds:
+def confounds_of_configurations(values: Floats, start: Floats, mechanism: Struts | Arm | Chain | Free) -> Confounds:
     """Confounds of configurations (n, axes) m or rad visited in order at even times, from start (axes,)."""
     way = np.sign(np.diff(np.concatenate([start[None], values]), axis=0))
     latest = np.maximum.accumulate(np.where(way != 0, np.arange(len(way))[:, None], -1), axis=0)
     direction = np.where(latest < 0, 0.0, np.take_along_axis(way, np.maximum(latest, 0), axis=0))
-    return confounds_of_design(values, direction, EVEN * np.arange(len(values)), {}, mechanisms.axis_places(mechanism))
+    return confounds_of_design(
+        values, direction, cast(Floats, EVEN * np.arange(len(values))), {}, mechanisms.axis_places(mechanism)
+    )
 
 
 def confounds_of_recordings(recordings: Sequence[Recording]) -> Confounds | None:
@@ -160,7 +161,7 @@ def _row_in(row: Entries) -> Confound:
 
 
 def confounds_of_design(
-    values: np.ndarray, direction: np.ndarray, t: np.ndarray, channels: dict[str, np.ndarray], axes: Sequence[str]
+    values: Floats, direction: Floats, t: Floats, channels: dict[str, Floats], axes: Sequence[str]
 ) -> Confounds:
     """Confounds of an experimental design, of a plan or a recording.
 
@@ -188,7 +189,7 @@ def confounds_of_design(
     return Confounds(len(t), tuple(rows), tuple(dict.fromkeys(constant)), tuple(unjudged))
 
 
-def _shares(columns: np.ndarray, cause: np.ndarray) -> tuple[float, float, float, float]:
+def _shares(columns: Floats, cause: Floats) -> tuple[float, float, float, float]:
     """(R^2, expected by chance, probability by chance, adjusted R^2) of a cause (n,) by columns (n, p) and a
     constant.
     """

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.errors import RigError
 from rig.model import motion_simulation
@@ -23,7 +24,7 @@ NONE = 1e-9  # m and rad; less than this moves no platform
 def effect_displacements(
     design: Design,
     commands: Commands,
-    t: np.ndarray,
+    t: Floats,
     effects: Sequence[Effect],
     effect_index: int,
     sensors: Sensors | None = None,

@@ -1,10 +1,12 @@
 """Samples of commanded and measured poses, with the conditions under which they were measured."""
 
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Booleans, Floats, Integers
 from rig.errors import NotEnoughData
 from rig.recording.recording_folder import PAYLOAD, Commands, Recording
 
@@ -16,12 +18,12 @@ class Weight:
     payload : (3,) m, of what it carries, in the platform's frame. A mass that is not stated counts as 1 kg alone, a
         centre as the origin."""
 
-    gravity: np.ndarray
+    gravity: Floats
     mass: float | None
-    centre: np.ndarray | None
-    payload: np.ndarray | None
+    centre: Floats | None
+    payload: Floats | None
 
-    def wrench(self, T_base_platform: RigidTransform, carried: np.ndarray) -> np.ndarray:
+    def wrench(self, T_base_platform: RigidTransform, carried: Floats) -> Floats:
         """(n, 6) N, N m in the platform's frame at poses (n,) with payloads carried (n,) kg."""
         down = np.swapaxes(T_base_platform.rotation.as_matrix(), 1, 2) @ self.gravity
         own, more = (1.0, np.zeros_like(carried)) if self.mass is None else (self.mass, carried)
@@ -39,12 +41,12 @@ class Conditions:
     weight : Weight, None where there is no gravity
     """
 
-    direction: np.ndarray
-    t: np.ndarray
-    channels: dict[str, np.ndarray]
+    direction: Floats
+    t: Floats
+    channels: dict[str, Floats]
     weight: Weight | None = None
 
-    def take(self, index: np.ndarray | slice) -> "Conditions":
+    def take(self, index: Booleans | Integers | slice) -> "Conditions":
         """The conditions of an index or mask (n,)."""
         return Conditions(
             self.direction[index],
@@ -54,7 +56,7 @@ class Conditions:
         )
 
 
-def conditions_of_exposures(recording: Recording, t: np.ndarray) -> Conditions:
+def conditions_of_exposures(recording: Recording, t: Floats) -> Conditions:
     """Conditions of a recording's exposures at times t (n,) s. Raises RigError without commands."""
     recording.commanded()
     assert recording.commands is not None
@@ -72,7 +74,7 @@ def conditions_of_exposures(recording: Recording, t: np.ndarray) -> Conditions:
     return Conditions(approach_direction(recording.commands, t), t, channels, weight if design.gravity.any() else None)
 
 
-def approach_direction(commands: Commands, t: np.ndarray) -> np.ndarray:
+def approach_direction(commands: Commands, t: Floats) -> Floats:
     """Direction of approach (n, axes): sign of each axis' last move before times t (n,) s, 0 for none."""
     moved = np.sign(np.diff(commands.values, axis=0))
     begin = np.isin(commands.t[1:], commands.starts)  # the step from one recording to the next is no move
@@ -92,11 +94,11 @@ class Below:
 
     stage: int
     T_base_stage: RigidTransform
-    covariance: np.ndarray
-    common: np.ndarray
-    seen: np.ndarray
+    covariance: Floats
+    common: Floats
+    seen: Booleans
 
-    def take(self, index: np.ndarray | slice) -> "Below":
+    def take(self, index: Booleans | Integers | slice) -> "Below":
         """The same of an index or mask (n,)."""
         return Below(self.stage, self.T_base_stage[index], self.covariance[index], self.common[index], self.seen[index])
 
@@ -117,13 +119,13 @@ class Samples:
     conditions : Conditions under which they were measured, None where no recording says
     """
 
-    frame: np.ndarray
-    t: np.ndarray
-    commanded: np.ndarray
+    frame: Integers
+    t: Floats
+    commanded: Floats
     T_base_platform: RigidTransform
-    covariance: np.ndarray
-    common: np.ndarray
-    known: np.ndarray | None = None
+    covariance: Floats
+    common: Floats
+    known: Floats | None = None
     below: tuple[Below, ...] = ()
     conditions: Conditions | None = None
 
@@ -143,7 +145,7 @@ class Samples:
             (bool(known[:3].all()), bool(known[3:].all())), "distance"
         )
 
-    def take(self, index: np.ndarray | slice) -> "Samples":
+    def take(self, index: Booleans | Integers | slice) -> "Samples":
         """The samples of an index or mask (n,)."""
         return Samples(
             self.frame[index],
@@ -158,21 +160,21 @@ class Samples:
         )
 
     @property
-    def effective(self) -> np.ndarray:
+    def effective(self) -> Floats:
         """(n, axes) m or rad that commands became by the physics that is known."""
         return self.commanded if self.known is None else self.commanded + self.known
 
-    def total_covariance(self) -> np.ndarray:
+    def total_covariance(self) -> Floats:
         """(n, 6, 6) covariance of each pose, shared errors included."""
         return self.covariance + self.common @ np.swapaxes(self.common, 1, 2)
 
 
 def pair_samples(
     recording: Recording,
-    frames: np.ndarray,
+    frames: Integers,
     T_base_platform: RigidTransform,
-    covariance: np.ndarray,
-    common: np.ndarray | None = None,
+    covariance: Floats,
+    common: Floats | None = None,
 ) -> Samples:
     """Samples that pair a recording's commands with poses measured at some of its frames.
 
@@ -196,10 +198,10 @@ def pair_samples(
 def add_stage_measurements(
     samples: Samples,
     stage: int,
-    frames: np.ndarray,
+    frames: Integers,
     T_base_stage: RigidTransform,
-    covariance: np.ndarray,
-    common: np.ndarray | None = None,
+    covariance: Floats,
+    common: Floats | None = None,
 ) -> Samples:
     """Samples with measurements of a chain's stage (from 1) added at frames (f,).
 
@@ -230,12 +232,12 @@ def planar_samples(samples: Samples) -> Samples:
     )
 
 
-def inverse_covariance(covariance: np.ndarray) -> np.ndarray:
+def inverse_covariance(covariance: Floats) -> Floats:
     """Inverse covariance (n, 6, 6), 0 in the directions in which a machine has no freedom."""
     none = np.diag(1.0 * ~covariance.any(axis=(0, 1)))
-    return np.linalg.inv(covariance + none) - none
+    return cast(Floats, np.linalg.inv(covariance + none) - none)
 
 
-def time_block_folds(count: int, folds: int) -> np.ndarray:
+def time_block_folds(count: int, folds: int) -> Integers:
     """Fold number (count,) of each sample: time blocks of equal size, never single rows."""
     return np.minimum(np.arange(count) * folds // max(count, 1), folds - 1)

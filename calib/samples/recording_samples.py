@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.samples.pose_samples import Samples, add_stage_measurements, pair_samples, planar_samples
+from rig.arrays import Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Instrument
 from rig.model.mechanism_kinds import has_links
@@ -123,7 +124,7 @@ def _require_whole_poses(recording: Recording, instrument: Instrument) -> None:
         )
 
 
-def _covariance(poses: Poses, instrument: Instrument | None) -> np.ndarray:
+def _covariance(poses: Poses, instrument: Instrument | None) -> Floats:
     """(n, 6, 6) of poses: their own, or what their instrument states."""
     if poses.covariance is not None:
         return poses.covariance

@@ -8,6 +8,7 @@ L2'). It states no figures in metres: those here are ours.
 import html
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -15,7 +16,8 @@ from scipy.spatial.transform import RigidTransform
 from calib.correction.correction import Correction
 from calib.correction.summand_extension import fit_summand_field, measured_summands
 from calib.samples.pose_samples import Samples
-from rig.model.design import Planar2
+from rig.arrays import Floats
+from rig.model.mechanism_geometry import Planar2
 from rig.model.mechanisms import two_strut_plane
 from rig.planning.configuration_sets import FILL, divided_grid_configurations
 from rig.report.pages.svg_elements import svg_text
@@ -33,12 +35,12 @@ class Worked:
     IK(GDK(x))
     summand : (4, 2) m, KSF_PM = x - second; correction : Correction by these alone, linear between them (KSF_KR)."""
 
-    x: np.ndarray
+    x: Floats
     theory: RigidTransform
     measured: RigidTransform
-    second: np.ndarray
-    summand: np.ndarray
-    correction: Correction
+    second: Floats
+    summand: Floats
+    correction: Correction[Any, Any]
 
 
 def worked_example() -> Worked:
@@ -48,7 +50,9 @@ def worked_example() -> Worked:
     measured = two_strut_plane.forward(x, REAL)
     samples = Samples(np.arange(4), np.arange(4.0), x, measured, np.zeros((4, 6, 6)), np.zeros((4, 6, 0)))
     known = measured_summands(samples, NOMINAL)
-    correction: Correction = Correction(NOMINAL, NOMINAL, (None, None), extension=fit_summand_field(known, "linear"))
+    correction: Correction[Any, Any] = Correction(
+        NOMINAL, NOMINAL, (None, None), extension=fit_summand_field(known, "linear")
+    )
     return Worked(
         x,
         two_strut_plane.forward(x, NOMINAL),
@@ -59,14 +63,14 @@ def worked_example() -> Worked:
     )
 
 
-def corrected_hinge_positions(correction: Correction | None, wanted_positions: np.ndarray) -> np.ndarray:
+def corrected_hinge_positions(correction: Correction[Any, Any] | None, wanted_positions: Floats) -> Floats:
     """Hinge positions (n, 2) m reached for wanted ones (n, 2) m: by the nominal model, or by one corrected step"""
     T = RigidTransform.from_translation(np.pad(wanted_positions, ((0, 0), (0, 1))))
     commands = two_strut_plane.inverse(T, NOMINAL) if correction is None else correction.single_step(T)
     return two_strut_plane.forward(commands, REAL).translation[:, :2]
 
 
-def _workspace_edge(mechanism: Planar2, count: int = 24) -> np.ndarray:
+def _workspace_edge(mechanism: Planar2, count: int = 24) -> Floats:
     """(4 count, 2) m, the hinge along the edge of the configuration space: the workspace's own edge."""
     low, high = mechanism.strut_range.T
     s = np.linspace(0, 1, count)
@@ -75,7 +79,7 @@ def _workspace_edge(mechanism: Planar2, count: int = 24) -> np.ndarray:
     return two_strut_plane.forward(x, mechanism).translation[:, :2]
 
 
-def workspace_grid(per_axis: int = 9) -> np.ndarray:
+def workspace_grid(per_axis: int = 9) -> Floats:
     """Grid of places (per_axis^2, 2) m all over the middle of the workspace."""
     levels = (
         NOMINAL.strut_range.mean(axis=1)
@@ -119,7 +123,7 @@ def _svg(title: str, parts: list[str]) -> str:
     )
 
 
-def _at(place: np.ndarray) -> tuple[float, float]:
+def _at(place: Floats) -> tuple[float, float]:
     """px of a place (2,) m."""
     return LEFT + SCALE * float(place[0]), FLOOR - SCALE * float(place[1])
 
@@ -128,9 +132,7 @@ def _text(x: float, y: float, words: str) -> str:
     return svg_text(x, y, words, "middle")
 
 
-def _path(
-    points: np.ndarray, kind: str, closed: bool = False, at: Callable[[np.ndarray], tuple[float, float]] = _at
-) -> str:
+def _path(points: Floats, kind: str, closed: bool = False, at: Callable[[Floats], tuple[float, float]] = _at) -> str:
     return (
         f'<path class="{kind}" d="M'
         + "L".join("{:.2f},{:.2f}".format(*at(p)) for p in points)
@@ -139,7 +141,7 @@ def _path(
     )
 
 
-def _machine(hinge: np.ndarray, joints: np.ndarray, kind: str) -> list[str]:
+def _machine(hinge: Floats, joints: Floats, kind: str) -> list[str]:
     return [_path(np.stack([joint, hinge]), kind) for joint in joints]
 
 
@@ -164,7 +166,7 @@ def _workspace(w: Worked) -> str:
     return _svg("Fig. 1: two struts, their hinge, and the workspace of lengths from L1 to L2", parts)
 
 
-def _enlarged(nominal: np.ndarray, real: np.ndarray) -> np.ndarray:
+def _enlarged(nominal: Floats, real: Floats) -> Floats:
     return nominal + LARGER * (real - nominal)
 
 
@@ -191,11 +193,11 @@ def _summand(w: Worked, axis: int) -> str:
     values = w.summand[:, axis]
     low, high = values.min() - np.ptp(values) / 2, values.max()
 
-    def at(p: np.ndarray) -> tuple[float, float]:
+    def at(p: Floats) -> tuple[float, float]:
         u, v = (p[:2] - L1) / (L2 - L1)
         return 70 + 220 * u + 110 * v, 330 - 90 * v - 200 * (p[2] - low) / (high - low)
 
-    def point(x: float, y: float, height: float | None = None) -> np.ndarray:
+    def point(x: float, y: float, height: float | None = None) -> Floats:
         x_ = np.array([x, y])
         return np.r_[x_, _between(w, x_)[axis] if height is None else height]
 
@@ -215,7 +217,7 @@ def _summand(w: Worked, axis: int) -> str:
     return _svg(f"Fig. {6 + axis}: correction summand of strut {axis + 1} over the configuration space", parts)
 
 
-def _between(w: Worked, x: np.ndarray) -> np.ndarray:
+def _between(w: Worked, x: Floats) -> Floats:
     """(..., 2) m, KSF_KR at configurations x (..., 2) m: at a sample what was measured there, between them by
     interpolation, [0088].
     """
@@ -227,7 +229,7 @@ def _corrected(w: Worked) -> str:
     before, after = corrected_hinge_positions(None, wanted), corrected_hinge_positions(w.correction, wanted)
     middle = _workspace_edge(NOMINAL).mean(axis=0)
 
-    def at(p: np.ndarray) -> tuple[float, float]:
+    def at(p: Floats) -> tuple[float, float]:
         return 240 + NEARER * SCALE * float(p[0] - middle[0]), 185 - NEARER * SCALE * float(p[1] - middle[1])
 
     parts = [_path(_workspace_edge(NOMINAL), "edge", True, at)]

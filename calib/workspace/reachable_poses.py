@@ -5,12 +5,13 @@ Source: configuration-space patent, [0029] and claim 5 (the poses that the contr
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.correction.correction import Correction, commands_with_pose, filter_closed_commands
+from rig.arrays import Booleans, Floats
 from rig.errors import NotConverged
 from rig.model import mechanisms
 from rig.model.pose import pose_difference
@@ -24,10 +25,10 @@ class Side:
     T_base_platform : RigidTransform (n,), the poses; needed : (n, axes) what the other machine is to be commanded for
     them, NaN where nothing was found; out : (n,) bool, whether the other machine does not reach them"""
 
-    commands: np.ndarray
+    commands: Floats
     T_base_platform: RigidTransform
-    needed: np.ndarray
-    out: np.ndarray
+    needed: Floats
+    out: Booleans
 
 
 def uncorrected_machine(correction: Correction[Any, Any]) -> Correction[Any, Any]:
@@ -37,7 +38,7 @@ def uncorrected_machine(correction: Correction[Any, Any]) -> Correction[Any, Any
     )
 
 
-def reachable_side(machine: Correction[Any, Any], other: Correction[Any, Any], commands: np.ndarray) -> Side:
+def reachable_side(machine: Correction[Any, Any], other: Correction[Any, Any], commands: Floats) -> Side:
     """Reachable poses (Side) of one machine at commands (m, axes), compared with another's.
     Raises NotConverged where none of them closes on a pose.
     """
@@ -46,7 +47,7 @@ def reachable_side(machine: Correction[Any, Any], other: Correction[Any, Any], c
     return Side(commands, T, needed, ~_reached(needed, T, other))
 
 
-def is_pose_lost(correction: Correction[Any, Any], configurations: np.ndarray) -> np.ndarray:
+def is_pose_lost(correction: Correction[Any, Any], configurations: Floats) -> Booleans:
     """Whether the nominal pose at configurations (n, axes) is lost: out of the corrected machine's reach.
 
     True as well for those that close on no pose
@@ -61,11 +62,11 @@ def is_pose_lost(correction: Correction[Any, Any], configurations: np.ndarray) -
     return out
 
 
-def _reached(needed: np.ndarray, T: RigidTransform, machine: Correction[Any, Any]) -> np.ndarray:
+def _reached(needed: Floats, T: RigidTransform, machine: Correction[Any, Any]) -> Booleans:
     """(n,) bool: whether commands (n, axes) are within the strokes and give the poses (n,), in the assembly in which
     the machine stands.
     """
-    known = np.isfinite(needed).all(axis=1)
+    known = cast(Booleans, np.isfinite(needed).all(axis=1))
     known[known] = (mechanisms.kinematics_of(machine.nominal).limits(needed[known], machine.nominal) == 0).all(axis=1)
     inside, reached = np.flatnonzero(known), np.zeros(len(needed), bool)
     if not len(inside):

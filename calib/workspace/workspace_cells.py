@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.correction.correction import Correction
 from calib.correction.summand_extension import home_pose
 from calib.workspace.reachable_poses import Side, reachable_side, uncorrected_machine
+from rig.arrays import Booleans, Floats, Integers
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
 from rig.model.mechanism_kinds import has_struts
@@ -26,7 +27,7 @@ SHORT = (
     "corrected arm reaches"
 )
 
-Covariance = Callable[[RigidTransform, np.ndarray], np.ndarray]  # of poses (n,) at commands (n, axes) -> (n, 6, 6)
+Covariance = Callable[[RigidTransform, Floats], Floats]  # of poses (n,) at commands (n, axes) -> (n, 6, 6)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,19 +52,19 @@ class Workspace:
     drawn: int
     lost: float | None
     gained: float | None
-    origin: np.ndarray
+    origin: Floats
     size: float
-    index: np.ndarray
-    believed: np.ndarray
-    lost_in: np.ndarray
-    reached: np.ndarray
-    gained_in: np.ndarray
-    room: np.ndarray
-    singular: np.ndarray
-    bound: np.ndarray
+    index: Integers
+    believed: Integers
+    lost_in: Integers
+    reached: Integers
+    gained_in: Integers
+    room: Floats
+    singular: Floats
+    bound: Floats
 
     @property
-    def centre(self) -> np.ndarray:
+    def centre(self) -> Floats:
         """(c, 3) m, the middle of each cell."""
         return np.asarray(self.origin + (self.index + 0.5) * self.size)
 
@@ -97,12 +98,12 @@ def map_workspace(correction: Correction[Any, Any], covariance: Covariance, coun
     first, second = np.split(at.ravel(), [len(lost)])
     cells = len(index)
 
-    def most(values: np.ndarray) -> np.ndarray:
+    def most(values: Floats) -> Floats:
         out = np.full((cells, *values.shape[1:]), -np.inf)
         np.maximum.at(out, second, values)
         return np.where(np.isinf(out), np.nan, out)
 
-    def counted(which: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
+    def counted(which: Integers, weights: Booleans | None = None) -> Integers:
         return np.bincount(which, weights, cells).astype(int)
 
     C = covariance(real.T_base_platform, real.commands)
@@ -128,7 +129,7 @@ def map_workspace(correction: Correction[Any, Any], covariance: Covariance, coun
     )
 
 
-def _corner(positions: np.ndarray) -> tuple[np.ndarray, float]:
+def _corner(positions: Floats) -> tuple[Floats, float]:
     """(origin (3,), size) m of cells that hold all positions (n, 3); what is flat lies in the middle of its layer."""
     low, extent = positions.min(axis=0), np.ptp(positions, axis=0)
     flat = extent < FLAT
@@ -136,20 +137,20 @@ def _corner(positions: np.ndarray) -> tuple[np.ndarray, float]:
     return np.where(flat, low - size / 2, low), size
 
 
-def _room(correction: Correction[Any, Any], commands: np.ndarray) -> np.ndarray:
+def _room(correction: Correction[Any, Any], commands: Floats) -> Floats:
     """(n,) m or rad from commands (n, axes) to the nearest limit, negative beyond it; NaN of NaN."""
     low, high = mechanisms.kinematics_of(correction.nominal).travel(correction.nominal).T
     return np.asarray(np.minimum(commands - low, high - commands).min(axis=1))
 
 
-def _at_home(correction: Correction[Any, Any], positions: np.ndarray) -> np.ndarray:
+def _at_home(correction: Correction[Any, Any], positions: Floats) -> Floats:
     """(n,) room of poses at positions (n, 3) m that are turned like home."""
     home = mechanisms.kinematics_of(correction.nominal).home(correction.nominal)
     T = RigidTransform.from_components(positions, home_pose(correction.nominal).rotation)
     return _room(correction, correction.near(T, np.broadcast_to(home, (len(positions), len(home)))))
 
 
-def _singular(correction: Correction[Any, Any], real: Side) -> np.ndarray:
+def _singular(correction: Correction[Any, Any], real: Side) -> Floats:
     """(n,) least over greatest singular value of the corrected machine's Jacobian, turns weighed so that they count
     like moves on the whole.
     """
@@ -183,7 +184,7 @@ def workspace_dict(workspace: Workspace) -> dict[str, Any]:
     }
 
 
-def _plain(values: np.ndarray) -> list[Any]:
+def _plain(values: Floats) -> list[Any]:
     known = values.astype(object)
     known[values != values] = None
     return list(known.tolist())
@@ -217,7 +218,7 @@ def workspace_from_entries(table: Entries) -> Workspace:
     )
 
 
-def _whole(table: Entries, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
+def _whole(table: Entries, name: str, shape: tuple[int | None, ...]) -> Integers:
     """Numbers of a shape that count, from 0."""
     values = table.array(name, shape)
     if (values < 0).any() or (values != np.floor(values)).any():
@@ -246,7 +247,7 @@ def _number(value: float) -> str:
     return f"{value:.6g}" if value == value else ""
 
 
-def certified_cell_promises(workspace: Workspace, certificate: Entries) -> np.ndarray:
+def certified_cell_promises(workspace: Workspace, certificate: Entries) -> Floats:
     """Certified promise of each cell (c, 2) m and rad, from the smallest box around its middle; NaN without one"""
     out = np.full((len(workspace.index), 2), np.nan)
     volume = certificate.table("volume")

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.workspace.workspace_cells import SHORT, Workspace
+from rig.arrays import Floats, Integers
 from rig.effects.framework.diagnosis_interface import PLOT_UNITS
 from rig.formats.number_parsing_and_rounding import round_to_digits
 from rig.report.pages.html_elements import heading, note, paragraph, table
@@ -45,12 +46,12 @@ def workspace_lines(workspace: Workspace, unit: str) -> list[str]:
     return out
 
 
-def _span(values: np.ndarray) -> str:
+def _span(values: Floats) -> str:
     low, high = round_to_digits(values.min()), round_to_digits(values.max())
     return low if low == high else f"{low} to {high}"
 
 
-def certified_cells_line(certified: np.ndarray) -> str:
+def certified_cells_line(certified: Floats) -> str:
     """Line on what a certificate promises in the cells. certified : (c, 2) m and rad"""
     known = np.isfinite(certified[:, 0])
     if not known.any():
@@ -74,12 +75,12 @@ class Quantity(NamedTuple):
     name: str
     title: str
     style: str
-    value: Callable[[Workspace, np.ndarray], float]
+    value: Callable[[Workspace, Integers], float]
     units: Sequence[tuple[str, float]]
 
 
-def _share(part: str, whole: str) -> Callable[[Workspace, np.ndarray], float]:
-    def value(w: Workspace, rows: np.ndarray) -> float:
+def _share(part: str, whole: str) -> Callable[[Workspace, Integers], float]:
+    def value(w: Workspace, rows: Integers) -> float:
         of = getattr(w, whole)[rows].sum()
         return 100 * float(getattr(w, part)[rows].sum() / of) if of else np.nan
 
@@ -87,9 +88,9 @@ def _share(part: str, whole: str) -> Callable[[Workspace, np.ndarray], float]:
 
 
 def _end(
-    name: str, choose: Callable[[np.ndarray], float], scale: float, column: int | None = None
-) -> Callable[[Workspace, np.ndarray], float]:
-    def value(w: Workspace, rows: np.ndarray) -> float:
+    name: str, choose: Callable[[Floats], float], scale: float, column: int | None = None
+) -> Callable[[Workspace, Integers], float]:
+    def value(w: Workspace, rows: Integers) -> float:
         values = getattr(w, name)[rows] if column is None else getattr(w, name)[rows, column]
         known = values[np.isfinite(values)]
         return scale * float(choose(known)) if len(known) else np.nan
@@ -187,7 +188,7 @@ def cell_views(workspace: Workspace, quantity: Quantity) -> tuple[str, str]:
     return unit, svg_figure(int(height) + 4, f"{quantity.title}, {unit}", parts)
 
 
-def _columns(w: Workspace, q: Quantity, across: int, up: int) -> tuple[np.ndarray, np.ndarray]:
+def _columns(w: Workspace, q: Quantity, across: int, up: int) -> tuple[Integers, Floats]:
     """(Indices (c, 2) along two axes of cells seen one behind the other, the Quantity of each (c,))."""
     columns, at = np.unique(w.index[:, [across, up]], axis=0, return_inverse=True)
     return columns, np.array([q.value(w, np.flatnonzero(at.ravel() == k)) for k in range(len(columns))])
@@ -227,7 +228,7 @@ def write_workspace_page(
     workspace: Workspace,
     unit: str,
     margin_description: str,
-    certified: np.ndarray | None = None,
+    certified: Floats | None = None,
     links: Sequence[Link] = (),
 ) -> None:
     """Write the HTML page of a workspace. name : of the calibration; unit : of an axis, m or rad

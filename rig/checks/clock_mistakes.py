@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.checks.mistake_report import Mistake
 
 UNITS = {
@@ -23,7 +24,7 @@ USUAL = {"m": (1e-4, 3.0), "rad": (2e-4, 30.0)}  # per s: fastest moves of machi
 RATE = (1e-4, 5000.0)  # frames per s
 
 
-def time_range_mistakes(times: dict[str, np.ndarray]) -> Iterator[Mistake]:
+def time_range_mistakes(times: dict[str, Floats]) -> Iterator[Mistake]:
     """Mistakes of time ranges: files whose times (n,) s do not overlap.
 
     A file whose span is a unit's multiple of the others' is in that unit; one that does not overlap has another origin.
@@ -89,9 +90,7 @@ def _zone(shift: float) -> str:
     return ""
 
 
-def speed_mistakes(
-    t: np.ndarray, values: np.ndarray, frames: np.ndarray, unit: str, max_speed: float | None
-) -> Iterator[Mistake]:
+def speed_mistakes(t: Floats, values: Floats, frames: Floats, unit: str, max_speed: float | None) -> Iterator[Mistake]:
     """Mistakes of speed: axis speeds above any plausible maximum, or frame rates; then times are in another unit.
 
     t : (n,) s and values : (n, axes) m or rad of the commands; frames : (F,) s; unit : "m" or "rad"; max_speed : m/s
@@ -138,7 +137,7 @@ def speed_mistakes(
             )
 
 
-def repeated_time_mistakes(t: np.ndarray) -> Iterator[Mistake]:
+def repeated_time_mistakes(t: Floats) -> Iterator[Mistake]:
     """Mistakes of repeated times: all frames, or most, have the same time t (F,) s."""
     if len(t) > 3:
         same = int((np.diff(t) == 0).sum())
@@ -172,7 +171,7 @@ class DwellShift:
     frames: int
 
 
-def dwell_clock_shift(frames: np.ndarray, t: np.ndarray, values: np.ndarray) -> DwellShift | None:
+def dwell_clock_shift(frames: Floats, t: Floats, values: Floats) -> DwellShift | None:
     """DwellShift: the clock shift that puts the most frames into dwells of the commands; None if none stands out.
 
     frames : (m,) s; t : (n,) s of the commands, increasing; values : (n, axes) m or rad
@@ -194,7 +193,7 @@ def dwell_clock_shift(frames: np.ndarray, t: np.ndarray, values: np.ndarray) -> 
     return DwellShift(float(low + high) / 2, float(high - low) / 2, int(count[best]))
 
 
-def clock_offset_mistake(frames: np.ndarray, t: np.ndarray, values: np.ndarray) -> Iterator[Mistake]:
+def clock_offset_mistake(frames: Floats, t: Floats, values: Floats) -> Iterator[Mistake]:
     """Mistake of a clock offset: frames taken in motion that another offset puts into dwells of the commands.
 
     frames : (m,) s; t : (n,) s of the commands; values : (n, axes) m or rad
@@ -220,7 +219,7 @@ def clock_offset_mistake(frames: np.ndarray, t: np.ndarray, values: np.ndarray) 
     )
 
 
-def _dwells(t: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _dwells(t: Floats, values: Floats) -> Floats:
     """(k, 2) s: from when to when the commands stand."""
     apart = np.diff(t)
     speed = np.abs(np.diff(values, axis=0)).max(axis=1) / np.where(apart > 0, apart, np.inf)

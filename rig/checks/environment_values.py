@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.checks.mistake_report import Mistake
 from rig.model.design import Design
 from rig.recording.recording_folder import Sensors
@@ -66,7 +67,7 @@ def sensor_mistakes(log: Sensors, design: Design) -> Iterator[Mistake]:
         yield from _load(load, room, design)
 
 
-def _exchanged(room: np.ndarray, warm: dict[str, np.ndarray]) -> Iterator[Mistake]:
+def _exchanged(room: Floats, warm: dict[str, Floats]) -> Iterator[Mistake]:
     """The room warmer than all but one strut, that one colder: struts warm up, rooms do not."""
     struts = {name: float(np.median(v - room)) for name, v in warm.items() if name.startswith("strut")}
     if len(struts) < 3:
@@ -84,7 +85,7 @@ def _exchanged(room: np.ndarray, warm: dict[str, np.ndarray]) -> Iterator[Mistak
         )
 
 
-def _load(load: np.ndarray, room: np.ndarray | None, design: Design) -> Iterator[Mistake]:
+def _load(load: Floats, room: Floats | None, design: Design) -> Iterator[Mistake]:
     if (
         len(load) > 5
         and (np.diff(load) != 0).mean() > 0.5

@@ -8,11 +8,12 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.arrays import Booleans, Floats, Integers
 from rig.checks.mistake_report import Mistake
 from rig.checks.units_and_conventions import poses_in_other_conventions
 from rig.errors import RigError
 from rig.formats import csv_table
-from rig.model.design import Hexapod
+from rig.model.mechanism_geometry import Hexapod
 from rig.model.mechanism_kinds import require_hexapod
 from rig.model.mechanisms import hexapod as kinematics
 from rig.recording.corner_and_pose_tables import POSE_COLUMNS
@@ -48,23 +49,23 @@ class Moves:
     """
 
     mechanism: Hexapod
-    frame: np.ndarray
-    index: np.ndarray
-    times: np.ndarray
-    q: np.ndarray
+    frame: Integers
+    index: Integers
+    times: Floats
+    q: Floats
     T: RigidTransform
     commands: Commands
-    vector: np.ndarray | None = None
+    vector: Floats | None = None
 
-    def at(self, t: np.ndarray) -> np.ndarray:
+    def at(self, t: Floats) -> Floats:
         """(n, 6) m commanded at other times t (n,) s."""
         return np.stack([np.interp(t, self.commands.t, column) for column in self.commands.values.T], axis=1)
 
-    def at_all(self) -> np.ndarray:
+    def at_all(self) -> Floats:
         """(F, 6) m commanded at all frames."""
         return self.at(self.times)
 
-    def left(self) -> np.ndarray:
+    def left(self) -> Floats:
         """(n, 6) m that commanded lengths differ from those of the measured poses."""
         return self.q - kinematics.inverse(self.T, self.mechanism)
 
@@ -74,7 +75,7 @@ class Moves:
 
 
 def moves_of_recording(
-    recording: Recording, frames: np.ndarray, T: RigidTransform, vector: np.ndarray | None = None
+    recording: Recording, frames: Integers, T: RigidTransform, vector: Floats | None = None
 ) -> Moves:
     """Moves of a recording: its commands and the poses measured, T (n,), in some of its frames.
 
@@ -90,7 +91,7 @@ def moves_of_recording(
     )
 
 
-def written_pose_columns(recording: Recording) -> np.ndarray:
+def written_pose_columns(recording: Recording) -> Floats:
     """(n, 6) m and rad pose columns of poses.csv as written, rotation vectors longer than pi included."""
     return csv_table.read(recording.folder / "poses.csv", POSE_COLUMNS).matrix(POSE_COLUMNS)
 
@@ -216,7 +217,7 @@ def _joints(moves: Moves) -> Iterator[Candidate]:
     m = moves.mechanism
     base, platform = m.base_joints, m.platform_joints
 
-    def other(what: str, do: str, b: np.ndarray, p: np.ndarray) -> Candidate:
+    def other(what: str, do: str, b: Floats, p: Floats) -> Candidate:
         return f"rig.toml: {what}", do, replace(moves, mechanism=replace(m, base_joints=b, platform_joints=p))
 
     yield other("base_joints and platform_joints are exchanged", "Exchange them", platform, base)
@@ -330,7 +331,7 @@ def _frames(moves: Moves) -> Iterator[Candidate]:
     yield from _shuffled(moves)
 
 
-def _only(moves: Moves, kept: np.ndarray) -> Moves:
+def _only(moves: Moves, kept: Booleans) -> Moves:
     return replace(moves, frame=moves.frame[kept], index=moves.index[kept], q=moves.q[kept], T=moves.T[kept])
 
 

@@ -5,7 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from rig.checks.mistake_report import Mistake
-from rig.model.design import Arm, Camera, Design
+from rig.formats.json_tree import Json
+from rig.model.design import Camera, Design
+from rig.model.mechanism_geometry import Arm
 from rig.model.mechanism_kinds import has_links
 
 TURN = 2.2 * np.pi  # rad; nobody writes a rotation vector that is longer
@@ -26,7 +28,7 @@ def implausible_values(design: Design) -> Iterator[Mistake]:
         yield from _lens(camera)
 
 
-def overlong_rotation_vectors(tree: dict) -> Iterator[Mistake]:
+def overlong_rotation_vectors(tree: Json) -> Iterator[Mistake]:
     """Mistakes of overlong rotation vectors (beyond one turn, so in degrees) in the tree of a rig.toml."""
     found = []
     for kind in ("camera", "target"):

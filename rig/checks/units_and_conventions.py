@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.arrays import Floats
 from rig.checks.mistake_report import Mistake
 from rig.model import mechanisms
 from rig.model.design import Design
@@ -26,19 +27,19 @@ def command_unit_mistakes(commands: Commands, design: Design) -> Iterator[Mistak
         yield from _lengths(commands.values, m.strut_range, mechanisms.kinematics_of(m).home(m))
 
 
-def _outside(values: np.ndarray, ranges: np.ndarray) -> np.ndarray:
+def _outside(values: Floats, ranges: Floats) -> Floats:
     """(n, axes) whether values lie outside their ranges (axes, 2) by more than a tenth of these."""
     low, high = ranges.T
     slack = 0.1 * (high - low)
     return (values < low - slack) | (values > high + slack)
 
 
-def _beyond(values: np.ndarray, ranges: np.ndarray) -> float:
+def _beyond(values: Floats, ranges: Floats) -> float:
     """Share of the values (n, axes) that lie so."""
     return float(_outside(values, ranges).mean())
 
 
-def _lengths(q: np.ndarray, ranges: np.ndarray, home: np.ndarray) -> Iterator[Mistake]:
+def _lengths(q: Floats, ranges: Floats, home: Floats) -> Iterator[Mistake]:
     outside, axes = _beyond(q, ranges), _outside(q, ranges).any(axis=0)
     if outside == 0:
         return
@@ -104,7 +105,7 @@ def _lengths(q: np.ndarray, ranges: np.ndarray, home: np.ndarray) -> Iterator[Mi
         )
 
 
-def _slides(q: np.ndarray, limits: np.ndarray) -> Iterator[Mistake]:
+def _slides(q: Floats, limits: Floats) -> Iterator[Mistake]:
     """What an arm's slides (n, k) are commanded beyond their limits (k, 2) m."""
     if not q.size or (outside := _beyond(q, limits)) == 0:
         return
@@ -126,7 +127,7 @@ def _slides(q: np.ndarray, limits: np.ndarray) -> Iterator[Mistake]:
     )
 
 
-def _angles(q: np.ndarray, limits: np.ndarray) -> Iterator[Mistake]:
+def _angles(q: Floats, limits: Floats) -> Iterator[Mistake]:
     if not q.size:
         return
     outside = _beyond(q, limits)
@@ -149,7 +150,7 @@ def _angles(q: np.ndarray, limits: np.ndarray) -> Iterator[Mistake]:
         )
 
 
-def poses_in_other_conventions(columns: np.ndarray) -> Iterator[tuple[str, RigidTransform]]:
+def poses_in_other_conventions(columns: Floats) -> Iterator[tuple[str, RigidTransform]]:
     """(convention, RigidTransform (n,)) of poses whose columns (n, 6) are read in other conventions."""
     p, r = columns[:, :3], columns[:, 3:]
     vectors = Rotation.from_rotvec(r)

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.checks import clock_mistakes, rig_toml_values
 from rig.checks.mistake_report import Mistake, sort_mistakes
 from rig.errors import FileError, RigError
 from rig.formats import csv_table, remote_folders
 from rig.formats.input_files import read_text
+from rig.formats.json_tree import Json
 from rig.formats.rig_toml import design_file
 
 SPREAD = {
@@ -81,7 +83,7 @@ def _poses(folder: Path, complaint: str) -> Iterator[Mistake]:
     )
 
 
-def _home(m: dict) -> Iterator[Mistake]:
+def _home(m: Json) -> Iterator[Mistake]:
     """What home, joints and strut_range contradict each other in: of all that would bring home into the range, what
     brings it nearest the middle.
     """
@@ -138,7 +140,7 @@ def _home(m: dict) -> Iterator[Mistake]:
         )
 
 
-def _away(at: np.ndarray, base: np.ndarray, platform: np.ndarray, ranges: np.ndarray) -> float:
+def _away(at: Floats, base: Floats, platform: Floats, ranges: Floats) -> float:
     """How far the struts' lengths at home lie from the middle of their ranges (6, 2), in half ranges; the largest of
     six.
     """

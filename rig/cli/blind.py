@@ -12,7 +12,7 @@ from hashlib import sha256
 from pathlib import Path
 from signal import SIGKILL
 from subprocess import CompletedProcess
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rig.cli.shared import blind_case_process
 from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option
@@ -21,6 +21,7 @@ from rig.compute.worker_processes import run_child_process
 from rig.errors import FileError, RigError
 from rig.formats import json_file
 from rig.formats.input_files import read_bytes, short_repr
+from rig.formats.json_tree import Json
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 
 if TYPE_CHECKING:
@@ -117,7 +118,7 @@ def run(arguments: Namespace) -> None:
     arguments.result = {"schema": "campaign/1", **_report(out, settings, cases, score)}
 
 
-def _settings(arguments: Namespace, blind: ModuleType, blind_arm: ModuleType) -> dict:
+def _settings(arguments: Namespace, blind: ModuleType, blind_arm: ModuleType) -> Json:
     """What makes a campaign: all that its recordings depend on."""
     from rig.effects.catalogue.effect_list import BY_NAME
     from synthetic import blind_image_settings
@@ -170,7 +171,7 @@ def _indices(text: str | None, count: int) -> list[int]:
     return sorted({i for ends in ranges for i in range(ends[0], ends[-1] + 1)})
 
 
-def _same_campaign(path: Path, settings: dict) -> None:
+def _same_campaign(path: Path, settings: Json) -> None:
     """Write what makes this campaign, or raise RigError where the folder holds another."""
     from rig.formats.output_files import write_text
 
@@ -183,7 +184,7 @@ def _same_campaign(path: Path, settings: dict) -> None:
     write_text(path, json.dumps(settings, indent=1) + "\n")
 
 
-def _drawn(out: Path, index: int, settings: dict) -> None:
+def _drawn(out: Path, index: int, settings: Json) -> None:
     done = _child(["draw", out, str(index), json.dumps(settings)])
     if done.returncode:
         raise RigError(f"case {index} could not be drawn: {done.stderr.strip() or 'stopped'}")
@@ -217,7 +218,7 @@ def _diagnosed(out: Path, index: int) -> tuple[int, float, str | None]:
     return index, seconds, error
 
 
-def _child(command: list) -> CompletedProcess:
+def _child(command: list[Any]) -> CompletedProcess[str]:
     """A process of `blind_case_process` once it has ended; one that is ended from outside, as a system does that is
     short of memory, is begun once more.
     """
@@ -275,7 +276,7 @@ def _unblinded(out: Path, index: int, score: ModuleType) -> Case:
     return score.score_case(index, truth, diagnosis, seconds, failed)
 
 
-def _report(out: Path, settings: dict, cases: list[Case], score: ModuleType) -> dict:
+def _report(out: Path, settings: Json, cases: list[Case], score: ModuleType) -> Json:
     """What is in score.json, which is written and said, and its page."""
     from rig.cli.shared.blind_campaign_page import campaign_dict, campaign_verdict, write_campaign_page
     from rig.formats.output_files import write_text

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from rig.cli.shared import calibration_and_effect_files, extension_options, poses_from_readings, recording_checks
 from rig.cli.shared.command_options import (
-    Progress,
     add_json_result_option,
     add_overwrite_option,
     add_recordings_argument,
@@ -16,6 +15,7 @@ from rig.cli.shared.command_options import (
     page_links,
     parse_length,
 )
+from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
 
 if TYPE_CHECKING:

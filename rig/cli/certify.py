@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 from rig.cli.shared import calibration_and_effect_files
 from rig.cli.shared.command_options import (
     SEED,
-    Progress,
     add_json_result_option,
     add_overwrite_option,
     file_or_stdout,
@@ -22,6 +21,7 @@ from rig.cli.shared.command_options import (
     read_recording,
     require_matplotlib,
 )
+from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.report.verdict import exit_status

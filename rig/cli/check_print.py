@@ -11,8 +11,7 @@ from rig.cli.shared.command_options import add_json_option, parse_length, print_
 from rig.errors import FileError
 
 if TYPE_CHECKING:
-    import numpy as np
-
+    from rig.arrays import Floats
     from rig.model.design import Design
     from vision.printed_marker_size import Printed
 
@@ -126,7 +125,7 @@ def _sheet(text: str) -> tuple[float, float, float]:
     return parse_length(width), parse_length(height), MEASURED
 
 
-def _ruler(text: str) -> tuple[np.ndarray, float]:
+def _ruler(text: str) -> tuple[Floats, float]:
     found = re.fullmatch(r"([0-9.]+),([0-9.]+),([0-9.]+),([0-9.]+)=(.+)", text)
     if found is None:
         raise ArgumentTypeError(

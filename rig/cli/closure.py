@@ -16,8 +16,7 @@ from rig.cli.shared.command_options import (
 from rig.errors import RigError
 
 if TYPE_CHECKING:
-    import numpy as np
-
+    from rig.arrays import Floats, Integers
     from rig.model.mechanisms.redundant_legs import Closures, Legs
     from rig.recording.recording_folder import Recording
 
@@ -88,7 +87,7 @@ def run(arguments: Namespace) -> int:
     return int(_ratio(found).max() > STRANGE)
 
 
-def _legs(arguments: Namespace, recording: Recording) -> tuple[Legs, np.ndarray, np.ndarray]:
+def _legs(arguments: Namespace, recording: Recording) -> tuple[Legs, Integers, Floats]:
     """(Legs of struts and limbs, frames (n,), lengths (n, legs) m as commanded and read)."""
     import numpy as np
 
@@ -125,7 +124,7 @@ def _legs(arguments: Namespace, recording: Recording) -> tuple[Legs, np.ndarray,
     return redundant_legs.combine_legs([struts, limbs], machine.home), frames, np.hstack([commanded, lengths])
 
 
-def _chosen(text: str, of: Legs) -> np.ndarray:
+def _chosen(text: str, of: Legs) -> Integers:
     """(6,) indices of the legs that a user names. Raises RigError for anything but six of them, each once"""
     import numpy as np
 
@@ -139,14 +138,14 @@ def _chosen(text: str, of: Legs) -> np.ndarray:
     return np.array([of.names.index(name) for name in names])
 
 
-def _ratio(found: Closures) -> np.ndarray:
+def _ratio(found: Closures) -> Floats:
     """(checks,) RMS closure over what is expected of it."""
     import numpy as np
 
     return np.sqrt((found.error**2).mean(axis=0) / np.einsum("nii->ni", found.covariance).mean(axis=0))
 
 
-def _result(of: Legs, found: Closures, frames: np.ndarray, chosen: np.ndarray) -> dict[str, Any]:
+def _result(of: Legs, found: Closures, frames: Integers, chosen: Integers) -> dict[str, Any]:
     """What --json prints."""
     legs = []
     for i, e, ratio in zip(found.checks, found.error.T, _ratio(found)):
@@ -171,7 +170,7 @@ def _result(of: Legs, found: Closures, frames: np.ndarray, chosen: np.ndarray) -
     }
 
 
-def _tell(of: Legs, found: Closures, frames: np.ndarray, chosen: np.ndarray, asked: bool) -> None:
+def _tell(of: Legs, found: Closures, frames: Integers, chosen: Integers, asked: bool) -> None:
     """Say which legs tell the pose, how each other one closes, and which one leg would explain what does not."""
     import numpy as np
 

@@ -13,10 +13,9 @@ from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_numbers
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from calib.api.correct import CorrectionResult, CorrectOptions
-    from calib.files.calibration_file import Calibration
+    from calib.certification.calibration import Calibration
+    from rig.arrays import Floats
     from rig.recording.recording_folder import Wanted
 
 
@@ -124,7 +123,7 @@ def _options(arguments: Namespace, wanted: Wanted) -> CorrectOptions:
     )
 
 
-def _start(text: str) -> np.ndarray | None:
+def _start(text: str) -> Floats | None:
     """(axes,) m or rad where the axes stand at first, None for home. Raises RigError for what is no such place"""
     import numpy as np
 
@@ -177,7 +176,7 @@ def _print_result(arguments: Namespace, result: CorrectionResult, poses: str | N
         )
 
 
-def _print_uncertainty(result: CorrectionResult, covariance: np.ndarray) -> None:
+def _print_uncertainty(result: CorrectionResult, covariance: Floats) -> None:
     """Print how sure the poses are, of covariance (n, 6, 6), and what that rests on."""
     from calib.api.correct import covariance_sizes
 
@@ -199,7 +198,7 @@ def _print_uncertainty(result: CorrectionResult, covariance: np.ndarray) -> None
         print(f"not undone, as nobody knows its moment, and in the uncertainty: {', '.join(left)}")
 
 
-def _print_rest(result: CorrectionResult, rest: np.ndarray, poses: str | None) -> None:
+def _print_rest(result: CorrectionResult, rest: Floats, poses: str | None) -> None:
     """Print what an arm of too few joints leaves to the wanted poses (n, 6), m and rad."""
     import numpy as np
 

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 from rig.cli.shared import calibration_and_effect_files, experiment_options, recording_checks
 from rig.cli.shared.command_options import (
-    Progress,
     add_json_result_option,
     add_overwrite_option,
     add_recordings_argument,
     page_links,
 )
+from rig.cli.shared.terminal_output import Progress
 
 if TYPE_CHECKING:
     from calib.api.diagnose import DiagnoseOptions

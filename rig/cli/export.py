@@ -12,7 +12,7 @@ from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
 if TYPE_CHECKING:
-    from rig.model.design import Arm, Hexapod
+    from rig.model.mechanism_geometry import Arm, Hexapod
     from rig.model.mechanism_kinds import Mechanism
 
 TABLES = ("linuxcnc-comp", "grid")  # of corrections, not of the geometry

@@ -14,11 +14,11 @@ from rig.formats.number_parsing_and_rounding import parse_number, parse_numbers
 if TYPE_CHECKING:
     from argparse import Namespace
 
-    import numpy as np
     from scipy.spatial.transform import RigidTransform
 
-    from calib.files.calibration_file import Calibration
-    from rig.model.design import Hexapod
+    from calib.certification.calibration import Calibration
+    from rig.arrays import Floats
+    from rig.model.mechanism_geometry import Hexapod
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -108,7 +108,7 @@ def run(arguments: Namespace) -> None:
         )
 
 
-def _lengths(calibration: Calibration, wanted: RigidTransform, start: np.ndarray) -> np.ndarray:
+def _lengths(calibration: Calibration, wanted: RigidTransform, start: Floats) -> Floats:
     """(axes,) m or rad that give a wanted pose (), the axes coming from start (axes,); what nobody logs is taken as
     when calibrated.
     """

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from rig.cli import online
 from rig.cli.shared.command_options import (
-    Progress,
     add_json_result_option,
     add_page_option,
     add_recording_argument,
@@ -18,19 +17,19 @@ from rig.cli.shared.command_options import (
     print_frames_without_pose,
     read_recording,
 )
+from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from calib.certification.measuring_limb_checks import Limbs
     from calib.certification.measuring_limbs import Agreement
     from calib.online.measuring_limbs_file import Accepted
     from calib.samples.recording_samples import Sampled
+    from rig.arrays import Floats, Integers
     from rig.recording.recording_folder import Recording
 
-    Closed = tuple[np.ndarray, np.ndarray]  # (error, sigma), each (n, checks) m
+    Closed = tuple[Floats, Floats]  # (error, sigma), each (n, checks) m
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -127,8 +126,8 @@ def _held(
     arguments: Namespace,
     recording: Recording,
     by_vision: Sampled,
-    read: tuple[np.ndarray, np.ndarray],
-    asked: np.ndarray | None,
+    read: tuple[Integers, Floats],
+    asked: Integers | None,
 ) -> tuple[Accepted, Closed]:
     """(Accepted, closures of the limbs beyond six) of limbs held against vision. read : (frames (f,), lengths (f,
     limbs) m)
@@ -167,7 +166,7 @@ def _held(
     return accepted, measuring_limb_checks.held_out_check_errors(limbs, stated, both)
 
 
-def _asked(text: str, channels: tuple[str, ...]) -> np.ndarray:
+def _asked(text: str, channels: tuple[str, ...]) -> Integers:
     """(6,) numbers, from 0, of the limbs that a user names. Raises RigError for anything but six of them, each once"""
     import numpy as np
 
@@ -177,7 +176,7 @@ def _asked(text: str, channels: tuple[str, ...]) -> np.ndarray:
     return np.sort([channels.index(name) for name in names])
 
 
-def _print_checks(limbs: Limbs, channels: tuple[str, ...], error: np.ndarray, sigma: np.ndarray) -> None:
+def _print_checks(limbs: Limbs, channels: tuple[str, ...], error: Floats, sigma: Floats) -> None:
     """Say which six tell the pose, and how the others close on stretches left out of fitting them."""
     if limbs.checks is None or not len(limbs.checks.limbs):
         return
@@ -187,7 +186,7 @@ def _print_checks(limbs: Limbs, channels: tuple[str, ...], error: np.ndarray, si
         print(f"{channels[i]:4}{e.mean():9.2f}{(e**2).mean() ** 0.5:9.2f}{(s**2).mean() ** 0.5:10.2f}")
 
 
-def _result(accepted: Accepted, channels: tuple[str, ...], error: np.ndarray, sigma: np.ndarray) -> dict[str, Any]:
+def _result(accepted: Accepted, channels: tuple[str, ...], error: Floats, sigma: Floats) -> dict[str, Any]:
     """What --json prints. error, sigma : (n, checks) m, of the limbs beyond six"""
     found, gone = accepted.agreement, accepted.withdrawn
     names = ("bias", "scatter", "expected", "limits", "surely", "tolerance", "moved", "passed")

@@ -10,7 +10,7 @@ from rig.errors import PositionLost, RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_numbers, parse_whole_number
 
 if TYPE_CHECKING:
-    import numpy as np
+    from rig.arrays import Floats
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -72,7 +72,7 @@ def run(arguments: Namespace) -> None:
         print_status(driver.status(), design)
 
 
-def _lengths(text: str, count: int) -> np.ndarray:
+def _lengths(text: str, count: int) -> Floats:
     """(count,) m of lengths in mm joined by commas."""
     import numpy as np
 

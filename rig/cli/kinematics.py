@@ -12,11 +12,11 @@ from rig.cli.shared.command_options import add_json_option, print_json
 from rig.errors import RigError
 
 if TYPE_CHECKING:
-    import numpy as np
     from scipy.spatial.transform import RigidTransform
 
     from calib.models.arm.correction import ArmCorrection
-    from rig.model.design import Arm
+    from rig.arrays import Floats, Integers
+    from rig.model.mechanism_geometry import Arm
     from rig.model.mechanisms.arm_kinematics_steps import Step
     from rig.model.mechanisms.six_joint_inverse import SixR
 
@@ -43,14 +43,14 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Print what joint values give, or all joint values that give poses, step by step where asked for."""
     from rig.formats import csv_table
-    from rig.recording import recording_folder
+    from rig.recording import corner_and_pose_tables
 
     arm, correction = _arm(arguments.arm)
     if arguments.forward:
         rows = csv_table.read(arguments.forward, ("frame", *arm.axes))
         tree = _forward(rows.whole("frame"), rows.matrix(arm.axes), arm, correction, arguments.steps)
     else:
-        poses = recording_folder.load_poses(arguments.inverse)
+        poses = corner_and_pose_tables.load_poses(arguments.inverse)
         tree = _inverse(poses.frame, poses.T_base_platform, arm, correction, arguments.steps)
     if arguments.json:
         print_json(tree)
@@ -83,9 +83,7 @@ def _arm(text: str) -> tuple[Arm, ArmCorrection | None]:
     return correction.nominal, correction
 
 
-def _forward(
-    frames: np.ndarray, q: np.ndarray, arm: Arm, correction: ArmCorrection | None, steps: bool
-) -> dict[str, Any]:
+def _forward(frames: Integers, q: Floats, arm: Arm, correction: ArmCorrection | None, steps: bool) -> dict[str, Any]:
     """What `--forward` tells, as JSON holds it."""
     from rig.model import mechanisms
     from rig.model.mechanisms import arm as mechanism
@@ -109,7 +107,7 @@ def _forward(
     return {"schema": "kinematics/1", "units": list(mechanisms.axis_units(arm)), "frames": out}
 
 
-def _near_singular(q: np.ndarray, arm: Arm) -> float:
+def _near_singular(q: Floats, arm: Arm) -> float:
     """Least over greatest singular value of the Jacobian, 0 where singular; over as many directions as the joints can
     lead in at all.
     """
@@ -123,7 +121,7 @@ def _near_singular(q: np.ndarray, arm: Arm) -> float:
 
 
 def _inverse(
-    frames: np.ndarray, T: RigidTransform, arm: Arm, correction: ArmCorrection | None, steps: bool
+    frames: Integers, T: RigidTransform, arm: Arm, correction: ArmCorrection | None, steps: bool
 ) -> dict[str, Any]:
     """What `--inverse` tells, as JSON holds it."""
     from rig.model import mechanisms

@@ -4,7 +4,8 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.cli.shared.command_options import Progress, add_json_result_option, add_overwrite_option, page_links
+from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option, page_links
+from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
 
 if TYPE_CHECKING:

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 from rig.cli.shared import poses_from_readings, recording_checks
 from rig.cli.shared.command_options import (
-    Progress,
     add_json_result_option,
     add_overwrite_option,
     add_recording_argument,
     page_links,
     read_recording,
 )
+from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
 
 if TYPE_CHECKING:

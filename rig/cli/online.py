@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 from rig.cli.shared import calibration_and_effect_files, online_pose_learning, poses_from_readings, recording_checks
 from rig.cli.shared.command_options import (
-    Progress,
     add_json_result_option,
     add_page_option,
     add_recording_argument,
@@ -21,18 +20,18 @@ from rig.cli.shared.command_options import (
     read_recording,
 )
 from rig.cli.shared.online_pose_learning import unlearnt_frame_numbers, unlearnt_samples
+from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
 
 if TYPE_CHECKING:
-    import numpy as np
-
+    from calib.certification.calibration import Calibration
     from calib.certification.calibration_evidence import OfCalibrations
-    from calib.files.calibration_file import Calibration
     from calib.online.change_detection import Change
     from calib.online.information_filter import Online, Update
     from calib.report.online_and_limb_pages import OnlineResult
     from calib.samples.recording_samples import Sampled
-    from rig.model.design import Arm, Free, Hexapod, Planar2
+    from rig.arrays import Integers
+    from rig.model.mechanism_geometry import Arm, Free, Hexapod, Planar2
     from rig.recording.recording_folder import Recording
 
 RETURNS = 0.5  # of the sum of its changes' sizes, within which a strut that changes comes back to where it was
@@ -215,7 +214,7 @@ def learn_recording(
     return learner, taught, {**_result(learner, updates, samples.frame), "verdict": online_verdict(taught).tree()}
 
 
-def _learnt(learner: Online, updates: list[Update], frames: np.ndarray, source: str, moved: float) -> OnlineResult:
+def _learnt(learner: Online, updates: list[Update], frames: Integers, source: str, moved: float) -> OnlineResult:
     """OnlineResult of updates by poses of frames (n,). moved : m RMS from rig.toml"""
     import numpy as np
 
@@ -249,7 +248,7 @@ def _changes_cancel(changes: Sequence[Change], strut: int | None) -> bool:
     return len(sizes) > 1 and abs(sum(sizes)) < RETURNS * sum(map(abs, sizes))
 
 
-def _tell(learner: Online, updates: list[Update], frames: np.ndarray, learnt: str) -> None:
+def _tell(learner: Online, updates: list[Update], frames: Integers, learnt: str) -> None:
     """Say what poses of frames (n,) have taught: how well joints and zeros are known, what jumped, what was left
     out.
     """
@@ -271,7 +270,7 @@ def _tell(learner: Online, updates: list[Update], frames: np.ndarray, learnt: st
     print(f"innovations are {innovation:.3f} of what was expected (1 where nothing is left out)")
 
 
-def _result(learner: Online, updates: list[Update], frames: np.ndarray) -> dict[str, Any]:
+def _result(learner: Online, updates: list[Update], frames: Integers) -> dict[str, Any]:
     """What --json prints. frames : (n,) of the updates"""
     import numpy as np
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from rig.cli.shared.command_options import (
     SEED,
-    Progress,
     add_json_result_option,
     add_overwrite_option,
     add_page_option,
@@ -17,13 +16,13 @@ from rig.cli.shared.command_options import (
     page_path,
     parse_length,
 )
+from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from calib.api.plan_result import PlanOptions
+    from rig.arrays import Floats
     from rig.model.design import Design
     from rig.recording.recording_folder import Sensors
 
@@ -130,7 +129,7 @@ def _options(arguments: Namespace, design: Design) -> PlanOptions:
     )
 
 
-def _visited(path: Path, design: Design) -> np.ndarray:
+def _visited(path: Path, design: Design) -> Floats:
     """(k, axes) m configurations visited: of a recording's frames, or of a table. Raises RigError for a recording of
     another kind of machine
     """

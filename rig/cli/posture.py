@@ -17,14 +17,15 @@ from rig.cli.shared.command_options import (
     print_json,
 )
 from rig.errors import RigError
+from rig.formats.json_tree import Json
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.formats.output_files import write_text
 
 if TYPE_CHECKING:
-    import numpy as np
     from scipy.spatial.transform import RigidTransform
 
-    from rig.model.design import Arm
+    from rig.arrays import Floats
+    from rig.model.mechanism_geometry import Arm
     from rig.posture.exertable_wrench import Exertion
     from rig.posture.force_transmission import TransmissionObjective
     from rig.posture.null_space_search import Found
@@ -149,7 +150,7 @@ def _wanted(arguments: Namespace) -> tuple[Path, Arm, Exertion | None]:
     return path, arm, posture_force.requested_exertion(arguments, arm, dynamics, design.gravity, path)
 
 
-def _among(arguments: Namespace, arm: Arm, wish: TransmissionObjective | Exertion, out: Path | None) -> dict:
+def _among(arguments: Namespace, arm: Arm, wish: TransmissionObjective | Exertion, out: Path | None) -> Json:
     """The best of the postures that were visited, as `_tree`; the way back to it is written."""
     from rig.model.pose import pose
     from rig.posture import posture_transition
@@ -182,7 +183,7 @@ def _among(arguments: Namespace, arm: Arm, wish: TransmissionObjective | Exertio
     }
 
 
-def _searched(arguments: Namespace, arm: Arm, wish: TransmissionObjective | Exertion, out: Path | None) -> dict:
+def _searched(arguments: Namespace, arm: Arm, wish: TransmissionObjective | Exertion, out: Path | None) -> Json:
     """The best posture that the searches find, as `_tree`; the motion into it is written."""
     import numpy as np
 
@@ -229,7 +230,7 @@ def _searched(arguments: Namespace, arm: Arm, wish: TransmissionObjective | Exer
 
 
 def _best(
-    arguments: Namespace, arm: Arm, wish: TransmissionObjective | Exertion, first: np.ndarray, starts: np.ndarray
+    arguments: Namespace, arm: Arm, wish: TransmissionObjective | Exertion, first: Floats, starts: Floats
 ) -> tuple[dict[str, Found], str, int]:
     """(what each search found, name of the best, index of its posture) from starts (k, n) rad. Raises RigError where
     nothing exceeds a limit
@@ -278,7 +279,7 @@ def _directions(arguments: Namespace) -> tuple[str, ...]:
     return tuple(name for name in DIRECTIONS if name in chosen)
 
 
-def _starts(first: np.ndarray, wanted: RigidTransform, arm: Arm) -> np.ndarray:
+def _starts(first: Floats, wanted: RigidTransform, arm: Arm) -> Floats:
     """(k, n) joint solutions of a pose within the limits: the first, and others far and wide."""
     import numpy as np
     from scipy.spatial.transform import RigidTransform
@@ -292,7 +293,7 @@ def _starts(first: np.ndarray, wanted: RigidTransform, arm: Arm) -> np.ndarray:
     return np.vstack([first, q[inside]])
 
 
-def _write(out: Path, arguments: Namespace, arm: Arm, rows: np.ndarray) -> None:
+def _write(out: Path, arguments: Namespace, arm: Arm, rows: Floats) -> None:
     """commands.csv of a motion through postures (k, n) rad."""
     from rig.posture import posture_transition
     from rig.recording import recording_tables
@@ -303,8 +304,8 @@ def _write(out: Path, arguments: Namespace, arm: Arm, rows: np.ndarray) -> None:
 
 
 def _tree(
-    arm: Arm, wish: TransmissionObjective | Exertion, q: np.ndarray, start: np.ndarray, values: tuple[float, float]
-) -> dict:
+    arm: Arm, wish: TransmissionObjective | Exertion, q: Floats, start: Floats, values: tuple[float, float]
+) -> Json:
     """What is said of a posture q (n,) rad beside its search. values : the measure there and at the start"""
     import numpy as np
 
@@ -342,7 +343,7 @@ def _tree(
     }
 
 
-def _table(tree: dict, arguments: Namespace) -> str:
+def _table(tree: Json, arguments: Namespace) -> str:
     import numpy as np
 
     units = tree["q_units"]
@@ -384,7 +385,7 @@ def _table(tree: dict, arguments: Namespace) -> str:
     return "\n".join(lines)
 
 
-def _how(tree: dict) -> str:
+def _how(tree: Json) -> str:
     """How the posture was found."""
     values = ", ".join(f"{name} {value:.6f}" for name, value in tree["values"].items())
     if tree["search"] == "among":

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from threading import Thread
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rig.cli.shared import poses_from_readings
 from rig.cli.shared.command_options import SEED, add_controller_arguments
@@ -18,8 +18,7 @@ from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_nu
 from rig.formats.output_files import write_bytes
 
 if TYPE_CHECKING:
-    import numpy as np
-
+    from rig.arrays import Floats
     from rig.driving.cameras.settling_check import Settling
     from rig.driving.clock import Clock
     from rig.driving.run_journal import Began, Journal
@@ -165,14 +164,14 @@ def _dry_run(design: Design, planned: tuple[Step, ...]) -> None:
     )
 
 
-def move_checker(design: Design) -> Callable[[np.ndarray, np.ndarray], None]:
+def move_checker(design: Design) -> Callable[[Floats, Floats], None]:
     """Checker of moves: (start, goal (axes,) m) -> None, raises Unreachable where the driver would refuse the move."""
     from rig.driving import straight_move_profile
     from rig.model.mechanism_kinds import require_struts
 
     c, m = design.driver(), require_struts(design.mechanism)
 
-    def check(start: np.ndarray, goal: np.ndarray) -> None:
+    def check(start: Floats, goal: Floats) -> None:
         straight_move_profile.require_safe_path(
             start, straight_move_profile.require_lengths_in_range(goal, m), m, c.margin, c.max_step
         )
@@ -197,7 +196,9 @@ def _place(arguments: Namespace) -> None:
         raise RigError(f"{out} cannot be made: {error.strerror}") from None
 
 
-def _run(arguments: Namespace, design: Design, planned: tuple[Step, ...], settle: Settling, options: tuple) -> int:
+def _run(
+    arguments: Namespace, design: Design, planned: tuple[Step, ...], settle: Settling, options: tuple[Any, ...]
+) -> int:
     from rig.cli.shared.controller_session import open_driver, settled_status
     from rig.cli.shared.run_observation import Stopping
     from rig.cli.shared.run_preparation import (

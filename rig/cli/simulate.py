@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import calibration_and_effect_files
-from rig.cli.shared.command_options import Progress, add_overwrite_option
+from rig.cli.shared.command_options import add_overwrite_option
+from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 

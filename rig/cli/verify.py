@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from rig.cli.shared import calibration_and_effect_files
 from rig.cli.shared.command_options import (
-    Progress,
     add_json_option,
     add_page_option,
     add_recording_argument,
@@ -20,6 +19,7 @@ from rig.cli.shared.command_options import (
     print_json,
     read_recording,
 )
+from rig.cli.shared.terminal_output import Progress
 from rig.report.verdict import exit_status
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> int:
     """Hold a calibration against a recording and print the figures; 3 where the verdict is bad."""
     from calib.api.verify import verify
-    from rig.recording.recording_folder import load_poses
+    from rig.recording.corner_and_pose_tables import load_poses
     from rig.report.refutations import refutations_of_file
 
     progress = Progress()

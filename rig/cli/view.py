@@ -6,13 +6,13 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from rig.cli.shared.command_options import (
-    Progress,
     add_overwrite_option,
     add_recording_argument,
     file_or_stdout,
     page_links,
     read_recording,
 )
+from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 

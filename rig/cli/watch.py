@@ -8,7 +8,6 @@ from pathlib import Path
 from rig.cli.shared import calibration_and_effect_files
 from rig.cli.shared.command_options import (
     SEED,
-    Progress,
     add_json_option,
     add_overwrite_option,
     add_page_option,
@@ -16,6 +15,7 @@ from rig.cli.shared.command_options import (
     page_path,
     print_json,
 )
+from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 from rig.report.refutations import refutations_of_file

@@ -11,9 +11,8 @@ from rig.cli.shared.command_options import add_json_result_option, add_overwrite
 from rig.errors import FileError, RigError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from calib.workspace.workspace_cells import Workspace
+    from rig.arrays import Floats
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -74,7 +73,7 @@ def run(arguments: Namespace) -> None:
         _write(arguments, w, unit, axis_margin_description(correction), certified)
 
 
-def _write(arguments: Namespace, w: Workspace, unit: str, room_of: str, certified: np.ndarray | None) -> None:
+def _write(arguments: Namespace, w: Workspace, unit: str, room_of: str, certified: Floats | None) -> None:
     """Write the map as data, as a table and as a page."""
     import json
 
@@ -98,7 +97,7 @@ def _write(arguments: Namespace, w: Workspace, unit: str, room_of: str, certifie
     print(f"written: {arguments.out}; look at {arguments.out / 'workspace.html'}")
 
 
-def _certified(path: Path, calibration: Path, w: Workspace) -> np.ndarray:
+def _certified(path: Path, calibration: Path, w: Workspace) -> Floats:
     """(c, 2) m and rad that a certificate promises in the cells of a Workspace; NaN where it does not speak of them.
 
     Raises FileError for a file that is no certificate, or one of another calibration

@@ -11,8 +11,7 @@ from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
-    import numpy as np
-
+    from rig.arrays import Floats
     from rig.model.design import Design
     from rig.model.mechanisms.arm_dynamics import Links
     from rig.posture.momentum_observer import Observed
@@ -107,9 +106,7 @@ def run(arguments: Namespace) -> None:
         print(f"written: {arguments.out}")
 
 
-def _plain(
-    record: TorqueRecord, design: Design, sigma: np.ndarray, links: Links
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _plain(record: TorqueRecord, design: Design, sigma: Floats, links: Links) -> tuple[Floats, Floats, Floats]:
     """(value (k, 6), covariance (k, 6, 6), left (k,)) by the pseudo-inverse, reading by reading; NaN where the posture
     does not feel every wrench.
 
@@ -138,7 +135,7 @@ def _plain(
     return value, covariance, left
 
 
-def _write(out: Path, t: np.ndarray, seen: Observed, plain: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+def _write(out: Path, t: Floats, seen: Observed, plain: tuple[Floats, Floats, Floats]) -> None:
     """wrench.csv: the observer's and the plain one, cells empty where a posture does not feel every wrench."""
     import numpy as np
 
@@ -163,11 +160,7 @@ def _write(out: Path, t: np.ndarray, seen: Observed, plain: tuple[np.ndarray, np
 
 
 def _tell(
-    record: TorqueRecord,
-    seen: Observed,
-    plain: tuple[np.ndarray, np.ndarray, np.ndarray],
-    rates: np.ndarray,
-    sought: bool,
+    record: TorqueRecord, seen: Observed, plain: tuple[Floats, Floats, Floats], rates: Floats, sought: bool
 ) -> None:
     """Say both estimates: mean, the largest, and how sure each is."""
     import numpy as np

@@ -29,7 +29,7 @@ class Cluster:
     def __init__(self, client: Any, address: str) -> None:
         self._client, self.address = client, address
 
-    def map(self, function: Callable[[Any], Any], things: Sequence, progress: Progress | None = None) -> list:
+    def map(self, function: Callable[[Any], Any], things: Sequence[Any], progress: Progress | None = None) -> list[Any]:
         """[function(thing)] in the things' order; of what they raise the first in that order is raised.
 
         Raises RigError where the cluster or all its workers are gone, or where workers end again and again at the same
@@ -44,7 +44,7 @@ class Cluster:
             )  # a call and no mere data: it is done again where who held it is gone
             digest, shares = hashlib.sha256(data).hexdigest(), split_for_workers(things, max(self._workers(), 1))
             futures = [self._client.submit(_done, carried, digest, share, pure=False) for share in shares]
-        out: list = []
+        out: list[Any] = []
         try:
             for future in futures:
                 for result in self._result(future):
@@ -56,7 +56,7 @@ class Cluster:
                 self._client.cancel([future for future in futures if not future.done()])
         return out
 
-    def _result(self, future: Any) -> list:
+    def _result(self, future: Any) -> list[Any]:
         """What comes of a part. What the work raises is raised as it is, and not said of the cluster."""
         from dask.distributed import KilledWorker
 
@@ -69,7 +69,7 @@ class Cluster:
                     raise
         raise raised
 
-    def _waited_for(self, future: Any) -> list:
+    def _waited_for(self, future: Any) -> list[Any]:
         """What comes of a part. Raises RigError where for long nobody is left to do it"""
         alone = 0
         while alone < PATIENCE:
@@ -159,7 +159,7 @@ def is_cluster_worker() -> bool:
     return getattr(_here, "busy", False)
 
 
-def _done(data: bytes, digest: str, part: Sequence) -> list:
+def _done(data: bytes, digest: str, part: Sequence[Any]) -> list[Any]:
     """[function(thing)] of a part of the things, in a worker. data : of the function, opened once by each thread"""
     from threadpoolctl import threadpool_limits
 

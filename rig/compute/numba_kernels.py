@@ -130,12 +130,14 @@ class Kernel:
     say; to which no other user can write, or else it is another
     """
 
-    def __init__(self, function: Callable, options: dict[str, Any], folder: Callable[[], str] | None = None) -> None:
+    def __init__(
+        self, function: Callable[..., Any], options: dict[str, Any], folder: Callable[[], str] | None = None
+    ) -> None:
         self._function, self._options, self._folder = function, options, folder
         update_wrapper(self, function)
 
     @cached_property
-    def _compiled(self) -> Callable:
+    def _compiled(self) -> Callable[..., Any]:
         import numba
 
         _listen()
@@ -150,7 +152,7 @@ class Kernel:
                     kept = kept / wanted.name  # which tells one version of the sources from another
                 if kept != beside:
                     settings.CACHE_DIR = str(kept)
-                return cast(Callable, numba.njit(**self._options)(self._function))
+                return cast(Callable[..., Any], numba.njit(**self._options)(self._function))
             finally:
                 settings.CACHE_DIR = before
 
@@ -162,7 +164,7 @@ class Kernel:
         return types.Dispatcher(self._compiled)
 
     @property
-    def py_func(self) -> Callable:
+    def py_func(self) -> Callable[..., Any]:
         """The function as written, by which numba takes it into another kernel where its options say so."""
         return self._function
 
@@ -175,6 +177,6 @@ class Kernel:
         return self._compiled(*arguments)
 
 
-def njit(**options: Any) -> Callable[[Callable], Any]:
+def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Decorator like numba.njit that compiles on the first call. options : of numba.njit"""
     return lambda function: Kernel(function, options)

@@ -18,16 +18,16 @@ Progress = Callable[[int, int], None]  # called with (done, of)
 T = TypeVar("T")
 R = TypeVar("R")
 
-_inherited: tuple[Callable, Sequence] | None = None  # what the processes forked next are to call
+_inherited: tuple[Callable[..., Any], Sequence[Any]] | None = None  # what the processes forked next are to call
 
 
 def parallel_map(
     function: Callable[[Any], Any],
-    items: Sequence,
+    items: Sequence[Any],
     progress: Progress | None = None,
     items_per_process: int = FEW,
     on_cluster: bool = False,
-) -> list:
+) -> list[Any]:
     """Results of a function mapped over items in parallel, in the items' order; exceptions are raised here.
 
     It takes one process where the system cannot fork or OMP_NUM_THREADS, which limits the processes as it does threads,

@@ -24,7 +24,7 @@ SHARES = 4  # parts of what is left for each worker, so that none is waited for 
 MOST = 4  # things of a part: what is lost with a worker, and by which progress goes on
 PR_SET_PDEATHSIG = 1  # of prctl(2): the signal that comes when the parent is gone
 
-_waited_for: set[subprocess.Popen] = set()  # children of `run_child_process`
+_waited_for: set[subprocess.Popen[str]] = set()  # children of `run_child_process`
 _asked: int | None = None  # workers that the user asked for
 
 
@@ -54,11 +54,11 @@ def worker_count() -> int:
 
 def executor_map(
     executor: Executor,
-    function: Callable,
-    items: Iterable,
-    progress: Callable | None = None,
-    futures: list[Future] | None = None,
-) -> list:
+    function: Callable[..., Any],
+    items: Iterable[Any],
+    progress: Callable[..., Any] | None = None,
+    futures: list[Future[Any]] | None = None,
+) -> list[Any]:
     """Results of a function mapped over items by an executor, in the items' order; the first exception is raised.
 
     progress : called with (done, of), or None; futures : gets the things' Futures, or None
@@ -80,7 +80,7 @@ def executor_map(
     return out
 
 
-def split_for_workers(items: Sequence, workers: int) -> list[Sequence]:
+def split_for_workers(items: Sequence[Any], workers: int) -> list[Sequence[Any]]:
     """The items split into parts for the workers: large parts first, single items last."""
     out, at = [], 0
     while at < len(items):
@@ -93,12 +93,12 @@ def split_for_workers(items: Sequence, workers: int) -> list[Sequence]:
 def process_map(
     count: int,
     start_method: str,
-    function: Callable,
-    items: Iterable,
-    progress: Callable | None = None,
-    initializer: Callable | None = None,
-    initializer_arguments: tuple = (),
-) -> list:
+    function: Callable[..., Any],
+    items: Iterable[Any],
+    progress: Callable[..., Any] | None = None,
+    initializer: Callable[..., Any] | None = None,
+    initializer_arguments: tuple[Any, ...] = (),
+) -> list[Any]:
     """Results of a function mapped over items by a process pool; items of killed processes are repeated.
 
     Raises WorkerEnded where ENDED pools in turn came to an end with nothing done
@@ -108,7 +108,7 @@ def process_map(
     out: dict[int, Any] = {}
 
     while left:
-        futures: list[Future] = []
+        futures: list[Future[Any]] = []
         shares = split_for_workers(left, count)
         ends = list(accumulate(map(len, shares), initial=len(out)))
 
@@ -143,7 +143,10 @@ def process_map(
 
 @contextmanager
 def process_pool(
-    count: int, start_method: str, initializer: Callable | None = None, initializer_arguments: tuple = ()
+    count: int,
+    start_method: str,
+    initializer: Callable[..., Any] | None = None,
+    initializer_arguments: tuple[Any, ...] = (),
 ) -> Iterator[ProcessPoolExecutor]:
     """A process pool that ends at once when this process is interrupted or killed.
 
@@ -174,7 +177,7 @@ def process_pool(
     pool.shutdown()
 
 
-def run_child_process(command: list, env: dict[str, str]) -> subprocess.CompletedProcess:
+def run_child_process(command: list[Any], env: dict[str, str]) -> subprocess.CompletedProcess[str]:
     """Run a child process until it ends; returns what it printed as text.
 
     The child itself is to call `end_when_parent_ends` with this process's id, so that it does not outlive it
@@ -208,7 +211,7 @@ def end_when_parent_ends(parent_pid: int) -> None:
         os._exit(1)
 
 
-def _each(function: Callable, things: Sequence) -> list:
+def _each(function: Callable[..., Any], things: Sequence[Any]) -> list[Any]:
     return [function(thing) for thing in things]
 
 

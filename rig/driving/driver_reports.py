@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-import numpy as np
+from rig.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -12,7 +12,7 @@ class Status:
     said : text."""
 
     activity: str
-    lengths: np.ndarray
+    lengths: Floats
     known: bool
     fault: str
     said: str
@@ -24,7 +24,7 @@ class Arrival:
     on the way, or "".
     """
 
-    lengths: np.ndarray
+    lengths: Floats
     start_time: float
     ended: float
     note: str

@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
+from rig.arrays import Floats, Pixels
 from rig.driving.cameras.camera_interface_and_clock import Frame
 from rig.driving.cameras.settling_check import Settling
 from rig.driving.cameras.synchronised_grab_and_exposure import Shutter
@@ -34,10 +35,10 @@ from rig.errors import RigError, Stopped
 class Machine(Protocol):
     """What the loop needs of a driver; see rig.driving.strut_driver.Driver."""
 
-    def lengths(self) -> np.ndarray:
+    def lengths(self) -> Floats:
         """(axes,) m, as the controller reads them."""
 
-    def move(self, lengths: np.ndarray) -> object:
+    def move(self, lengths: Floats) -> object:
         """Go there; returns once the axes stand and were read back within tolerance. Raises MotionError otherwise."""
 
     def stop(self) -> object:
@@ -51,7 +52,7 @@ class Shot:
     number: int
     step: int
     t: float
-    commanded: np.ndarray
+    commanded: Floats
     frames: dict[str, Frame]
 
 
@@ -80,10 +81,10 @@ class Bench:
     clock: Clock
     settling: Settling
     tolerance: float
-    time_profile: Callable[[np.ndarray, np.ndarray, float, float], Way]
-    save: Callable[[Path, np.ndarray], None]
+    time_profile: Callable[[Floats, Floats, float, float], Way]
+    save: Callable[[Path, Pixels], None]
     readings: Callable[[], dict[str, float]] | None = None
-    limbs: Callable[[], np.ndarray] | None = None
+    limbs: Callable[[], Floats] | None = None
 
 
 class Operator:
@@ -178,7 +179,7 @@ class Operator:
         if reason:
             raise Stopped(reason)
 
-    def _move(self, index: int, start: np.ndarray, goal: np.ndarray) -> None:
+    def _move(self, index: int, start: Floats, goal: Floats) -> None:
         self.write(Departure(self.now(), index, tuple(start.tolist()), tuple(goal.tolist())))
         begun = self.now()
         self.bench.machine.move(goal)

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.driving.run_journal import Arrival, Began, Departure, Ended, Exposed, Readings, Remark, Resumed, Row
 from rig.errors import RigError, Unreachable
-from rig.planning.plan import Plan
+from rig.planning.plan_construction_and_table import Plan
 
 STANDING = 1e-9  # m; commands that differ by less are one place
 INSTANT = 1e-6  # s about an exposure in which the struts must not move
@@ -19,7 +20,7 @@ class Step:
     on the way.
     """
 
-    goal: np.ndarray
+    goal: Floats
     frames: int
 
 
@@ -52,9 +53,7 @@ def steps_of_plan(plan: Plan) -> tuple[Step, ...]:
     return tuple(Step(goal, int(count)) for goal, count in zip(goals[: last + 1], exposed))
 
 
-def check_steps(
-    steps: tuple[Step, ...], start: np.ndarray, check_move: Callable[[np.ndarray, np.ndarray], None]
-) -> None:
+def check_steps(steps: tuple[Step, ...], start: Floats, check_move: Callable[[Floats, Floats], None]) -> None:
     """Check all steps, goals and paths, from start (axes,) m on, before anything moves.
 
     check_move : (start, goal) -> None, raises RigError where the move may not be made. Raises Unreachable listing all
@@ -75,7 +74,7 @@ def check_steps(
         )
 
 
-def step_distances(steps: tuple[Step, ...], start: np.ndarray) -> np.ndarray:
+def step_distances(steps: tuple[Step, ...], start: Floats) -> Floats:
     """Distance (steps,) m of each step: that of the strut that moves most."""
     goals = np.array([start, *(step.goal for step in steps)])
     return np.abs(np.diff(goals, axis=0)).max(axis=1)
@@ -92,7 +91,7 @@ class Progress:
     step: int
     frames: int
     number: int
-    position: np.ndarray
+    position: Floats
     pending: Departure | None
     arrived: bool
     t: float
@@ -131,7 +130,7 @@ def progress_from_journal(journal_rows: list[Row], steps: tuple[Step, ...]) -> P
 
 
 def interrupted_move_result(
-    progress: Progress, steps: tuple[Step, ...], position: np.ndarray, tolerance: float
+    progress: Progress, steps: tuple[Step, ...], position: Floats, tolerance: float
 ) -> tuple[str, bool]:
     """Result of an interrupted move from the position read after a crash: (text, whether the goal is reached).
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.driving.clock import Clock
 from rig.driving.controller_link import Port
 from rig.driving.serial_port import SerialPort
@@ -46,7 +47,7 @@ class Sensing:
             if lines:
                 return self._values(lines[-1])
 
-    def limbs(self) -> np.ndarray:
+    def limbs(self) -> Floats:
         """(6,) m, what the measuring limbs read."""
         values = self.read()
         return np.array([values[f"m{i + 1}"] for i in range(6)])

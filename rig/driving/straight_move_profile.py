@@ -5,12 +5,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats
 from rig.driving.operator_advice import OUT_OF_RANGE
 from rig.driving.protocols.protocol_interface import Segment
 from rig.errors import NotConverged, Unreachable
 from rig.model import mechanisms
 from rig.model.controller_settings import Controller
-from rig.model.design import Hexapod, Planar2
+from rig.model.mechanism_geometry import Hexapod, Planar2
 
 Way = tuple[tuple[float, float], ...]
 PIECES = 8  # straight pieces to a ramp: they leave the curve by less than a five hundredth of what is travelled in it
@@ -48,7 +49,7 @@ def trapezoidal_profile(start_time: float, end_time: float, cruise_time: float, 
 
 
 def straight_move_segment(
-    start: np.ndarray, target: np.ndarray, speed_share: float, controller: Controller, mechanism: Hexapod | Planar2
+    start: Floats, target: Floats, speed_share: float, controller: Controller, mechanism: Hexapod | Planar2
 ) -> Segment:
     """Segment of a straight move of all axes, which begin and arrive simultaneously, at a share of full speed.
     start, target : (n,) m, lengths; speed_share : of the greatest speeds, above 0 and at most 1.
@@ -66,7 +67,7 @@ SPACING = 2e-3  # m of the strut that moves most, between the places looked at
 FEWEST, MOST = 3, 200  # of them, beside the start
 
 
-def require_lengths_in_range(lengths: np.ndarray, mechanism: Hexapod | Planar2) -> np.ndarray:
+def require_lengths_in_range(lengths: Floats, mechanism: Hexapod | Planar2) -> Floats:
     """The lengths (n,) m, if they are finite and in the strut ranges; raises Unreachable for those out of range.
     Raises ValueError, Unreachable naming each strut beyond its range.
     """
@@ -84,11 +85,7 @@ def require_lengths_in_range(lengths: np.ndarray, mechanism: Hexapod | Planar2) 
 
 
 def require_safe_path(
-    start: np.ndarray,
-    target: np.ndarray,
-    mechanism: Hexapod | Planar2,
-    singularity_margin: float,
-    max_step: float | None,
+    start: Floats, target: Floats, mechanism: Hexapod | Planar2, singularity_margin: float, max_step: float | None
 ) -> None:
     """Raise Unreachable unless the straight path is safe: ranges, largest step, workspace, singularities.
 
@@ -129,7 +126,7 @@ def require_safe_path(
         )
 
 
-def _dexterity(module: Any, poses: RigidTransform, mechanism: Hexapod | Planar2) -> np.ndarray:
+def _dexterity(module: Any, poses: RigidTransform, mechanism: Hexapod | Planar2) -> Floats:
     """(...) least singular value of the Jacobian, turns taken as lengths at the platform joints' mean radius."""
     J = module.jacobian(poses, mechanism)
     if mechanism.plates is not None:

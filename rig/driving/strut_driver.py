@@ -3,10 +3,11 @@
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, TextIO, TypeVar
+from typing import Any, TextIO, TypeVar, cast
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.driving import protocols, straight_move_profile
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_link import Link, Port
@@ -62,7 +63,7 @@ class Driver:
         self._busy = threading.RLock()
         self._known = False  # whether the lengths can be believed
         self._homed: bool | None = None  # what the controller said of that
-        self._left: np.ndarray | None = None  # (n,) m where the struts were left
+        self._left: Floats | None = None  # (n,) m where the struts were left
 
     def __enter__(self) -> "Driver":
         self.open()
@@ -95,7 +96,7 @@ class Driver:
         """What the controller says now. Raises LinkLost, NoAnswer."""
         return self._status(self._state())
 
-    def lengths(self) -> np.ndarray:
+    def lengths(self) -> Floats:
         """(n,) m, as read back now."""
         return self._lengths(self._state())
 
@@ -140,7 +141,7 @@ class Driver:
             self._known, self._homed, self._left = True, state.homed, lengths
             return self._status(state)
 
-    def check(self, lengths: np.ndarray, start: np.ndarray) -> np.ndarray:
+    def check(self, lengths: Floats, start: Floats) -> Floats:
         """Lengths (n,) m that may be gone to from start (n,) m: ranges, step, workspace, singularities. Raises
         Unreachable.
         """
@@ -150,7 +151,7 @@ class Driver:
         )
         return lengths
 
-    def move(self, lengths: np.ndarray, share: float = 1.0) -> Arrival:
+    def move(self, lengths: Floats, share: float = 1.0) -> Arrival:
         """Move all struts to lengths (n,) m, together, at a share of their greatest speeds, and wait until the
         read-back agrees.
 
@@ -180,7 +181,7 @@ class Driver:
             self._halt()
             return self.status()
 
-    def _ready(self) -> np.ndarray:
+    def _ready(self) -> Floats:
         """(n,) m from which a move may start. Raises PositionLost, ControllerFault."""
         same, state = self._asked(self._protocol.fence), self._state()
         self._known = self._known and same and not (self._homed and state.homed is False)
@@ -201,7 +202,7 @@ class Driver:
             )
         return lengths
 
-    def _go(self, segment: Segment, start: np.ndarray, target: np.ndarray) -> str:
+    def _go(self, segment: Segment, start: Floats, target: Floats) -> str:
         """Send a move and watch it; a move that the read-back shows was never begun is sent again. Returns a note."""
         note = ""
         for _ in range(TRIES):
@@ -215,7 +216,7 @@ class Driver:
             self._say(note)
         raise Stalled(f"sent {TRIES} times, and nothing moved: {verdict.reason}")
 
-    def _watch(self, start: np.ndarray, target: np.ndarray, verdict: Verdict) -> bool:
+    def _watch(self, start: Floats, target: Floats, verdict: Verdict) -> bool:
         """True when the struts have arrived, False when they never began and no answer came."""
         if verdict.accepted is False:
             raise ControllerFault(f"the move was refused: {verdict.reason}")
@@ -310,8 +311,8 @@ class Driver:
     def _state(self, stoppable: bool = True) -> State:
         return self._asked(self._protocol.state, stoppable)
 
-    def _lengths(self, state: State) -> np.ndarray:
-        return state.positions + self.controller.zero
+    def _lengths(self, state: State) -> Floats:
+        return cast(Floats, state.positions) + self.controller.zero
 
     def _status(self, state: State) -> Status:
         return Status(state.activity, self._lengths(state), self._known, state.fault, state.said)

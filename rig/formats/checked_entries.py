@@ -8,11 +8,12 @@ import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats
 from rig.errors import FileError
 from rig.formats.input_files import short_repr
 from rig.formats.schema_version import require_schema
@@ -31,7 +32,7 @@ Key = str | int  # of a table, or an index of a list
 Shape = tuple[int | None, ...]  # of nested lists; None: any length
 
 
-def nearest_known_word(word: str, known: Iterable, cutoff: float = 0.7) -> str | None:
+def nearest_known_word(word: str, known: Iterable[Any], cutoff: float = 0.7) -> str | None:
     """The nearest known word, of which a word is likely a misspelling, or None. cutoff : of difflib's ratio
     cutoff : of difflib's ratio, least of what counts as near
     """
@@ -55,10 +56,10 @@ class Entries:
     lead to it
     places : {path: (line, column)} of the values whose place in the file is known, the path () among them"""
 
-    tree: dict
-    path: tuple
+    tree: dict[Any, Any]
+    path: tuple[str | int, ...]
     file: Path
-    places: Mapping
+    places: Mapping[Any, Any]
 
     def fail(self, message: str, *keys: Key, value: Any = None) -> NoReturn:
         """Raise FileError at the value under keys, or at the nearest thing above it that has a place."""
@@ -214,7 +215,7 @@ class Entries:
                 f"> {above}" if above is not None else "",
                 f"<= {most}" if most is not None else "",
             ]
-            label = self._label(keys[0], keys[1:])
+            label = self._label(keys[0], cast(tuple[int, ...], keys[1:]))
             self.fail(
                 f"{label} must be {' and '.join(filter(None, limits))} {unit}".rstrip() + f", not {short_repr(value)}",
                 *keys,
@@ -283,7 +284,7 @@ class Entries:
                 value=value,
             )
 
-    def _label(self, key: Key, index: tuple) -> str:
+    def _label(self, key: Key, index: tuple[int, ...]) -> str:
         return self.name(key) + "".join(f"[{i + 1}]" for i in index)
 
     def pose(self, key: Key) -> RigidTransform:
@@ -293,7 +294,7 @@ class Entries:
         position = inner.array("position", (3,), length_limit=LARGEST_RIG)
         return pose(position, inner.turn("rotvec"))
 
-    def turn(self, key: Key) -> np.ndarray:
+    def turn(self, key: Key) -> Floats:
         """(3,) rad, a rotation vector."""
         value = self.array(key, (3,))
         if np.abs(value).max() > LARGEST_TURN:

@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from rig.arrays import Floats, Integers
 from rig.errors import FileError
 from rig.formats.checked_entries import LARGEST_NUMBER, LARGEST_WHOLE
 from rig.formats.input_files import read_text, short_repr
@@ -26,8 +27,8 @@ class Table:
 
     path: Path
     columns: tuple[str, ...]
-    rows: list
-    lines: np.ndarray
+    rows: list[Any]
+    lines: Floats
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -42,7 +43,7 @@ class Table:
         at = self.columns.index(column)
         return [row[at].strip(" \t") for row in self.rows]
 
-    def numbers(self, column: str) -> np.ndarray:
+    def numbers(self, column: str) -> Floats:
         """(n,) finite floats. Raises FileError at the first cell that is none."""
         cells = self.text(column)
         try:
@@ -57,7 +58,7 @@ class Table:
                 self.fail(f"column {short_repr(column)} {problem}: {short_repr(cell)}", i, column, cell)
         raise AssertionError("unreachable: a bad column without a bad cell")
 
-    def times(self, column: str, origin: Origin) -> np.ndarray:
+    def times(self, column: str, origin: Origin) -> Floats:
         """(n,) s from a recording's start. Raises FileError at the first cell that is no finite number or cannot be in
         seconds.
         """
@@ -74,7 +75,7 @@ class Table:
             )
         return origin.seconds(cells)
 
-    def whole(self, column: str) -> np.ndarray:
+    def whole(self, column: str) -> Integers:
         """(n,) integers of at least 0. Raises FileError at the first cell that is none."""
         values = self.numbers(column)
         bad = np.flatnonzero((values != np.round(values)) | (values < 0) | (values > LARGEST_WHOLE))
@@ -87,7 +88,7 @@ class Table:
             )
         return values.astype(int)
 
-    def matrix(self, columns: Iterable[str]) -> np.ndarray:
+    def matrix(self, columns: Iterable[str]) -> Floats:
         """(n, k) finite floats of several columns."""
         return np.stack([self.numbers(column) for column in columns], axis=1) if columns else np.zeros((len(self), 0))
 

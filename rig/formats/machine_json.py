@@ -13,6 +13,7 @@ from rig.effects.texts.effect_notation import Kinds, effect_from_dict, effect_to
 from rig.errors import FileError, RigError
 from rig.formats import json_file
 from rig.formats.checked_entries import LARGEST_RIG, Entries
+from rig.formats.json_tree import Json
 from rig.model.design import Camera, Design
 from rig.model.mechanism_kinds import Mechanism, has_stages
 from rig.model.pose import pose, pose_to_vector
@@ -20,7 +21,7 @@ from rig.model.pose import pose, pose_to_vector
 LIMBS = ("base_joints", "platform_joints", "zeros")
 
 
-def machine_dict(design: Design, effects: Iterable[Effect]) -> dict:
+def machine_dict(design: Design, effects: Iterable[Effect]) -> Json:
     """Dict of a machine for JSON: effects, geometry by name, cameras, measuring limbs."""
     m = design.mechanism
     out = {"effects": [effect_to_dict(effect) for effect in effects], **_geometry(m)}

@@ -3,6 +3,7 @@
 import re
 import tomllib
 from collections.abc import Callable, Sequence
+from typing import Any
 
 _SPACE = re.compile(r"[ \t]*")
 _BLANK = re.compile(r"(?:[ \t\r\n]|#[^\n]*)*")
@@ -11,7 +12,7 @@ _STRING = re.compile(r'''"""(?:[^\\]|\\.)*?"{3,5}|\'\'\'.*?\'{3,5}|"(?:[^"\\\n]|
 _SCALAR = re.compile(r"[^,\]}\s#]+(?: [0-9:.]+)?")
 
 
-def value_positions(text: str) -> dict[tuple, tuple[int, int]]:
+def value_positions(text: str) -> dict[tuple[str | int, ...], tuple[int, int]]:
     """Positions of all values in a TOML text: {path: (line, column)}.
 
     A path is a tuple of keys and indices, as in ("camera", 0, "matrix", 2, 1); lines and columns count from 1.
@@ -20,7 +21,7 @@ def value_positions(text: str) -> dict[tuple, tuple[int, int]]:
     scanner = _Scanner(text)
     scanner.document()
     starts = [0] + [match.end() for match in re.finditer("\n", text)]
-    found = {(): (1, 1)}
+    found: dict[tuple[str | int, ...], tuple[int, int]] = {(): (1, 1)}
     line = 0
     for path, at in sorted(scanner.found.items(), key=lambda item: item[1]):
         while line + 1 < len(starts) and starts[line + 1] <= at:
@@ -42,8 +43,8 @@ class _Scanner:
 
     def __init__(self, text: str) -> None:
         self.text, self.at = text, 0
-        self.found: dict[tuple, int] = {}
-        self.counts: dict[tuple, int] = {}
+        self.found: dict[tuple[str | int, ...], int] = {}
+        self.counts: dict[tuple[str | int, ...], int] = {}
 
     def skip(self, pattern: re.Pattern[str]) -> None:
         self.at = self.match(pattern).end()
@@ -66,9 +67,9 @@ class _Scanner:
                 return tuple(parts)
             self.at += 1
 
-    def resolve(self, parts: Sequence) -> tuple:
+    def resolve(self, parts: Sequence[Any]) -> tuple[str | int, ...]:
         """Insert the index of the latest element wherever a part names an array of tables."""
-        path: tuple = ()
+        path: tuple[str | int, ...] = ()
         for part in parts:
             path += (part,)
             if path in self.counts:
@@ -76,7 +77,7 @@ class _Scanner:
         return path
 
     def document(self) -> None:
-        base = ()
+        base: tuple[str | int, ...] = ()
         while True:
             self.skip(_BLANK)
             if self.at >= len(self.text):
@@ -98,13 +99,13 @@ class _Scanner:
                 continue
             self.found.setdefault(base, start)
 
-    def pair(self, base: tuple) -> None:
+    def pair(self, base: tuple[str | int, ...]) -> None:
         path = base + self.key()
         self.at += 1  # the equals sign
         self.skip(_SPACE)
         self.value(path)
 
-    def value(self, path: tuple) -> None:
+    def value(self, path: tuple[str | int, ...]) -> None:
         self.found[path] = self.at
         opening = self.text[self.at]
         if opening == "[":
@@ -115,7 +116,7 @@ class _Scanner:
             pattern = _STRING if opening in "\"'" else _SCALAR
             self.skip(pattern)
 
-    def items(self, path: tuple, closing: str, read: Callable[[int], None]) -> None:
+    def items(self, path: tuple[str | int, ...], closing: str, read: Callable[[int], None]) -> None:
         self.at += 1
         index = 0
         while True:

@@ -44,7 +44,7 @@ def load(path: Path) -> Entries:
         raise FileError(path, "not valid YAML: nested too deep") from None
     if not isinstance(root, yaml.MappingNode):
         raise FileError(path, "holds no table of keys and values")
-    places: dict[tuple, tuple[int, int]] = {}
+    places: dict[tuple[str | int, ...], tuple[int, int]] = {}
     try:
         tree = _value(root, (), places, path)
     except RecursionError:
@@ -52,7 +52,9 @@ def load(path: Path) -> Entries:
     return Entries(tree, (), path, places)
 
 
-def _value(node: yaml.Node, at: tuple, places: dict[tuple, tuple[int, int]], file: Path) -> Any:
+def _value(
+    node: yaml.Node, at: tuple[str | int, ...], places: dict[tuple[str | int, ...], tuple[int, int]], file: Path
+) -> Any:
     """A node as Python has it: tables, lists, texts, numbers, whatever tag it bears."""
     line, column = node.start_mark.line + 1, node.start_mark.column + 1
     places[at] = (line, column)

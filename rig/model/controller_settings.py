@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-import numpy as np
+from rig.arrays import Floats
 
 PROTOCOLS = ("grblhal", "gcs", "linuxcnc", "struts")
 SHOWN = 80  # characters of a port's name that a message repeats
@@ -52,10 +52,10 @@ class Controller:
     usb: str
     axes: tuple[str, ...]
     homing: bool
-    zero: np.ndarray
-    home: np.ndarray | None
-    max_speed: np.ndarray
-    max_acceleration: np.ndarray | None
+    zero: Floats
+    home: Floats | None
+    max_speed: Floats
+    max_acceleration: Floats | None
     tolerance: float
     max_step: float | None
     margin: float

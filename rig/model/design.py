@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.arrays import Floats
 from rig.errors import RigError
 from rig.model.controller_settings import Controller
 from rig.model.mechanism_geometry import Arm, Chain, Free, Hexapod, Planar2, freeze_array
@@ -50,10 +51,10 @@ class MeasuringLimbs:
     zeros : (n,) m, what a limb is longer than it reads, 0 where they are left out
     """
 
-    base_joints: np.ndarray
-    platform_joints: np.ndarray
+    base_joints: Floats
+    platform_joints: Floats
     length_sigma: float
-    zeros: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    zeros: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         n = len(self.base_joints)
@@ -111,8 +112,8 @@ class Platform:
     """
 
     mass: float | None
-    centre_of_mass: np.ndarray | None
-    payload_centre_of_mass: np.ndarray | None
+    centre_of_mass: Floats | None
+    payload_centre_of_mass: Floats | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,8 +132,8 @@ class Camera:
     name: str
     width: int
     height: int
-    matrix: np.ndarray
-    distortion: np.ndarray
+    matrix: Floats
+    distortion: Floats
     pose: RigidTransform
     shutter: str = "global"
     row_time: float = 0.0
@@ -239,7 +240,7 @@ class Design:
     experiment : Permission."""
 
     name: str
-    gravity: np.ndarray
+    gravity: Floats
     mechanism: Hexapod | Planar2 | Arm | Chain | Free
     instrument: Instrument | None
     actuator: Actuator

@@ -3,7 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import Hexapod
+from rig.arrays import Floats
+from rig.model.mechanism_geometry import Hexapod
 from rig.model.pose import exp
 
 SINGULAR = 1e-6  # of the largest singular value of the Jacobian, rotations weighed by the platform's size
@@ -36,7 +37,7 @@ def singularity_description(hexapod: Hexapod) -> str | None:
     )
 
 
-def _least(hexapod: Hexapod, move: np.ndarray, size: float) -> float:
+def _least(hexapod: Hexapod, move: Floats, size: float) -> float:
     """Least singular value of the Jacobian at home moved by a tangent (m, rad), as a share of the largest; 0 where a
     strut has no length.
     """
@@ -51,7 +52,7 @@ def _least(hexapod: Hexapod, move: np.ndarray, size: float) -> float:
     return float(values[-1] / values[0])
 
 
-def cardan_twist(T: RigidTransform, mechanism: Hexapod) -> np.ndarray:
+def cardan_twist(T: RigidTransform, mechanism: Hexapod) -> Floats:
     """(..., 6) rad twist of each strut's platform-side cardan against its base-side one, about the strut.
 
     A cardan's first axis lies in its plate, tangential, (-y, x, 0) of the joint in the plate's frame; its second is
@@ -65,5 +66,5 @@ def cardan_twist(T: RigidTransform, mechanism: Hexapod) -> np.ndarray:
     return np.arctan2(np.einsum("...i,...i->...", np.cross(a, b), u), np.einsum("...i,...i->...", a, b))
 
 
-def _tangential(joints: np.ndarray) -> np.ndarray:
+def _tangential(joints: Floats) -> Floats:
     return np.stack([-joints[:, 1], joints[:, 0], np.zeros(len(joints))], axis=1)

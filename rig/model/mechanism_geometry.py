@@ -6,8 +6,10 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Booleans, Floats
 
-def _array(value: Any, shape: tuple[int | None, ...], what: str) -> np.ndarray:
+
+def _array(value: Any, shape: tuple[int | None, ...], what: str) -> Floats:
     array = np.array(value, float)
     if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape)):
         raise ValueError(f"{what}: expected shape {shape}, got {array.shape}")
@@ -51,19 +53,19 @@ class StatedMechanism:
         return None
 
     @property
-    def plates(self) -> tuple[np.ndarray, np.ndarray] | None:
+    def plates(self) -> tuple[Floats, Floats] | None:
         """(base joints, platform joints) (axes, 3) m, each in its own plate's frame; None without two plates."""
         return None
 
     @property
-    def strut_joints(self) -> tuple[np.ndarray, np.ndarray] | None:
+    def strut_joints(self) -> tuple[Floats, Floats] | None:
         """(base joints (axes, 3) m in the base frame, the struts' other ends (axes, 3) m in the platform's); None
         without struts.
         """
         return None
 
     @property
-    def link_rows(self) -> np.ndarray | None:
+    def link_rows(self) -> Floats | None:
         """(axes, 5) theta, d, a, alpha, beta of the links between its joints; None without links."""
         return None
 
@@ -73,7 +75,7 @@ class StatedMechanism:
         return None
 
     @property
-    def geometry_arrays(self) -> dict[str, np.ndarray]:
+    def geometry_arrays(self) -> dict[str, Floats]:
         """{name: array} of the figures of its geometry that a calibration fits, m and rad."""
         return {}
 
@@ -87,11 +89,11 @@ class Hexapod(StatedMechanism):
     strut_zeros : (6,) m, what a strut is longer than its command says (zero as the owner believes it)
     """
 
-    base_joints: np.ndarray
-    platform_joints: np.ndarray
-    strut_range: np.ndarray
+    base_joints: Floats
+    platform_joints: Floats
+    strut_range: Floats
     home: RigidTransform
-    strut_zeros: np.ndarray = field(default_factory=lambda: np.zeros(6))
+    strut_zeros: Floats = field(default_factory=lambda: np.zeros(6))
     kind: ClassVar[Literal["hexapod"]] = "hexapod"
 
     def __post_init__(self) -> None:
@@ -124,12 +126,12 @@ class Hexapod(StatedMechanism):
         return self.home
 
     @property
-    def plates(self) -> tuple[np.ndarray, np.ndarray]:
+    def plates(self) -> tuple[Floats, Floats]:
         """(base joints, platform joints) (6, 3) m, each in its own plate's frame."""
         return self.base_joints, self.platform_joints
 
     @property
-    def strut_joints(self) -> tuple[np.ndarray, np.ndarray]:
+    def strut_joints(self) -> tuple[Floats, Floats]:
         """(base joints, platform joints) (6, 3) m, each in its own plate's frame."""
         return self.base_joints, self.platform_joints
 
@@ -139,7 +141,7 @@ class Hexapod(StatedMechanism):
         return float(self.strut_range.max())
 
     @property
-    def geometry_arrays(self) -> dict[str, np.ndarray]:
+    def geometry_arrays(self) -> dict[str, Floats]:
         """{name: array} of the figures of its geometry that a calibration fits, m."""
         return {name: getattr(self, name) for name in ("base_joints", "platform_joints", "strut_zeros")}
 
@@ -151,9 +153,9 @@ class Planar2(StatedMechanism):
     base_joints : (2, 2) m; strut_range : (2, 2) m; strut_zeros : (2,) m. The hinge is on the left of base joint 1 -> 2.
     """
 
-    base_joints: np.ndarray
-    strut_range: np.ndarray
-    strut_zeros: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    base_joints: Floats
+    strut_range: Floats
+    strut_zeros: Floats = field(default_factory=lambda: np.zeros(2))
     kind: ClassVar[Literal["planar2"]] = "planar2"
     pose_coordinates: ClassVar[tuple[int, ...]] = (0, 1)
 
@@ -177,7 +179,7 @@ class Planar2(StatedMechanism):
         return (self,)
 
     @property
-    def strut_joints(self) -> tuple[np.ndarray, np.ndarray]:
+    def strut_joints(self) -> tuple[Floats, Floats]:
         """(base joints (2, 3) m in the base frame, the hinge once for each strut (2, 3) m in its own)."""
         return np.pad(self.base_joints, ((0, 0), (0, 1))), np.zeros((2, 3))
 
@@ -187,7 +189,7 @@ class Planar2(StatedMechanism):
         return float(self.strut_range.max())
 
     @property
-    def geometry_arrays(self) -> dict[str, np.ndarray]:
+    def geometry_arrays(self) -> dict[str, Floats]:
         """{name: array} of the figures of its geometry that a calibration fits, m."""
         return {name: getattr(self, name) for name in ("base_joints", "strut_zeros")}
 
@@ -203,11 +205,11 @@ class Arm(StatedMechanism):
         default
     """
 
-    joints: np.ndarray
-    limits: np.ndarray
+    joints: Floats
+    limits: Floats
     base: RigidTransform = field(default_factory=RigidTransform.identity)
     tool: RigidTransform = field(default_factory=RigidTransform.identity)
-    slides: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
+    slides: Booleans = field(default_factory=lambda: np.zeros(0, bool))
     kind: ClassVar[Literal["arm"]] = "arm"
     axis_unit: ClassVar[Literal["m", "rad"]] = "rad"
     placements: ClassVar[tuple[str, ...]] = ("base", "tool")
@@ -221,7 +223,7 @@ class Arm(StatedMechanism):
         object.__setattr__(self, "slides", _array(slides, (len(self.joints),), "slides") > 0)
 
     @property
-    def rows(self) -> np.ndarray:
+    def rows(self) -> Floats:
         """(n, 5) theta, d, a, alpha, beta; beta is 0 where it is not stated."""
         return np.pad(self.joints, ((0, 0), (0, 5 - self.joints.shape[1])))
 
@@ -241,7 +243,7 @@ class Arm(StatedMechanism):
         return (self,)
 
     @property
-    def link_rows(self) -> np.ndarray:
+    def link_rows(self) -> Floats:
         """(n, 5) theta, d, a, alpha, beta of the links between its joints."""
         return self.rows
 
@@ -251,7 +253,7 @@ class Arm(StatedMechanism):
         return float(np.abs(self.joints[:, 1:3]).sum() + np.abs(self.limits[self.slides]).max(axis=1).sum())
 
     @property
-    def geometry_arrays(self) -> dict[str, np.ndarray]:
+    def geometry_arrays(self) -> dict[str, Floats]:
         """{name: array} of the figures of its geometry that a calibration fits, m and rad."""
         return {"joints": self.rows}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rig.errors import RigError
-from rig.model.design import Arm, Chain, Free, Hexapod, Planar2
+from rig.model.mechanism_geometry import Arm, Chain, Free, Hexapod, Planar2
 
 if TYPE_CHECKING:
     from typing_extensions import TypeIs

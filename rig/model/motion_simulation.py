@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.machine_motion import Motion, Path
 from rig.errors import NotConverged, RigError
@@ -32,14 +33,14 @@ class Run:
     """
 
     T_base_platform: RigidTransform
-    deviation: np.ndarray
-    rate: np.ndarray | None = None
-    curvature: np.ndarray | None = None
+    deviation: Floats
+    rate: Floats | None = None
+    curvature: Floats | None = None
     stages: tuple[RigidTransform, ...] = ()
 
 
 def motion_of_commands(
-    design: Design, commands: Commands, t: np.ndarray, effects: Iterable[Effect] = (), sensors: Sensors | None = None
+    design: Design, commands: Commands, t: Floats, effects: Iterable[Effect] = (), sensors: Sensors | None = None
 ) -> Motion:
     """Motion of a design's commands at exposures logged at t (n,) s: clock and path under effects.
 
@@ -66,7 +67,7 @@ def motion_of_commands(
 def run_machine(
     design: Design,
     commands: Commands,
-    t: np.ndarray,
+    t: Floats,
     effects: Sequence[Effect] = (),
     sensors: Sensors | None = None,
     rates: bool = False,
@@ -115,11 +116,11 @@ def run_machine(
 def effective_commands(
     design: Design,
     commands: Commands,
-    t: np.ndarray,
+    t: Floats,
     T: RigidTransform,
     effects: Sequence[Effect] = (),
     sensors: Sensors | None = None,
-) -> np.ndarray:
+) -> Floats:
     """Effective commands (n, axes) under effects, at exposures logged at t (n,) s and poses T (n,).
 
     Sway counts as struts' length. The machine stands at T where this is the inverse kinematics of T. Raises as
@@ -132,11 +133,11 @@ def effective_commands(
 def effective_commands_and_sway(
     design: Design,
     commands: Commands,
-    t: np.ndarray,
+    t: Floats,
     T: RigidTransform,
     effects: Sequence[Effect] = (),
     sensors: Sensors | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Floats, Floats]:
     """Effective commands (n, axes) under effects and the platform's sway (n, 6), taken at poses T (n,).
 
     What joints hold is displaced along with them in ways that no joint may make up for. Raises as `motion_of_commands`
@@ -146,7 +147,7 @@ def effective_commands_and_sway(
     return out, sum((e.sway(state) for e in effects), np.zeros((len(state.t), 6)))
 
 
-def apparent_strut_elongations(design: Design, T: RigidTransform, sway: np.ndarray) -> np.ndarray:
+def apparent_strut_elongations(design: Design, T: RigidTransform, sway: Floats) -> Floats:
     """(n, axes) m apparent elongation of struts where the platform at T (n,) is displaced by sway (n, 6)."""
     m = require_struts(design.mechanism, "a {kind} has no struts")
     return np.einsum("nij,nj->ni", mechanisms.kinematics_of(m).axis_changes(T, np.zeros(0), m), sway)
@@ -158,7 +159,7 @@ def has_rolling_shutter(design: Design, effects: Iterable[Effect]) -> bool:
 
 
 def _with_rates(
-    design: Design, commands: Commands, t: np.ndarray, effects: Sequence[Effect], sensors: Sensors | None
+    design: Design, commands: Commands, t: Floats, effects: Sequence[Effect], sensors: Sensors | None
 ) -> Run:
     around = np.concatenate([t - ABOUT, t, t + ABOUT])
     order = np.argsort(around, kind="stable")
@@ -172,7 +173,7 @@ def _with_rates(
     )
 
 
-def pose_rates(T: RigidTransform, before: RigidTransform, after: RigidTransform) -> tuple[np.ndarray, np.ndarray]:
+def pose_rates(T: RigidTransform, before: RigidTransform, after: RigidTransform) -> tuple[Floats, Floats]:
     """Rates (n, 6) per s of poses T (n,), and curvatures (n, 6), from poses shortly before and after."""
     minus, plus = pose_difference(T, before), pose_difference(T, after)
     return (plus - minus) / (2 * ABOUT), (plus + minus) / ABOUT**2

@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.arrays import Booleans, Floats
+
 TRIANGLE = np.triu_indices(6)
 LOCKED = 1e-9  # cosine of a pitch below which roll and yaw turn about the same axis
 
 
-def _as_it_is(matrix: np.ndarray) -> RigidTransform:
+def _as_it_is(matrix: Floats) -> RigidTransform:
     """RigidTransform (...) of matrices (..., 4, 4) that are rigid to the last bit that they have: nothing is made
     orthogonal once more.
     """
@@ -32,7 +34,7 @@ def pose(position: ArrayLike, rotvec: ArrayLike) -> RigidTransform:
     return RigidTransform.from_components(np.asarray(position, float), Rotation.from_rotvec(rotvec))
 
 
-def pose_to_vector(T: RigidTransform) -> np.ndarray:
+def pose_to_vector(T: RigidTransform) -> Floats:
     """Pose as a vector (..., 6): position (m) and rotation vector (rad), as files have it."""
     return np.concatenate([T.translation, T.rotation.as_rotvec()], axis=-1)
 
@@ -43,7 +45,7 @@ def exp(xi: ArrayLike) -> RigidTransform:
     return RigidTransform.from_exp_coords(np.concatenate([xi[..., 3:], xi[..., :3]], axis=-1))
 
 
-def log(T: RigidTransform) -> np.ndarray:
+def log(T: RigidTransform) -> Floats:
     """Logarithm of a RigidTransform (...): its tangent (..., 6), translation first (m, rad)."""
     coords = T.as_exp_coords()
     return np.concatenate([coords[..., 3:], coords[..., :3]], axis=-1)
@@ -55,7 +57,7 @@ def pose_to_entry(T: RigidTransform) -> dict[str, list[float]]:
     return {"position": position.tolist(), "rotvec": rotvec.tolist()}
 
 
-def pose_difference(T_from: RigidTransform, T_to: RigidTransform) -> np.ndarray:
+def pose_difference(T_from: RigidTransform, T_to: RigidTransform) -> Floats:
     """Pose difference (..., 6): position (m) and rotation vector (rad) of T_from^-1 T_to.
 
     The parts are taken separately (no coupling of rotation into position), the definition used for every pose error.
@@ -63,7 +65,7 @@ def pose_difference(T_from: RigidTransform, T_to: RigidTransform) -> np.ndarray:
     return pose_to_vector(T_from.inv() * T_to)
 
 
-def adjoint(T: RigidTransform) -> np.ndarray:
+def adjoint(T: RigidTransform) -> Floats:
     """Adjoint (..., 6, 6) of poses: T exp(xi) T^-1 = exp(adjoint(T) xi).
 
     T : RigidTransform (...,)
@@ -75,7 +77,7 @@ def adjoint(T: RigidTransform) -> np.ndarray:
     return out
 
 
-def roll_pitch_yaw(T: RigidTransform) -> np.ndarray:
+def roll_pitch_yaw(T: RigidTransform) -> Floats:
     """Roll, pitch and yaw (..., 3) rad of a RigidTransform (...), about fixed x, y and z in this order.
 
     R = Rz(yaw) Ry(pitch) Rx(roll). At a pitch of a quarter turn roll and yaw turn alike: all of it is told as roll, yaw
@@ -88,7 +90,7 @@ def roll_pitch_yaw(T: RigidTransform) -> np.ndarray:
     return np.stack([roll, pitch, np.where(locked, 0.0, np.arctan2(R[..., 1, 0], R[..., 0, 0]))], axis=-1)
 
 
-def angle_sigmas(T: RigidTransform, covariance: np.ndarray) -> np.ndarray:
+def angle_sigmas(T: RigidTransform, covariance: Floats) -> Floats:
     """Standard deviations (sigmas) (..., 3) rad of roll, pitch and yaw angles of poses with a covariance."""
     roll, pitch, _ = np.moveaxis(roll_pitch_yaw(T), -1, 0)
     sr, cr, sp, cp = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
@@ -106,13 +108,13 @@ def angle_sigmas(T: RigidTransform, covariance: np.ndarray) -> np.ndarray:
     return np.sqrt(np.where(np.isnan(spread), np.inf, spread))
 
 
-def transform_points(T: RigidTransform, points: np.ndarray) -> np.ndarray:
+def transform_points(T: RigidTransform, points: Floats) -> Floats:
     """Points (..., n, 3) transformed from frame b to frame a by T_a_b : RigidTransform (...)."""
     matrix = T.as_matrix()
     return points @ np.swapaxes(matrix[..., :3, :3], -1, -2) + matrix[..., None, :3, 3]
 
 
-def skew(vectors: ArrayLike) -> np.ndarray:
+def skew(vectors: ArrayLike) -> Floats:
     """Skew-symmetric cross-product matrices (..., 3, 3) of vectors (..., 3)."""
     v = np.asarray(vectors, float)
     out = np.zeros((*v.shape, 3))
@@ -121,7 +123,7 @@ def skew(vectors: ArrayLike) -> np.ndarray:
     return out
 
 
-def covariance_from_triangle(triangle: ArrayLike) -> np.ndarray:
+def covariance_from_triangle(triangle: ArrayLike) -> Floats:
     """Covariance (..., 6, 6) from its upper triangle c00 c01 .. c55 (..., 21)."""
     triangle = np.asarray(triangle, float)
     out = np.zeros((*triangle.shape[:-1], 6, 6))
@@ -130,7 +132,7 @@ def covariance_from_triangle(triangle: ArrayLike) -> np.ndarray:
     return out
 
 
-def rms_uncertainty(covariance: np.ndarray) -> tuple[float, float]:
+def rms_uncertainty(covariance: Floats) -> tuple[float, float]:
     """(m, rad) RMS standard uncertainty of the length of position and rotation, of covariances (n, 6, 6), of what was
     measured; else infinite.
     """
@@ -144,7 +146,7 @@ def rms_uncertainty(covariance: np.ndarray) -> tuple[float, float]:
 
 
 def displace_selected_poses(
-    poses: RigidTransform, selected: np.ndarray, motion: Callable[[RigidTransform], RigidTransform]
+    poses: RigidTransform, selected: Booleans, motion: Callable[[RigidTransform], RigidTransform]
 ) -> RigidTransform:
     """Poses (m,) with motion(T) in place of the selected ones, selected (m,) bool."""
     if not selected.any():

@@ -2,11 +2,12 @@
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.compute.numba_kernels import njit
 
 
 @njit(cache=True, nogil=True)
-def rotate_increment(R: np.ndarray, w: np.ndarray) -> None:
+def rotate_increment(R: Floats, w: Floats) -> None:
     """Rotate R (3, 3) in place by the increment w (3,), a rotation vector: R becomes R exp(w)."""
     x, y, z = w[0], w[1], w[2]
     angle = np.sqrt(x * x + y * y + z * z)

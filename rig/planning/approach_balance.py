@@ -11,6 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rig.arrays import Floats, Integers
+
 TRIED = 64  # exchanges of two configurations that are compared at once
 REACHES = (0.02, 0.2)  # of the stroke, shortest and longest last move
 ROOM = 0.95  # of what is left to the stroke's end, that a last move takes at most
@@ -22,7 +24,7 @@ RIDGE = 0.05  # variance added to each, so that few configurations are balanced 
 SMALL = 1e-9  # of a sum of squared correlations, below which an exchange gains nothing
 
 
-def balanced_order(configurations: np.ndarray, rng: np.random.Generator, start: np.ndarray | None = None) -> np.ndarray:
+def balanced_order(configurations: Floats, rng: np.random.Generator, start: Floats | None = None) -> Integers:
     """Order (n,) of configurations in which time is balanced against position: shuffled, then exchanged in pairs.
 
     start : (axes,) from which the first is reached, where the axes go straight from one to the next: then direction of
@@ -57,11 +59,8 @@ def balanced_order(configurations: np.ndarray, rng: np.random.Generator, start: 
 
 
 def balanced_approach_lengths(
-    configurations: np.ndarray,
-    rng: np.random.Generator,
-    strokes: np.ndarray,
-    other_variables: Sequence[np.ndarray] = (),
-) -> np.ndarray:
+    configurations: Floats, rng: np.random.Generator, strokes: Floats, other_variables: Sequence[Floats] = ()
+) -> Floats:
     """Approach lengths (n, axes) m or rad to configurations, sides balanced; positive from below.
 
     Sides are those of `_balanced_sides`; lengths are drawn from REACHES of the strokes (axes, 2), evenly on a
@@ -78,12 +77,8 @@ def balanced_approach_lengths(
 
 
 def _balanced_sides(
-    values: np.ndarray,
-    rng: np.random.Generator,
-    reach: np.ndarray,
-    strokes: np.ndarray,
-    others: Sequence[np.ndarray] = (),
-) -> np.ndarray:
+    values: Floats, rng: np.random.Generator, reach: Floats, strokes: Floats, others: Sequence[Floats] = ()
+) -> Floats:
     """(n, axes) sides from which each axis comes to configurations values (n, axes), m or rad, in their order: 1 from
     below, -1 from above.
 
@@ -105,7 +100,7 @@ def _balanced_sides(
     return sides
 
 
-def _turned(side: np.ndarray, columns: np.ndarray, free: np.ndarray) -> np.ndarray:
+def _turned(side: Floats, columns: Floats, free: Floats) -> Floats:
     """Sides (n,) of which the free ones are turned, one or two at a time, while the squared sums with columns (n, p)
     become less.
     """
@@ -135,7 +130,7 @@ def _turned(side: np.ndarray, columns: np.ndarray, free: np.ndarray) -> np.ndarr
     return side
 
 
-def _place(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _place(values: Floats) -> tuple[Floats, Floats]:
     """(functions of place (n, 3 axes), standardised: every axis, its square and the half of its stroke; (axes, 3 axes)
     bool which count for the direction of an axis: all axes' places, and of its own the square and the half)."""
     axes = values.shape[1]
@@ -145,21 +140,21 @@ def _place(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return _standard(np.concatenate([unit, unit**2, np.sign(np.round(unit, 9))], axis=1)), own
 
 
-def _standard(columns: np.ndarray) -> np.ndarray:
+def _standard(columns: Floats) -> Floats:
     """Columns (n, p) of mean 0 and mean square 1; of 0 where they are constant."""
     centred = columns - columns.mean(axis=0)
     size = np.sqrt((centred**2).mean(axis=0))
     return np.asarray(centred / np.where(size > SMALL, size, np.inf))
 
 
-def _worst_first(shares: np.ndarray) -> np.ndarray:
+def _worst_first(shares: Floats) -> Floats:
     """(...) what the axes' (..., axes) squared sums with directions cost: those of all, and most of all the worst
     axis'.
     """
     return np.asarray(shares.sum(axis=-1) + WORST * shares.max(axis=-1))
 
 
-def _apart(columns: np.ndarray) -> np.ndarray:
+def _apart(columns: Floats) -> Floats:
     """Columns (n, p) made nearly uncorrelated: of a side their squared sums over n^2 are the share that all together
     explain.
     """
@@ -167,9 +162,7 @@ def _apart(columns: np.ndarray) -> np.ndarray:
     return np.asarray(columns @ vectors / np.sqrt(size + RIDGE))
 
 
-def _directions(
-    visited: np.ndarray, place: np.ndarray, start: np.ndarray, a: np.ndarray, b: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _directions(visited: Floats, place: Floats, start: Floats, a: Floats, b: Floats) -> tuple[Floats, Floats]:
     """(sums (axes, p) of directions times functions of place (n, p) in an order, (k, axes, p) by which exchanging a
     (k,) and b (k,) changes them).
 

@@ -3,15 +3,18 @@
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats
 from rig.errors import FileError, RigError
 from rig.formats import csv_table
 from rig.formats.input_files import short_repr
 from rig.model import mechanisms
-from rig.model.design import Design, Hexapod
+from rig.model.design import Design
+from rig.model.mechanism_geometry import Hexapod
 from rig.model.mechanism_kinds import require_hexapod
 from rig.model.pose import pose
 from rig.planning import sobol_points
@@ -21,12 +24,12 @@ FARTHEST = 1.0  # m or rad from home, or times a way
 DIAGONAL = 0.8  # of half the cube's diagonal, at which ISO 9283 places its poses: a tenth of the whole from each end
 
 
-def sobol_configurations(strokes: np.ndarray, count: int, fill: float = FILL, seed: int = 0) -> np.ndarray:
+def sobol_configurations(strokes: Floats, count: int, fill: float = FILL, seed: int = 0) -> Floats:
     """Sobol configurations (count, axes) that cover the middle `fill` of the strokes (axes, 2) evenly."""
     return scale_to_strokes(strokes, 2 * sobol_points.sobol_points(len(strokes), count, seed) - 1, fill)
 
 
-def grid_configurations(strokes: np.ndarray, per_axis: int, fill: float = FILL) -> np.ndarray:
+def grid_configurations(strokes: Floats, per_axis: int, fill: float = FILL) -> Floats:
     """Grid configurations (per_axis ** axes, axes), even over the strokes, in serpentine order.
 
     Raises RigError for less than two points an axis.
@@ -36,12 +39,12 @@ def grid_configurations(strokes: np.ndarray, per_axis: int, fill: float = FILL) 
     return scale_to_strokes(strokes, np.array(_serpentine(len(strokes), np.linspace(-1, 1, per_axis))), fill)
 
 
-def _serpentine(axes: int, levels: np.ndarray) -> list[tuple]:
+def _serpentine(axes: int, levels: Floats) -> list[tuple[Any, ...]]:
     """Grid points of levels on each axis in an order in which neighbours differ in one axis by one level."""
     return _vertices([levels] * axes)
 
 
-def _vertices(levels: Sequence[np.ndarray]) -> list[tuple]:
+def _vertices(levels: Sequence[Floats]) -> list[tuple[Any, ...]]:
     """Grid points of each axis' own levels in an order in which neighbours differ in one axis by one level."""
     if not len(levels):
         return [()]
@@ -49,7 +52,7 @@ def _vertices(levels: Sequence[np.ndarray]) -> list[tuple]:
     return [(level, *rest) for k, level in enumerate(levels[0]) for rest in (inner if k % 2 == 0 else inner[::-1])]
 
 
-def divided_grid_configurations(strokes: np.ndarray, division: str) -> np.ndarray:
+def divided_grid_configurations(strokes: Floats, division: str) -> Floats:
     """Grid configurations (vertices, axes) of a division of each axis ("3", "3x3x2x3x3x2"), serpentine.
 
     strokes : (axes, 2); division : "3", parts of every axis, or "3x3x2x3x3x2", of each, evenly over the middle FILL of
@@ -89,13 +92,13 @@ def parse_grid_division(axes: int, text: str) -> tuple[list[int], float]:
     return [int(one) for one in (found * axes if len(found) == 1 else found)], fill
 
 
-def _levels_of_text(strokes: np.ndarray, text: str) -> list[np.ndarray]:
+def _levels_of_text(strokes: Floats, text: str) -> list[Floats]:
     counts, fill = parse_grid_division(len(strokes), text)
     middle, half = strokes.mean(axis=1), fill * np.ptp(strokes, axis=1) / 2
     return [middle[i] + half[i] * np.linspace(-1, 1, count + 1) for i, count in enumerate(counts)]
 
 
-def _levels_of_file(strokes: np.ndarray, path: Path) -> list[np.ndarray]:
+def _levels_of_file(strokes: Floats, path: Path) -> list[Floats]:
     rows = csv_table.read(path, ("axis", "level"))
     axis, level = rows.matrix(("axis", "level")).T
     out = []
@@ -116,7 +119,7 @@ def _levels_of_file(strokes: np.ndarray, path: Path) -> list[np.ndarray]:
     return out
 
 
-def simplex_configurations(strokes: np.ndarray, shells: int = 2, fill: float = FILL) -> np.ndarray:
+def simplex_configurations(strokes: Floats, shells: int = 2, fill: float = FILL) -> Floats:
     """Simplex configurations (n, axes) that fill the configuration space: centre, axis ends, corners.
     strokes : (axes, 2) m or rad axes' ends and the corners of a half fraction of the cube, which together split it
     into simplices.
@@ -131,7 +134,7 @@ def simplex_configurations(strokes: np.ndarray, shells: int = 2, fill: float = F
     )
 
 
-def single_axis_pose_moves(design: Design, per_axis: int = 9) -> np.ndarray:
+def single_axis_pose_moves(design: Design, per_axis: int = 9) -> Floats:
     """Commands (6 per_axis, 6) of pose moves along and about single axes X, Y, Z through home.
     Raises RigError for a mechanism that is no hexapod. (on-line learning patent, [0011]-[0015]). Raises RigError
     for a mechanism that is no hexapod.
@@ -140,7 +143,7 @@ def single_axis_pose_moves(design: Design, per_axis: int = 9) -> np.ndarray:
     return _through_home(mechanism, np.eye(6), per_axis)
 
 
-def translation_rotation_moves(design: Design, per_pair: int = 6) -> np.ndarray:
+def translation_rotation_moves(design: Design, per_pair: int = 6) -> Floats:
     """Commands (18 per_pair, 6) of moves that combine a translation and a rotation through home.
 
     Raises RigError for a mechanism that is no hexapod
@@ -159,7 +162,7 @@ def _hexapod(design: Design, what: str) -> Hexapod:
     return require_hexapod(design.mechanism, f"{what}, not for a mechanism of kind {{kind!r}}")
 
 
-def _through_home(mechanism: Hexapod, ways: np.ndarray, count: int) -> np.ndarray:
+def _through_home(mechanism: Hexapod, ways: Floats, count: int) -> Floats:
     """(k count, 6) m, commands along ways (k, 6) m, rad through home, one after the other, as far as the struts reach
     on either side.
     """
@@ -169,7 +172,7 @@ def _through_home(mechanism: Hexapod, ways: np.ndarray, count: int) -> np.ndarra
     )
 
 
-def _reach(mechanism: Hexapod, ways: np.ndarray) -> np.ndarray:
+def _reach(mechanism: Hexapod, ways: Floats) -> Floats:
     """(k,) how many times each way (k, 6) m, rad from home the struts reach, within the middle part FILL of their
     strokes; at most FARTHEST.
     """
@@ -183,7 +186,7 @@ def _reach(mechanism: Hexapod, ways: np.ndarray) -> np.ndarray:
     return low
 
 
-def iso9283_test_commands(design: Design) -> np.ndarray:
+def iso9283_test_commands(design: Design) -> Floats:
     """Commands (5, 6) of the test poses P1 to P5 of ISO 9283. Raises RigError.
     Raises RigError for a mechanism that is no hexapod. diagonals of a plane through four of its corners, a tenth of
     the diagonal from each.
@@ -198,7 +201,7 @@ def iso9283_test_commands(design: Design) -> np.ndarray:
     )
 
 
-def _shifted(mechanism: Hexapod, offset: np.ndarray) -> RigidTransform:
+def _shifted(mechanism: Hexapod, offset: Floats) -> RigidTransform:
     """Home moved and turned by offsets (k, 6) m, rad."""
     return (
         pose(offset[:, :3], np.zeros((len(offset), 3)))
@@ -207,6 +210,6 @@ def _shifted(mechanism: Hexapod, offset: np.ndarray) -> RigidTransform:
     )
 
 
-def scale_to_strokes(strokes: np.ndarray, unit_points: np.ndarray, fill: float) -> np.ndarray:
+def scale_to_strokes(strokes: Floats, unit_points: Floats, fill: float) -> Floats:
     """Unit points (-1..1) scaled to the middle `fill` of the strokes: configurations (count, axes), m or rad."""
     return strokes.mean(axis=1) + fill * np.ptp(strokes, axis=1) / 2 * unit_points

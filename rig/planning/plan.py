@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.errors import FileError, RigError
 from rig.formats import csv_table
 from rig.formats.input_files import short_repr
@@ -49,7 +50,7 @@ BELOW = 0.05  # of the stroke, from which a one-sided plan comes up to every con
 STANDARD = "moving:30,sobol:120,ladder,zigzag:30,payload:20,sobol:100,moving:30"
 
 
-def plan_of_configurations(configurations: np.ndarray, start: np.ndarray, speed: float | np.ndarray) -> Plan:
+def plan_of_configurations(configurations: Floats, start: Floats, speed: float | Floats) -> Plan:
     """Plan that visits configurations (n, axes) from start (axes,), dwells and exposes once settled.
 
     speed : of the axes, one or (axes,) m/s or rad/s
@@ -61,7 +62,7 @@ def plan_of_configurations(configurations: np.ndarray, start: np.ndarray, speed:
 
 
 def build_plan(
-    design: Design, text: str, seed: int = 0, one_sided: bool = False, own_parts: Mapping[str, np.ndarray] | None = None
+    design: Design, text: str, seed: int = 0, one_sided: bool = False, own_parts: Mapping[str, Floats] | None = None
 ) -> Plan:
     """Build the Plan of a design from its text, for example "sobol:100,moving:60"; "standard" stands for STANDARD.
     one_sided : whether every configuration at which the struts settle is reached from shorter struts; own_parts :
@@ -141,7 +142,7 @@ def _refuse_beyond(name: str, count: str, each: float, before: int, text: str) -
 
 
 def _visit(
-    configurations: Callable[[Design, int, np.random.Generator], np.ndarray],
+    configurations: Callable[[Design, int, np.random.Generator], Floats],
 ) -> Callable[[Writer, Design, int, np.random.Generator], None]:
     def part(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
         writer.visit(configurations(design, count, rng))
@@ -184,7 +185,7 @@ def _moving(writer: Writer, design: Design, count: int, rng: np.random.Generator
     rates *= np.minimum(1, 2 / (half * rates.sum(axis=0) / writer.speed).max())
     phases = rng.uniform(0, 2 * np.pi, (2, len(strokes)))
 
-    def at(t: float) -> np.ndarray:
+    def at(t: float) -> Floats:
         return middle + half / 2 * np.sin(rates * t + phases).sum(axis=0)
 
     writer.go(at(0.0))
@@ -315,12 +316,12 @@ PARTS: dict[str, Callable[..., None]] = {
 TEXTS = ("commands", "division", "turn")  # parts that take more than a number
 
 
-def axis_strokes(design: Design) -> np.ndarray:
+def axis_strokes(design: Design) -> Floats:
     """Strokes (axes, 2) m or rad of the axes: the lowest and highest command of each."""
     return mechanisms.kinematics_of(design.mechanism).travel(design.mechanism)
 
 
-def planned_axis_speeds(design: Design) -> np.ndarray:
+def planned_axis_speeds(design: Design) -> Floats:
     """Speed (axes,) m/s or rad/s at which a plan moves each axis.
     The top speed that a rig.toml states is that of struts and slides.
     """

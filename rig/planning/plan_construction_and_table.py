@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.errors import FileError
 from rig.formats import csv_table
 from rig.formats.input_files import short_repr
@@ -31,8 +32,8 @@ class Plan:
     turned : (cube, quarter turns) of cubes that are put back so before it begins; others stand as they stood"""
 
     commands: Commands
-    t: np.ndarray
-    payload: np.ndarray
+    t: Floats
+    payload: Floats
     origin: Origin = Origin()
     turned: tuple[tuple[str, int], ...] = ()
 
@@ -43,8 +44,8 @@ class Approach:
     from which every axis always comes up, where the plan is one-sided, else None; rng : numpy Generator, for order and
     sides"""
 
-    strokes: np.ndarray
-    below: np.ndarray | None
+    strokes: Floats
+    below: Floats | None
     rng: np.random.Generator
 
 
@@ -53,13 +54,13 @@ class Writer:
     for straight ways
     """
 
-    def __init__(self, start: np.ndarray, speed: float | np.ndarray, approach: Approach | None = None) -> None:
+    def __init__(self, start: Floats, speed: float | Floats, approach: Approach | None = None) -> None:
         self.t, self.values, self.payload = [0.0, 1.0], [start, start], [(0.0, 0.0)]
         self.exposures: list[float] = []
         self.turned: dict[str, int] = {}
         self.speed, self.approach = speed, approach
 
-    def go(self, goal: np.ndarray) -> None:
+    def go(self, goal: Floats) -> None:
         """Go there as fast as the plan goes (axes,) m or rad."""
         seconds = float((np.abs(goal - self.values[-1]) / self.speed).max())
         if seconds > 0:
@@ -71,7 +72,7 @@ class Writer:
         self.t.append(self.t[-1] + seconds)
         self.values.append(self.values[-1])
 
-    def settle(self, goal: np.ndarray, last: np.ndarray | None = None) -> None:
+    def settle(self, goal: Floats, last: Floats | None = None) -> None:
         """Go there, dwell, expose once settled. last : (axes,) m or rad by which each axis moves last, None straight;
         where the plan is one-sided every axis comes from below"""
         if self.approach is not None and self.approach.below is not None:
@@ -82,21 +83,21 @@ class Writer:
         self.dwell(DWELL + AFTER)
         self.exposures.append(self.t[-1] - AFTER)
 
-    def visit(self, goals: np.ndarray) -> None:
+    def visit(self, goals: Floats) -> None:
         """Settle at each of the configurations (n, axes), in an order and from sides that are no function of place (see
         rig.planning.approach_balance)."""
         self.follow(self.shuffled(goals))
 
-    def follow(self, goals: np.ndarray) -> None:
+    def follow(self, goals: Floats) -> None:
         """Settle at each of the configurations (n, axes) in their order, from sides that are no function of place."""
         for goal, last in zip(goals, self.approaches(goals)):
             self.settle(goal, last)
 
-    def shuffled(self, goals: np.ndarray) -> np.ndarray:
+    def shuffled(self, goals: Floats) -> Floats:
         """Configurations (n, axes) in an order in which time is no function of place."""
         return np.asarray(goals)[balanced_order(goals, self._sided().rng)]
 
-    def approaches(self, goals: np.ndarray, others: Sequence[np.ndarray] = ()) -> np.ndarray:
+    def approaches(self, goals: Floats, others: Sequence[Floats] = ()) -> Floats:
         """(n, axes) m or rad, last moves to configurations in their order, whose sides are no function of place, time
         and others (n,).
         """
@@ -179,7 +180,7 @@ def _cubes(rows: csv_table.Table, design: Design) -> tuple[tuple[str, int], ...]
     return tuple(out)
 
 
-def require_commands_in_range(table: csv_table.Table, design: Design) -> np.ndarray:
+def require_commands_in_range(table: csv_table.Table, design: Design) -> Floats:
     """Commands (n, axes) m or rad of a table. Raises FileError with the line of one out of range.
     Raises FileError with the line of what is out of the axes' range.
     """

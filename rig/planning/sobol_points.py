@@ -5,8 +5,12 @@ Source: Joe and Kuo, Constructing Sobol sequences with better two-dimensional pr
 2008; Matousek, On the L2-discrepancy for anchored boxes, J. Complexity 14, 1998 (the scrambling)
 """
 
+from typing import cast
+
 import numpy as np
 import scipy
+
+from rig.arrays import Floats, Integers
 
 BITS = 30
 # polynomials, their ends included, and first direction numbers of the dimensions from the second on
@@ -25,7 +29,7 @@ KNOWN = (
 )
 
 
-def sobol_points(axes: int, count: int, seed: int) -> np.ndarray:
+def sobol_points(axes: int, count: int, seed: int) -> Floats:
     """Scrambled Sobol points (count, axes) of the unit cube, 0 to 1."""
     whole = int(np.ceil(np.log2(max(count, 2))))
     if axes > len(KNOWN) + 1:
@@ -37,10 +41,10 @@ def sobol_points(axes: int, count: int, seed: int) -> np.ndarray:
     out[0] = shift
     change = np.array([(k & -k).bit_length() - 1 for k in range(1, count)], int)  # of Gray codes, the bit that differs
     out[1:] = shift ^ np.bitwise_xor.accumulate(directions.T[change], axis=0)
-    return out * 2.0**-BITS
+    return cast(Floats, out * 2.0**-BITS)
 
 
-def _directions(i: int) -> np.ndarray:
+def _directions(i: int) -> Integers:
     """(BITS,) direction numbers of a dimension, counted from 0."""
     if i == 0:
         return np.uint64(1) << np.arange(BITS - 1, -1, -1, dtype=np.uint64)
@@ -55,7 +59,7 @@ def _directions(i: int) -> np.ndarray:
     return np.array([value << (BITS - 1 - j) for j, value in enumerate(v)], np.uint64)
 
 
-def _scrambled(directions: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def _scrambled(directions: Integers, rng: np.random.Generator) -> tuple[Integers, Integers]:
     """(directions (axes, BITS) scrambled, shift (axes,)), in the order in which SciPy draws."""
     axes = len(directions)
     powers = np.uint64(1) << np.arange(BITS, dtype=np.uint64)

@@ -12,8 +12,9 @@ from itertools import combinations, product
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.errors import RigError
-from rig.model.design import Arm
+from rig.model.mechanism_geometry import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms.arm_dynamics import Links
 
@@ -28,11 +29,11 @@ class Strength:
     not stated
     gravity : (3,) m/s^2 in the axes of poses"""
 
-    limits: np.ndarray
+    limits: Floats
     links: Links | None
-    gravity: np.ndarray
+    gravity: Floats
 
-    def weight(self, q: np.ndarray, arm: Arm) -> np.ndarray:
+    def weight(self, q: Floats, arm: Arm) -> Floats:
         """(..., n) N m that hold the arm itself at joint values q (..., n) rad."""
         q = np.asarray(q, float)
         if self.links is None:
@@ -41,7 +42,7 @@ class Strength:
         each = np.column_stack([self.links.mass, self.links.mass[:, None] * self.links.centre]).ravel()  # kg and kg m
         return (mechanism.links(mechanism.forward(flat, arm), flat, arm, self.gravity) @ each).reshape(q.shape)
 
-    def box(self, q: np.ndarray, arm: Arm) -> tuple[np.ndarray, np.ndarray]:
+    def box(self, q: Floats, arm: Arm) -> tuple[Floats, Floats]:
         """(low, high (..., n) N m) between which torques for a wrench may lie at joint values q (..., n) rad."""
         weight = self.weight(q, arm)
         return -self.limits - weight, self.limits - weight
@@ -55,14 +56,14 @@ class Exertion:
     strength : Strength. Raises ValueError for a wrench of nothing
     """
 
-    wrench: np.ndarray
+    wrench: Floats
     strength: Strength
 
     def __post_init__(self) -> None:
         if np.shape(self.wrench) != (6,) or not np.any(self.wrench):
             raise ValueError(f"expected a wrench (6,) that is not nothing, got {np.asarray(self.wrench).tolist()}")
 
-    def value(self, q: np.ndarray, arm: Arm) -> np.ndarray:
+    def value(self, q: Floats, arm: Arm) -> Floats:
         """(...,) the multiple at joint values q (..., n) rad; negative, by how much of a limit, where the arm's own
         weight is too much.
         """
@@ -73,7 +74,7 @@ class Exertion:
             (np.minimum(high, -low) / self.strength.limits).min(axis=-1),
         )
 
-    def slope(self, q: np.ndarray, arm: Arm) -> np.ndarray:
+    def slope(self, q: Floats, arm: Arm) -> Floats:
         """(..., n) derivative of the value with the joint values, by differences: where two joints give out at once it
         has a corner.
         """
@@ -82,12 +83,12 @@ class Exertion:
         return (ahead - behind) / (2 * DIFFERENCE)
 
 
-def joint_torques_for_wrench(q: np.ndarray, arm: Arm, wrench: np.ndarray) -> np.ndarray:
+def joint_torques_for_wrench(q: Floats, arm: Arm, wrench: Floats) -> Floats:
     """Joint torques (..., n) N m that exert a wrench (6,) N, N m on the surroundings, weight excluded."""
     return np.swapaxes(mechanism.jacobian(q, arm, "base"), -1, -2) @ wrench
 
 
-def greatest_load_multiple(load: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def greatest_load_multiple(load: Floats, low: Floats, high: Floats) -> Floats:
     """Greatest multiple (...,) of a load (..., n) within torque limits low, high (..., n) N m."""
     size = np.abs(load)
     loaded = size > FELT * size.max(axis=-1, keepdims=True)
@@ -95,7 +96,7 @@ def greatest_load_multiple(load: np.ndarray, low: np.ndarray, high: np.ndarray) 
     return np.min(np.where(loaded, room / np.where(loaded, size, 1.0), np.inf), axis=-1)
 
 
-def force_polytope_corners(A: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def force_polytope_corners(A: Floats, low: Floats, high: Floats) -> Floats:
     """Corners (k, 3) N of the force polytope low <= A f <= high, A (n, 3) m, low and high (n,) N m.
 
     Raises RigError where some force loads no joint, so that the posture bears any amount of it
@@ -120,7 +121,7 @@ def force_polytope_corners(A: np.ndarray, low: np.ndarray, high: np.ndarray) -> 
     return every[((torque >= low - slack) & (torque <= high + slack)).all(axis=1)]
 
 
-def weakest_force_direction(A: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[float, np.ndarray]:
+def weakest_force_direction(A: Floats, low: Floats, high: Floats) -> tuple[float, Floats]:
     """Weakest force direction: (force N exertable in every direction, (3,) direction of no more)."""
     size = np.linalg.norm(A, axis=1)
     bearing = np.where(size > FELT * size.max(), np.minimum(high, -low) / np.maximum(size, 1e-300), np.inf)

@@ -7,12 +7,14 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.spatial import ConvexHull
 
+from rig.arrays import Floats
+
 PLANES = ((0, 1), (0, 2), (1, 2))
 NAMES = ("fx", "fy", "fz")
 ROUND = 181  # points of an ellipse
 
 
-def force_polytope_svg(A: np.ndarray, limits: np.ndarray, corners: np.ndarray, wanted: np.ndarray) -> str:
+def force_polytope_svg(A: Floats, limits: Floats, corners: Floats, wanted: Floats) -> str:
     """SVG of the force polytope, corners (k, 3) N, and ellipsoid of A (n, 3) m with torque limits (n,) N m.
     wanted : (3,) N
     """

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.model.design import Arm
+from rig.arrays import Floats
+from rig.model.mechanism_geometry import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.posture.exertable_wrench import Exertion
 
@@ -50,25 +51,25 @@ class TransmissionObjective:
         return [DIRECTIONS.index(name) for name in self.directions]
 
 
-def _scaled_jacobian(q: np.ndarray, arm: Arm, wish: TransmissionObjective) -> np.ndarray:
+def _scaled_jacobian(q: Floats, arm: Arm, wish: TransmissionObjective) -> Floats:
     """(..., 6, n) Jacobian in the axes of poses, m/rad, moments' rows weighed by the wish's length."""
     return mechanism.jacobian(q, arm, "base") * np.repeat([1.0, wish.length], 3)[:, None]
 
 
-def transmission_measure(q: np.ndarray, arm: Arm, objective: TransmissionObjective | Exertion) -> np.ndarray:
+def transmission_measure(q: Floats, arm: Arm, objective: TransmissionObjective | Exertion) -> Floats:
     """Measure (...,) of the force transmission at joint angles q (..., n) rad for an objective."""
     if isinstance(objective, Exertion):
         return objective.value(q, arm)
     return _value(_scaled_jacobian(q, arm, objective), objective)
 
 
-def torque_norms_by_direction(q: np.ndarray, arm: Arm, objective: TransmissionObjective) -> np.ndarray:
+def torque_norms_by_direction(q: Floats, arm: Arm, objective: TransmissionObjective) -> Floats:
     """Norms (..., k) m of joint torques per unit force in each direction: columns of J^T."""
     J = _scaled_jacobian(q, arm, objective)
     return np.linalg.norm(J[..., objective.rows or list(range(6)), :], ord=objective.norm, axis=-1)
 
 
-def transmission_gradient(q: np.ndarray, arm: Arm, objective: TransmissionObjective | Exertion) -> np.ndarray:
+def transmission_gradient(q: Floats, arm: Arm, objective: TransmissionObjective | Exertion) -> Floats:
     """Gradient (..., n) of the transmission measure with the joint angles, analytic."""
     if isinstance(objective, Exertion):
         return objective.slope(q, arm)
@@ -91,7 +92,7 @@ def transmission_gradient(q: np.ndarray, arm: Arm, objective: TransmissionObject
     return np.einsum("...a,...ak->...k", sign[..., 0], np.take_along_axis(H, joint[..., None], axis=-2)[..., 0, :])
 
 
-def _value(J: np.ndarray, wish: TransmissionObjective) -> np.ndarray:
+def _value(J: Floats, wish: TransmissionObjective) -> Floats:
     if wish.directions:
         return np.linalg.norm(J[..., wish.rows, :], ord=wish.norm, axis=-1).min(axis=-1)
     if wish.whole == "det":
@@ -99,7 +100,7 @@ def _value(J: np.ndarray, wish: TransmissionObjective) -> np.ndarray:
     return np.linalg.norm(np.swapaxes(J, -1, -2), ord=wish.norm, axis=(-2, -1))
 
 
-def _norm_slope(v: np.ndarray, norm: float) -> np.ndarray:
+def _norm_slope(v: Floats, norm: float) -> Floats:
     if norm == 2:
         return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-300)
     out = np.zeros(v.shape)
@@ -108,7 +109,7 @@ def _norm_slope(v: np.ndarray, norm: float) -> np.ndarray:
     return out
 
 
-def _adjugate(A: np.ndarray) -> np.ndarray:
+def _adjugate(A: Floats) -> Floats:
     """(..., 6, 6) of symmetric A: det(A) inv(A), also where A is singular."""
     values, vectors = np.linalg.eigh(A)
     count = values.shape[-1]
@@ -116,7 +117,7 @@ def _adjugate(A: np.ndarray) -> np.ndarray:
     return (vectors * others[..., None, :]) @ np.swapaxes(vectors, -1, -2)
 
 
-def _jacobian_derivative(q: np.ndarray, arm: Arm) -> np.ndarray:
+def _jacobian_derivative(q: Floats, arm: Arm) -> Floats:
     """(..., 6, n, n) derivative of the Jacobian (axes of poses), its column i, with joint k.
 
     A joint k before i turns axis and lever with it; one behind i only moves the hand.

@@ -10,11 +10,13 @@ T-ASE 2018 (as a filter).
 
 from dataclasses import dataclass
 from math import log, pi
+from typing import cast
 
 import numpy as np
 import scipy
 
-from rig.model.design import Arm
+from rig.arrays import Floats
+from rig.model.mechanism_geometry import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics
 from rig.model.mechanisms.arm_dynamics import Links
@@ -34,11 +36,11 @@ class Motion:
     torque : (m, k, n) N m that the joints exert, friction taken off
     """
 
-    t: np.ndarray
-    q: np.ndarray
-    speed: np.ndarray
+    t: Floats
+    q: Floats
+    speed: Floats
     measured: bool
-    torque: np.ndarray
+    torque: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,12 +50,12 @@ class Model:
     jacobian : (m, k, 6, n) in the axes of poses; torque, angle, speed : (n,) variances of readings"""
 
     motion: Motion
-    inverse: np.ndarray
-    push: np.ndarray
-    jacobian: np.ndarray
-    torque: np.ndarray
-    angle: np.ndarray
-    speed: np.ndarray
+    inverse: Floats
+    push: Floats
+    jacobian: Floats
+    torque: Floats
+    angle: Floats
+    speed: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,23 +65,23 @@ class Observed:
     likelihood : logarithm of that of all readings; innovation : RMS of readings less what was expected, in standard
         deviations"""
 
-    value: np.ndarray
-    covariance: np.ndarray
+    value: Floats
+    covariance: Floats
     likelihood: float
     innovation: float
 
 
 def observer_model(
-    motion: Motion, arm: Arm, links: Links, gravity: np.ndarray, sigmas: tuple[np.ndarray, np.ndarray, np.ndarray]
+    motion: Motion, arm: Arm, links: Links, gravity: Floats, sigmas: tuple[Floats, Floats, Floats]
 ) -> Model:
     """Model of the momentum observer for a Motion of an arm, computed once; sigmas : (n,) of torque, angle, speed."""
     inverse = np.linalg.inv(arm_dynamics.mass_matrix(motion.q, arm, links))
     push = motion.torque + arm_dynamics.torque_free_momentum_rate(motion.q, motion.speed, arm, links, gravity)
     torque, angle, speed = (np.square(sigma) for sigma in sigmas)
-    return Model(motion, inverse, push, mechanism.jacobian(motion.q, arm, "base"), torque, angle, speed)
+    return Model(motion, cast(Floats, inverse), push, mechanism.jacobian(motion.q, arm, "base"), torque, angle, speed)
 
 
-def observe_wrench(model: Model, rates: np.ndarray) -> Observed:
+def observe_wrench(model: Model, rates: Floats) -> Observed:
     """Observed wrench of a Model. rates : (6,) N/sqrt(s), Nm/sqrt(s), of the wrench's random walk."""
     records, count, n = model.motion.q.shape
     size = 3 * n + 6
@@ -102,7 +104,7 @@ def observe_wrench(model: Model, rates: np.ndarray) -> Observed:
     return Observed(value, covariance, likelihood, float(np.sqrt(squares / readings)))
 
 
-def _moved(m: Model, k: int, state: np.ndarray, P: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _moved(m: Model, k: int, state: Floats, P: Floats, rates: Floats) -> tuple[Floats, Floats]:
     """State (records, 3 n + 6) and covariance a step on. Between two readings torques, their errors, the wrench and
     speeds are their mean.
     """
@@ -124,9 +126,7 @@ def _moved(m: Model, k: int, state: np.ndarray, P: np.ndarray, rates: np.ndarray
     return state, F @ P @ np.swapaxes(F, 1, 2) + (G * np.concatenate([m.torque, rates * dt])) @ np.swapaxes(G, 1, 2)
 
 
-def _corrected(
-    m: Model, k: int, state: np.ndarray, P: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
+def _corrected(m: Model, k: int, state: Floats, P: Floats) -> tuple[Floats, Floats, tuple[float, float]]:
     """(state, covariance, (log likelihood, squares) of the readings) with the angles, and the speeds where they were
     read.
     """
@@ -148,7 +148,7 @@ def _corrected(
     return state, P, (told, squares)
 
 
-def most_likely_wrench_rates(model: Model) -> np.ndarray:
+def most_likely_wrench_rates(model: Model) -> Floats:
     """Most likely rates (6,) N/sqrt(s), Nm/sqrt(s) of the wrench's random walk for a Model's readings."""
     motion = model.motion
     part = slice(0, PART)
@@ -170,5 +170,5 @@ def most_likely_wrench_rates(model: Model) -> np.ndarray:
     return _rates(float(found.x))
 
 
-def _rates(decades: float) -> np.ndarray:
+def _rates(decades: float) -> Floats:
     return 10.0**decades * np.repeat([1.0, LENGTH], 3)

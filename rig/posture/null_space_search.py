@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.design import Arm
+from rig.model.mechanism_geometry import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
 from rig.posture import force_transmission
@@ -41,15 +42,15 @@ class Found:
     moved : (m, 2) by how much the hand moved, m and rad; at_limit : (m, n) bool, joints at a limit; steps : taken in
         all"""
 
-    q: np.ndarray
-    value: np.ndarray
-    start: np.ndarray
-    moved: np.ndarray
-    at_limit: np.ndarray
+    q: Floats
+    value: Floats
+    start: Floats
+    moved: Floats
+    at_limit: Floats
     steps: int
 
 
-def unsearched_postures(q: np.ndarray, arm: Arm, objective: TransmissionObjective | Exertion) -> Found:
+def unsearched_postures(q: Floats, arm: Arm, objective: TransmissionObjective | Exertion) -> Found:
     """Found of postures q (m, n) rad as they are, without a search. Raises RigError outside the joint limits."""
     q = np.array(q, float, ndmin=2)
     value = force_transmission.transmission_measure(q, arm, objective)
@@ -57,7 +58,7 @@ def unsearched_postures(q: np.ndarray, arm: Arm, objective: TransmissionObjectiv
 
 
 def gradient_search(
-    q: np.ndarray,
+    q: Floats,
     arm: Arm,
     objective: TransmissionObjective | Exertion,
     held: str = "pose",
@@ -97,7 +98,7 @@ def gradient_search(
 
 
 def sampled_search(
-    q: np.ndarray,
+    q: Floats,
     arm: Arm,
     objective: TransmissionObjective | Exertion,
     rng: np.random.Generator,
@@ -126,7 +127,7 @@ def sampled_search(
     return _found(best, now, start, first, arm, count)
 
 
-def global_search(q: np.ndarray, arm: Arm, objective: TransmissionObjective | Exertion, held: str = "pose") -> Found:
+def global_search(q: Floats, arm: Arm, objective: TransmissionObjective | Exertion, held: str = "pose") -> Found:
     """Found by global search: the best posture of the whole self-motion through each start (m, n) rad.
 
     Steps of TRACE rad; the best one is polished by the gradient. Raises RigError where the null space is not
@@ -149,14 +150,14 @@ def global_search(q: np.ndarray, arm: Arm, objective: TransmissionObjective | Ex
     return _found(polished.q, polished.value, start, q, arm, steps + polished.steps)
 
 
-def trace_self_motion(q: np.ndarray, arm: Arm, held: str = "pose") -> np.ndarray:
+def trace_self_motion(q: Floats, arm: Arm, held: str = "pose") -> Floats:
     """Self-motion (k, n) rad traced through a posture q (n,) from end to end, or once round."""
     q = _starts(np.atleast_2d(q), arm, held)
     ahead, behind = [[walker[0] for _, walker in _walk(q, arm, held, side)] for side in (1.0, -1.0)]
     return np.array([*behind[::-1], q[0], *ahead])
 
 
-def _walk(q: np.ndarray, arm: Arm, held: str, side: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _walk(q: Floats, arm: Arm, held: str, side: float) -> Iterator[tuple[Floats, Floats]]:
     """Yield (index (k,), postures (k, n)) of the walkers still under way along the self-motion; the last few steps
     shrink towards the joint limit that ends it."""
     target, index, walker = mechanism.frames(q, arm)[:, -1], np.arange(len(q)), q.copy()
@@ -185,7 +186,7 @@ def _walk(q: np.ndarray, arm: Arm, held: str, side: float) -> Iterator[tuple[np.
             return
 
 
-def _starts(q: np.ndarray, arm: Arm, held: str) -> np.ndarray:
+def _starts(q: Floats, arm: Arm, held: str) -> Floats:
     q = np.array(q, float, ndmin=2)
     if held not in HELD:
         raise ValueError(f"held must be one of {', '.join(HELD)}, not {held!r}")
@@ -210,11 +211,11 @@ def redundant_joint_count(arm: Arm, held: str) -> int:
     return len(arm.axes) - (HELD[held].stop - HELD[held].start)
 
 
-def _rows(q: np.ndarray, arm: Arm, held: str) -> np.ndarray:
+def _rows(q: Floats, arm: Arm, held: str) -> Floats:
     return mechanism.jacobian(q, arm, "base")[..., HELD[held], :]
 
 
-def null_space_projectors(q: np.ndarray, arm: Arm, held: str, fixed: np.ndarray | None = None) -> np.ndarray:
+def null_space_projectors(q: Floats, arm: Arm, held: str, fixed: Floats | None = None) -> Floats:
     """Projectors (m, n, n) on the null space at postures q (m, n) rad; joints in fixed (m, n) do not move."""
     J = _rows(q, arm, held)
     if fixed is not None:
@@ -222,12 +223,12 @@ def null_space_projectors(q: np.ndarray, arm: Arm, held: str, fixed: np.ndarray 
     return np.eye(q.shape[1]) - np.linalg.pinv(J, rcond=RANK) @ J
 
 
-def _tangent(q: np.ndarray, arm: Arm, held: str) -> np.ndarray:
+def _tangent(q: Floats, arm: Arm, held: str) -> Floats:
     """(m, n) unit vectors along one-dimensional null spaces."""
     return np.linalg.svd(_rows(q, arm, held))[2][:, -1].copy()
 
 
-def _uphill(q: np.ndarray, arm: Arm, wish: TransmissionObjective | Exertion, held: str) -> np.ndarray:
+def _uphill(q: Floats, arm: Arm, wish: TransmissionObjective | Exertion, held: str) -> Floats:
     """(m, n) projected gradient; joints at a limit that it would leave are held, and the projection is made anew."""
     slope = force_transmission.transmission_gradient(q, arm, wish)
     low, high = arm.limits.T
@@ -242,7 +243,7 @@ def _uphill(q: np.ndarray, arm: Arm, wish: TransmissionObjective | Exertion, hel
     return np.where(fixed, 0.0, way)
 
 
-def return_hand_to_target(q: np.ndarray, target: np.ndarray, arm: Arm, held: str) -> np.ndarray:
+def return_hand_to_target(q: Floats, target: Floats, arm: Arm, held: str) -> Floats:
     """Joint angles near q (m, n) that return the hand to its target (m, 4, 4), by Newton's method."""
     for _ in range(6):
         chain = mechanism.frames(q, arm)
@@ -255,19 +256,19 @@ def return_hand_to_target(q: np.ndarray, target: np.ndarray, arm: Arm, held: str
     return q
 
 
-def _error(now: np.ndarray, target: np.ndarray, held: str) -> np.ndarray:
+def _error(now: Floats, target: Floats, held: str) -> Floats:
     """(m, 3 or 6) what is missing to the target, in the axes of poses; small turns as half the difference of axes."""
     move = target[:, :3, 3] - now[:, :3, 3]
     turn = 0.5 * sum(np.cross(now[:, :3, k], target[:, :3, k]) for k in range(3))
     return np.concatenate([move, turn], axis=1)[:, HELD[held]]
 
 
-def hand_deviation(q: np.ndarray, target: np.ndarray, arm: Arm, held: str) -> np.ndarray:
+def hand_deviation(q: Floats, target: Floats, arm: Arm, held: str) -> Floats:
     """Deviation (m,) m or rad of the hand at postures q (m, n) from its targets (m, 4, 4)."""
     return np.abs(_error(mechanism.frames(q, arm)[:, -1], target, held)).max(axis=1)
 
 
-def _found(q: np.ndarray, value: np.ndarray, start: np.ndarray, first: np.ndarray, arm: Arm, steps: int) -> Found:
+def _found(q: Floats, value: Floats, start: Floats, first: Floats, arm: Arm, steps: int) -> Found:
     moved = pose_difference(mechanism.forward(first, arm), mechanism.forward(q, arm))
     lengths = np.stack([np.linalg.norm(moved[:, :3], axis=1), np.linalg.norm(moved[:, 3:], axis=1)], axis=1)
     low, high = arm.limits.T

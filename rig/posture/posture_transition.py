@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Slerp
 
+from rig.arrays import Floats, Integers
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.design import Arm
+from rig.model.mechanism_geometry import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
 from rig.posture import force_transmission, null_space_search
@@ -25,7 +26,7 @@ STEPS = 200  # of a motion on the way
 THERE = 1e-9  # rad; end of a motion
 
 
-def motion_with_hand_still(q: np.ndarray, goal: np.ndarray, arm: Arm, held: str = "pose") -> np.ndarray:
+def motion_with_hand_still(q: Floats, goal: Floats, arm: Arm, held: str = "pose") -> Floats:
     """Motion (k, n) rad from posture q (n,) to goal (n,) with the hand still. Raises RigError where none exists."""
     if np.abs(goal - q).max() < THERE:
         return np.array([q])
@@ -45,7 +46,7 @@ def motion_with_hand_still(q: np.ndarray, goal: np.ndarray, arm: Arm, held: str 
     return np.vstack([rows, goal])
 
 
-def _within(q: np.ndarray, goal: np.ndarray, arm: Arm, held: str) -> np.ndarray:
+def _within(q: Floats, goal: Floats, arm: Arm, held: str) -> Floats:
     """(k, n) rad from q (n,) to goal (n,): as straight as what is held of the hand allows, brought back after every
     step.
     """
@@ -78,14 +79,14 @@ def _within(q: np.ndarray, goal: np.ndarray, arm: Arm, held: str) -> np.ndarray:
     return np.vstack([*rows, goal])
 
 
-def _told(apart: np.ndarray, arm: Arm) -> str:
+def _told(apart: Floats, arm: Arm) -> str:
     """The greatest of differences (n,) rad, and of slides the greatest in mm, in words."""
     turned, slid = np.abs(apart[~arm.slides]), np.abs(apart[arm.slides])
     words = [f"{np.degrees(turned.max()):.2f} degrees"] if len(turned) else []
     return " and ".join([*words, f"{slid.max() * 1e3:.2f} mm"] if len(slid) else words)
 
 
-def motion_with_straight_hand(q: np.ndarray, goal: np.ndarray, arm: Arm, steps: int = STEPS) -> np.ndarray:
+def motion_with_straight_hand(q: Floats, goal: Floats, arm: Arm, steps: int = STEPS) -> Floats:
     """Motion (k, n) rad from posture q (n,) to goal (n,) with the hand on a straight line, turning evenly.
 
     What the elbow has not done when the hand arrives, it does at the end. Raises RigError where the way leaves the
@@ -119,7 +120,7 @@ def motion_with_straight_hand(q: np.ndarray, goal: np.ndarray, arm: Arm, steps: 
     return np.vstack([rows, motion_with_hand_still(rows[-1], goal, arm)[1:]])
 
 
-def posture_times(postures: np.ndarray, speed: float) -> np.ndarray:
+def posture_times(postures: Floats, speed: float) -> Floats:
     """Times (k,) s of successive postures (k, n) rad when the fastest joint turns at speed (rad/s)."""
     return np.concatenate([[0.0], np.cumsum(np.maximum(np.abs(np.diff(postures, axis=0)).max(axis=1) / speed, 1e-6))])
 
@@ -134,13 +135,13 @@ class Visited:
     elsewhere : how many more the recording has, with the hand elsewhere; back : (j, n) rad, the way from where the
         recording ends to the best"""
 
-    frame: np.ndarray
-    t: np.ndarray
-    q: np.ndarray
-    value: np.ndarray
+    frame: Integers
+    t: Floats
+    q: Floats
+    value: Floats
     best: int
     elsewhere: int
-    back: np.ndarray
+    back: Floats
 
 
 def best_visited_posture(
@@ -173,7 +174,7 @@ def best_visited_posture(
     )
 
 
-def _back(recording: Recording, t: float) -> np.ndarray:
+def _back(recording: Recording, t: float) -> Floats:
     """(j, n) rad from the last exposure back to a time (s), as commanded between them, turned round."""
     assert recording.commands is not None  # or `commanded` had said so
     last, c = float(recording.exposures.times()[1].max()), recording.commands

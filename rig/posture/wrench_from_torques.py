@@ -6,15 +6,17 @@ are taken from the measured ones; what is left is J^T f.
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import scipy
 
+from rig.arrays import Booleans, Floats
 from rig.errors import FileError, RigError
 from rig.formats import csv_table
 from rig.formats.checked_entries import nearest_known_word
 from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
-from rig.model.design import Arm
+from rig.model.mechanism_geometry import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics
 from rig.model.mechanisms.arm_dynamics import Links
@@ -34,8 +36,8 @@ class TorqueRecord:
     acceleration_sigma : (n,) rad/s^2 of these; current : whether torques were told as motor currents"""
 
     motion: Motion
-    acceleration: np.ndarray
-    acceleration_sigma: np.ndarray
+    acceleration: Floats
+    acceleration_sigma: Floats
     current: bool
 
 
@@ -76,7 +78,7 @@ def load_torque_table(path: Path, arm: Arm, dynamics: ArmDynamics, source: Path)
     return TorqueRecord(motion, *_acceleration(path, motion, dynamics, source), current)
 
 
-def _acceleration(path: Path, motion: Motion, dynamics: ArmDynamics, source: Path) -> tuple[np.ndarray, np.ndarray]:
+def _acceleration(path: Path, motion: Motion, dynamics: ArmDynamics, source: Path) -> tuple[Floats, Floats]:
     """((k, n) rad/s^2 of what was read, (n,) standard deviation)."""
     dt = float(np.median(np.diff(motion.t)))
     if motion.measured:
@@ -86,7 +88,7 @@ def _acceleration(path: Path, motion: Motion, dynamics: ArmDynamics, source: Pat
     return _slope(path, motion.t, motion.q[0], 2), share * dynamics.need("angle_sigma", source)
 
 
-def _slope(path: Path, t: np.ndarray, values: np.ndarray, order: int) -> np.ndarray:
+def _slope(path: Path, t: Floats, values: Floats, order: int) -> Floats:
     """(k, n) first or second derivative of values (k, n), of parabolas or cubics through WINDOW readings. Source:
     Savitzky and Golay 1964
     """
@@ -111,20 +113,14 @@ class Wrench:
     6, 6)
     left : (...,) chi-square of what no wrench explains, with n - 6 degrees of freedom"""
 
-    value: np.ndarray
-    covariance: np.ndarray
-    left: np.ndarray
+    value: Floats
+    covariance: Floats
+    left: Floats
 
 
 def external_joint_torques(
-    measured: np.ndarray,
-    q: np.ndarray,
-    speed: np.ndarray,
-    acceleration: np.ndarray,
-    arm: Arm,
-    links: Links,
-    gravity: np.ndarray,
-) -> np.ndarray:
+    measured: Floats, q: Floats, speed: Floats, acceleration: Floats, arm: Arm, links: Links, gravity: Floats
+) -> Floats:
     """External joint torques (..., n) N m: measured ones less those of weight and motion, tau = J^T f.
 
     measured : (..., n) Nm, what the joints exert; f is what the surroundings do to the hand. Others as of
@@ -133,19 +129,19 @@ def external_joint_torques(
     return arm_dynamics.joint_torques(q, speed, acceleration, arm, links, gravity) - measured
 
 
-def is_wrench_observable(q: np.ndarray, arm: Arm, covariance: np.ndarray) -> np.ndarray:
+def is_wrench_observable(q: Floats, arm: Arm, covariance: Floats) -> Booleans:
     """Whether (...,) every wrench is observable in the joint torques at joint values q (..., n) rad."""
     S = np.linalg.svd(_whitened(mechanism.jacobian(q, arm, "base"), covariance)[1], compute_uv=False)
     return S[..., -1] >= FELT * S[..., 0] if q.shape[-1] >= 6 else np.zeros(S.shape[:-1], bool)
 
 
-def _whitened(J: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _whitened(J: Floats, covariance: Floats) -> tuple[Floats, Floats]:
     """(what whitens torques (..., n, n), the transpose (..., n, 6) of Jacobians so whitened)."""
     W = np.linalg.inv(np.linalg.cholesky(np.broadcast_to(covariance, (*J.shape[:-2], J.shape[-1], J.shape[-1]))))
-    return W, W @ np.swapaxes(J, -1, -2)
+    return cast(Floats, W), W @ np.swapaxes(J, -1, -2)
 
 
-def estimate_wrench(external_torques: np.ndarray, q: np.ndarray, arm: Arm, covariance: np.ndarray) -> Wrench:
+def estimate_wrench(external_torques: Floats, q: Floats, arm: Arm, covariance: Floats) -> Wrench:
     """Wrench estimated from external joint torques (..., n) N m at joint angles q (..., n) rad.
 
     covariance : (n, n) or (..., n, n) Nm^2 of the torques, sensors and what is not known of weight and motion together;

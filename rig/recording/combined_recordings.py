@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Integers
 from rig.errors import RigError
 from rig.formats import remote_folders
 from rig.model.design import Camera, Design, Target
@@ -215,7 +216,7 @@ def _corners(parts: Sequence[Part], owners: Owners, seats: Owners) -> Corners | 
     )
 
 
-def _keys(markers: np.ndarray, part: Part, seat: dict[str, int], parts: Sequence[Part]) -> np.ndarray:
+def _keys(markers: Integers, part: Part, seat: dict[str, int], parts: Sequence[Part]) -> Integers:
     """(n,) of identities (n,), shifted where their cube was put back in a later recording than the first."""
     step, out = _shift([p.recording for p in parts]), markers.copy()
     for target in part.recording.design.targets:

@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats, Integers
 from rig.errors import FileError
 from rig.formats import csv_table, remote_folders
 from rig.formats.checked_entries import LARGEST_RIG
@@ -27,12 +28,12 @@ class Corners:
     """Marker corners in images. frame, marker, corner : (n,) int; camera : n names; uv : (n, 2) px;
     covariance : (n, 2, 2) px^2, or None where the recording states none."""
 
-    frame: np.ndarray
+    frame: Integers
     camera: list[str]
-    marker: np.ndarray
-    corner: np.ndarray
-    uv: np.ndarray
-    covariance: np.ndarray | None
+    marker: Integers
+    corner: Integers
+    uv: Floats
+    covariance: Floats | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,9 +41,9 @@ class Poses:
     """Platform in base. frame : (n,) int; T_base_platform : RigidTransform (n,); covariance : (n, 6, 6) m, rad, on the
     right, order x y z rx ry rz, or None."""
 
-    frame: np.ndarray
+    frame: Integers
     T_base_platform: RigidTransform
-    covariance: np.ndarray | None
+    covariance: Floats | None
 
 
 def load_corners(path: Path, design: Design, exposures: Exposures) -> Corners | None:
@@ -77,7 +78,7 @@ def _refuse(
     exposed: set[tuple[int, str]],
 ) -> NoReturn:
     """Raise FileError at the first corner, by (frame, camera, marker, corner), that cannot be or is there twice."""
-    seen: dict = {}
+    seen: dict[Any, Any] = {}
     for i, key in enumerate(keys):
         if key[1] not in cameras:
             rows.fail(
@@ -102,7 +103,7 @@ def _refuse(
     raise AssertionError("unreachable: bad corners without a bad one")
 
 
-def _corner_covariance(rows: Table) -> np.ndarray | None:
+def _corner_covariance(rows: Table) -> Floats | None:
     if all(name in rows.columns for name in CORNER_COVARIANCE):
         cuu, cuv, cvv = rows.matrix(CORNER_COVARIANCE).T
         bad = np.flatnonzero((cuu <= 0) | (cuu * cvv <= cuv**2))
@@ -161,10 +162,10 @@ def load_instrument_poses(path: Path, known_frames: set[int], instrument: Instru
     return Poses(frame, pose(np.pad(values, ((0, 0), (0, 2))), nothing), None)
 
 
-def _frames(rows: Table, known_frames: set[int] | None) -> np.ndarray:
+def _frames(rows: Table, known_frames: set[int] | None) -> Integers:
     """(n,) frame of each row, each once and known."""
     frame = rows.whole("frame")
-    seen: dict = {}
+    seen: dict[Any, Any] = {}
     for i, number in enumerate(frame.tolist()):
         if known_frames is not None and number not in known_frames:
             rows.fail(f"frame {number} is not in frames.csv", i, "frame", number)
@@ -174,7 +175,7 @@ def _frames(rows: Table, known_frames: set[int] | None) -> np.ndarray:
     return frame
 
 
-def _plausible(rows: Table, values: np.ndarray, columns: tuple[str, ...]) -> None:
+def _plausible(rows: Table, values: Floats, columns: tuple[str, ...]) -> None:
     """Raise FileError at the first length (n, k) that no rig has."""
     far = np.argwhere(np.abs(values) > LARGEST_RIG)
     if len(far):
@@ -187,7 +188,7 @@ def _plausible(rows: Table, values: np.ndarray, columns: tuple[str, ...]) -> Non
         )
 
 
-def _pose_covariance(rows: Table, commanded: bool) -> np.ndarray | None:
+def _pose_covariance(rows: Table, commanded: bool) -> Floats | None:
     given = [name for name in COVARIANCE_COLUMNS if name in rows.columns]
     if not given:
         return None

@@ -3,9 +3,11 @@
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from rig.arrays import Floats, Integers, Pixels
 from rig.errors import FileError
 from rig.formats import remote_folders
 from rig.formats.csv_table import Table
@@ -23,12 +25,12 @@ LISTED = 20  # images that a message names
 class Exposures:
     """One row per exposure. frame : (n,) int; t : (n,) s; camera, image : n names ("" where there is none)."""
 
-    frame: np.ndarray
-    t: np.ndarray
+    frame: Integers
+    t: Floats
     camera: list[str]
     image: list[str]
 
-    def times(self) -> tuple[np.ndarray, np.ndarray]:
+    def times(self) -> tuple[Integers, Floats]:
         """(frames, t) : the distinct frames in order and their times (s)."""
         frames, first = np.unique(self.frame, return_index=True)
         return frames, self.t[first]
@@ -86,8 +88,8 @@ def load_exposures(
     written = table.text("t")
     frame, t, camera, image = table.whole("frame"), table.times("t", origin), table.text("camera"), table.text("image")
     cameras = {c.name: c for c in design.cameras}
-    seen: dict = {}
-    start: dict = {}
+    seen: dict[Any, Any] = {}
+    start: dict[Any, Any] = {}
     last = (-1, -np.inf, "")
     for i in range(len(table)):
         if camera[i] and camera[i] not in cameras:
@@ -157,7 +159,7 @@ def _listed(path: Path, _: Camera) -> str | None:
     return "no such image" if size is None else "is an empty file" if not size else None
 
 
-def read_image(path: Path, max_pixels: int = MOST_PIXELS) -> np.ndarray:
+def read_image(path: Path, max_pixels: int = MOST_PIXELS) -> Pixels:
     """Read an image (rows, columns) or (rows, columns, 3), `max_pixels` at most.
     max_pixels : px that it may have.
 

@@ -19,6 +19,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -147,5 +148,5 @@ def _limbs(recording: Recording) -> list[tuple[int, str]]:
     ]
 
 
-def _mark(kind: str, content: list) -> str:
+def _mark(kind: str, content: list[Any]) -> str:
     return sha256(repr((kind, content)).encode()).hexdigest()[:LENGTH]

@@ -6,9 +6,11 @@ from itertools import compress
 
 import numpy as np
 
+from rig.arrays import Integers
 from rig.errors import NotEnoughData, RigError
 from rig.formats.input_files import short_repr
-from rig.recording.recording_folder import Poses, Recording
+from rig.recording.corner_and_pose_tables import Poses
+from rig.recording.recording_folder import Recording
 
 FRAME = re.compile(r"\s*([0-9]{1,18})(?:\s*-\s*([0-9]{1,18}))?\s*")
 
@@ -45,7 +47,7 @@ def remove_frames(recording: Recording, frame_ranges: str) -> Recording:
     return _without(recording, out)
 
 
-def select_frames(recording: Recording, frames: np.ndarray) -> Recording:
+def select_frames(recording: Recording, frames: Integers) -> Recording:
     """The Recording with only the selected frames (f,); its commands remain.
     Raises NotEnoughData where it has none of them.
     """
@@ -55,7 +57,7 @@ def select_frames(recording: Recording, frames: np.ndarray) -> Recording:
     return _without(recording, every[~np.isin(every, frames)])
 
 
-def _without(recording: Recording, out: np.ndarray) -> Recording:
+def _without(recording: Recording, out: Integers) -> Recording:
     """The Recording without frames (k,)."""
     seen, corners = recording.exposures, recording.corners
     keep = ~np.isin(seen.frame, out)
@@ -87,7 +89,7 @@ def _without(recording: Recording, out: np.ndarray) -> Recording:
     )
 
 
-def _others(poses: Poses, out: np.ndarray) -> Poses:
+def _others(poses: Poses, out: Integers) -> Poses:
     """Poses of other frames than these (k,)."""
     keep = ~np.isin(poses.frame, out)
     return replace(

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rig.arrays import Floats, Integers
 from rig.errors import FileError, RigError
 from rig.formats import csv_table, remote_folders
 from rig.formats.checked_entries import name_problem
@@ -34,11 +35,11 @@ class Commands:
         nothing before them is
     remembered."""
 
-    t: np.ndarray
-    values: np.ndarray
-    starts: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    t: Floats
+    values: Floats
+    starts: Floats = field(default_factory=lambda: np.zeros(0))
 
-    def at(self, t: ArrayLike) -> np.ndarray:
+    def at(self, t: ArrayLike) -> Floats:
         """(..., axes) what was commanded at times t (s). Raises RigError for a time before the first command."""
         t = np.asarray(t, float)
         if (t < self.t[0]).any():
@@ -52,11 +53,11 @@ class Sensors:
     sees to it that the log covers the exposures to within the distance of its rows, over which the nearest row stands
     starts : (k,) s, rows at which another recording's log begins"""
 
-    t: np.ndarray
-    channels: dict[str, np.ndarray]
-    starts: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    t: Floats
+    channels: dict[str, Floats]
+    starts: Floats = field(default_factory=lambda: np.zeros(0))
 
-    def at(self, t: np.ndarray | Sequence[float], *names: str) -> np.ndarray:
+    def at(self, t: Floats | Sequence[float], *names: str) -> Floats:
         """(n,) values at times t (n,) s of the first of these channels that there is. Raises RigError where there is
         none.
         """
@@ -125,7 +126,7 @@ class Recording:
         """Whether any exposure names an image."""
         return any(self.exposures.image)
 
-    def commanded(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def commanded(self) -> tuple[Integers, Floats, Floats]:
         """(frames, t, values (n, axes)): what was commanded at each frame. Raises RigError without commands.csv."""
         if self.commands is None:
             raise RigError(f"{self.folder}: there is no commands.csv, so nothing was commanded")
@@ -217,7 +218,7 @@ class Wanted:
     origin : of the owner's clock, by which times are told"""
 
     poses: Poses
-    t: np.ndarray | None = None
+    t: Floats | None = None
     origin: Origin = Origin()
 
 
@@ -285,7 +286,7 @@ def _commands(rows: Table, design: Design, exposures: Exposures, origin: Origin)
     return Commands(t, rows.matrix(design.mechanism.axes))
 
 
-def _increasing(rows: Table, origin: Origin) -> np.ndarray:
+def _increasing(rows: Table, origin: Origin) -> Floats:
     t, shown = rows.times("t", origin), rows.text("t")
     back = np.flatnonzero(np.diff(t) <= 0)
     if len(back):
@@ -312,7 +313,7 @@ def _sensor_rows(rows: Table, origin: Origin) -> Sensors:
     return Sensors(t, {name: rows.numbers(name) for name in channels})
 
 
-def _covers(rows: Table, t: np.ndarray, exposures: Exposures, origin: Origin) -> None:
+def _covers(rows: Table, t: Floats, exposures: Exposures, origin: Origin) -> None:
     """Raise FileError where exposures lie farther outside a log, at t (n,) s, than its rows are apart: nobody knows
     what was then.
     One row alone states what never changed."""

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.formats import remote_folders
 from rig.formats.input_files import read_bytes
 from rig.formats.output_files import write_bytes, write_text
@@ -28,7 +29,7 @@ def write_table(path: Path, header: Iterable[str], rows: Iterable[str]) -> None:
     write_text(path, "\n".join([",".join(header), *rows]) + "\n")
 
 
-def write_configurations(path: Path, axis_names: Iterable[str], configurations: Iterable[np.ndarray]) -> None:
+def write_configurations(path: Path, axis_names: Iterable[str], configurations: Iterable[Floats]) -> None:
     """Write a CSV of configurations (k, axes) m or rad, numbered from 0, for the plan commands:FILE."""
     write_table(
         path,
@@ -66,7 +67,7 @@ def write_poses_as_roll_pitch_yaw(path: Path, poses: Poses) -> None:
     write_table(path, ("frame", *ANGLES, *(f"u_{name}" for name in ANGLES if sure)), lines)
 
 
-def _positions(poses: Poses) -> np.ndarray:
+def _positions(poses: Poses) -> Floats:
     """(n, 3) m, standard deviations along the static frame's axes: a covariance stands along the platform's."""
     R, C = poses.T_base_platform.rotation.as_matrix(), poses.covariance
     assert C is not None

@@ -9,6 +9,8 @@ from decimal import Context, Decimal, InvalidOperation
 
 import numpy as np
 
+from rig.arrays import Floats
+
 DIGITS = Context(prec=60, traps=[])
 LATEST = 1e11  # s, in the year 5138; a greater figure is in another unit
 UNITS = (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9))
@@ -20,7 +22,7 @@ class Origin:
 
     offset: Decimal = Decimal(0)
 
-    def seconds(self, texts: list[str]) -> np.ndarray:
+    def seconds(self, texts: list[str]) -> Floats:
         """(n,) s from the recording's start, of n times as the owner's clock shows them: texts that are finite
         numbers.
         """

@@ -2,10 +2,11 @@
 
 import re
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 
+from rig.arrays import Floats
 from vision.bundle.bundle_adjustment import Adjustment
 from vision.bundle.normal_equations import linearise, normal_equations, schur_complement
 from vision.bundle.unknown_priors import POSE_SIGMA, adjustment_unknowns
@@ -105,7 +106,7 @@ def crossvalidate_adjustment(
             right - reduced @ delta
         )  # what the shared unknowns' uncertainty explains of it (Woodbury)
         here -= surprise @ np.linalg.solve(u.basis.T @ total @ u.basis, surprise)
-        chi2, expected, square = chi2 + here, expected + dof, square + plain
+        chi2, expected, square = chi2 + cast(float, here), expected + dof, square + cast(float, plain)
         ratios.append(here / dof)
     corners = sum(p[4] for p in kept)
     mean = np.sqrt(np.median(np.einsum("nii->n", observations.covariance)) / 2)
@@ -197,7 +198,7 @@ def determined_combinations(adjustment: Adjustment) -> DeterminedUnknowns:
     )
 
 
-def _names(vector: np.ndarray, names: list[str]) -> tuple[str, ...]:
+def _names(vector: Floats, names: list[str]) -> tuple[str, ...]:
     order = np.argsort(-(vector**2))
     kept = [k for k in order[:4] if vector[k] ** 2 > NAMED] or [order[0]]
     return tuple(names[k] for k in kept)

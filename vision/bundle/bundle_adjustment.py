@@ -7,9 +7,11 @@ those of the platform's markers the platform frame.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
+from rig.arrays import Booleans, Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Camera
 from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, schur_complement, solve_step
@@ -53,13 +55,13 @@ class Adjustment:
     """
 
     state: State
-    residuals: np.ndarray
-    whitened: np.ndarray
-    platform_given_cameras: np.ndarray
-    platform_common: np.ndarray
-    shared_factor: np.ndarray
+    residuals: Floats
+    whitened: Floats
+    platform_given_cameras: Floats
+    platform_common: Floats
+    shared_factor: Floats
     shared_names: list[tuple[str, str]]
-    prior: np.ndarray
+    prior: Floats
     dof: float
     cost: float
     unknowns: Unknowns
@@ -68,7 +70,7 @@ class Adjustment:
     printing: Printing | None = None
 
     @property
-    def of_prints(self) -> np.ndarray:
+    def of_prints(self) -> Booleans:
         """(s,) bool, which of the shared unknowns are how markers are printed."""
         out, prints = np.zeros(len(self.shared_names), bool), self.unknowns.prints
         for columns in (*prints.rows.values(), prints.together):
@@ -76,12 +78,12 @@ class Adjustment:
         return out
 
     @property
-    def platform_covariance(self) -> np.ndarray:
+    def platform_covariance(self) -> Floats:
         """(F, 6, 6) covariance of each platform pose, cameras' uncertainty included, tangent on the right."""
         return self.platform_given_cameras + self.platform_common @ np.swapaxes(self.platform_common, 1, 2)
 
     @property
-    def shared_covariance(self) -> np.ndarray:
+    def shared_covariance(self) -> Floats:
         """(s, s) covariance of the shared unknowns, in their own units."""
         return self.shared_factor @ self.shared_factor.T
 
@@ -92,7 +94,7 @@ def adjust_bundle(
     free: Sequence[str] = ("poses", "lenses"),
     progress: Callable[[float], None] | None = None,
     stated: State | None = None,
-    lens_prior_sigmas: Callable[[Camera], np.ndarray] = stated_lens_sigmas,
+    lens_prior_sigmas: Callable[[Camera], Floats] = stated_lens_sigmas,
     printing: Printing | None = None,
 ) -> Adjustment:
     """Bundle adjustment: the cameras, places and poses that fit all corners best, weighted by covariance.
@@ -198,7 +200,7 @@ def _finish(
         estimate.state,
         observations.uv - uv,
         residual,
-        given,
+        cast(Floats, given),
         (gain @ factor)[:, :6] * POSE_SCALE,
         own,
         u.names,
@@ -211,7 +213,7 @@ def _finish(
     )
 
 
-def _inverse_root(information: np.ndarray, u: Unknowns) -> np.ndarray:
+def _inverse_root(information: Floats, u: Unknowns) -> Floats:
     """Square root of the inverse of what the images say (k, k) of the basis' directions. Raises NotEnoughData naming
     what they leave open.
     """

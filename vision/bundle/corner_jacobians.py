@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from rig.arrays import Booleans, Floats, Integers
 from rig.compute.numba_kernels import njit
 from vision import lens
 from vision.corner_observations import Observations
@@ -11,7 +12,7 @@ from vision.predict import State, iterate_observed_cameras, observed_points_base
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fill_small_motion_jacobian(J: np.ndarray, points: np.ndarray, out: np.ndarray) -> None:
+def _fill_small_motion_jacobian(J: Floats, points: Floats, out: Floats) -> None:
     """Into out (n, 2, 6) the derivatives to small motions on the right, from those J (n, 2, 3) to the points (n, 3)
     that they move.
     """
@@ -24,9 +25,7 @@ def _fill_small_motion_jacobian(J: np.ndarray, points: np.ndarray, out: np.ndarr
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fill_rotated_jacobian(
-    J: np.ndarray, R: np.ndarray, rotation_index: np.ndarray, mask: np.ndarray, out: np.ndarray
-) -> None:
+def _fill_rotated_jacobian(J: Floats, R: Floats, rotation_index: Floats, mask: Booleans, out: Floats) -> None:
     """Into out (n, 2, 3) J (n, 2, 3) times the matrix of R (m, 3, 3) that each is `rotation_index` (n,), or J itself
     but for `mask` (n,).
     """
@@ -43,9 +42,7 @@ def _fill_rotated_jacobian(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def whiten_and_scale_rows(
-    whitening: np.ndarray, column_scale: np.ndarray, marker: np.ndarray, rows: np.ndarray
-) -> None:
+def whiten_and_scale_rows(whitening: Floats, column_scale: Floats, marker: Integers, rows: Floats) -> None:
     """Whiten the rows of each corner in place, and scale their columns by the column scale of its marker.
     whitening : (n, 2, 2); column_scale : (markers, k); marker : (n,); rows : (n, 2, k)
     """
@@ -58,12 +55,12 @@ def whiten_and_scale_rows(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_corners_to_normal_equations(
-    rows: np.ndarray,
-    frame: np.ndarray,
-    marker: np.ndarray,
-    frame_columns: np.ndarray,
-    shared_columns: np.ndarray,
-    sums: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    rows: Floats,
+    frame: Integers,
+    marker: Integers,
+    frame_columns: Floats,
+    shared_columns: Floats,
+    sums: tuple[Floats, Floats, Floats, Floats, Floats],
 ) -> None:
     """Add a camera's corners to the sums of normal equations.
     sums : local (F, l, l), cross (F, l, s), shared (s, s), own (F, l), common (s,)
@@ -102,8 +99,8 @@ def add_corners_to_normal_equations(
         square[:] = 0.0
 
 
-CameraJacobians = tuple[int, slice, np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # see `iterate_camera_jacobians`
-Derivative = tuple[int, slice, np.ndarray, np.ndarray, np.ndarray]  # see `corner_jacobians`
+CameraJacobians = tuple[int, slice, Floats, Floats, Floats, Floats]  # see `iterate_camera_jacobians`
+Derivative = tuple[int, slice, Floats, Floats, Floats]  # see `corner_jacobians`
 
 
 def iterate_camera_jacobians(observations: Observations, state: State) -> Iterator[CameraJacobians]:
@@ -127,7 +124,7 @@ def iterate_camera_jacobians(observations: Observations, state: State) -> Iterat
         yield i, rows, uv, J_base, -small_motion_jacobian(J_point, ahead), J_lens
 
 
-def small_motion_jacobian(J_point: np.ndarray, points: np.ndarray) -> np.ndarray:
+def small_motion_jacobian(J_point: Floats, points: Floats) -> Floats:
     """(n, 2, 6) Jacobian to a small motion on the right, from the Jacobian to the moved points (n, 2, 3).
     points : (n, 3) in the moved frame
     """
@@ -136,9 +133,7 @@ def small_motion_jacobian(J_point: np.ndarray, points: np.ndarray) -> np.ndarray
     return out
 
 
-def rotate_jacobian(
-    J: np.ndarray, R: np.ndarray, rotation_index: np.ndarray, mask: np.ndarray | None = None
-) -> np.ndarray:
+def rotate_jacobian(J: Floats, R: Floats, rotation_index: Integers, mask: Booleans | None = None) -> Floats:
     """(n, 2, 3) Jacobian rotated: J times the rotation matrix of each row, or J itself outside the mask.
     J : (n, 2, 3); R : (m, 3, 3); rotation_index : (n,) into R; mask : (n,) bool, all by default
     """

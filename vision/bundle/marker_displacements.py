@@ -7,6 +7,7 @@ import numpy as np
 from scipy import special
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats, Integers
 from rig.model.design import Marker
 from rig.model.pose import log
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
@@ -27,7 +28,7 @@ class Measured(Protocol):
     """What is asked here of a vision.recording_adjustment.Measurement, which stands above."""
 
     @property
-    def frames(self) -> np.ndarray:
+    def frames(self) -> Integers:
         """(f,) numbers of the solved frames."""
 
     @property
@@ -53,8 +54,8 @@ class Move:
     moved : whether chance is ruled out."""
 
     name: str
-    by: np.ndarray
-    ci95: np.ndarray
+    by: Floats
+    ci95: Floats
     moved: bool
 
 
@@ -67,14 +68,14 @@ class Places:
     """
 
     moves: tuple[Move, ...]
-    frames: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
+    frames: Integers
+    before: Floats
+    after: Floats
     weighted: tuple[float, float]
     odd: dict[int, float]
 
 
-def compare_stated_and_adjusted_places(measurement: Measured, t: np.ndarray) -> Places:
+def compare_stated_and_adjusted_places(measurement: Measured, t: Floats) -> Places:
     """Places: comparison of stated and adjusted marker places, and of the residuals with each.
     measurement : Measurement whose markers were free; t : (F,) s of all frames of the recording
     """
@@ -151,7 +152,7 @@ def marker_displacements(adjustment: Adjustment) -> tuple[Move, ...]:
     return tuple(out)
 
 
-def _by_frame(observations: Observations, state: State, count: int) -> np.ndarray:
+def _by_frame(observations: Observations, state: State, count: int) -> Floats:
     """(count,) px, RMS per axis of the platform's corners in each frame."""
     on = observations.on_platform
     square = ((observations.uv - predict_corners(observations, state)[0]) ** 2).sum(axis=1)
@@ -159,7 +160,7 @@ def _by_frame(observations: Observations, state: State, count: int) -> np.ndarra
     return np.sqrt(np.bincount(frame, weights=square[on], minlength=count) / (2 * np.bincount(frame, minlength=count)))
 
 
-def _odd(m: Measured, t: np.ndarray) -> dict[int, float]:
+def _odd(m: Measured, t: Floats) -> dict[int, float]:
     """{frame number: degrees} of solved frames whose platform turns against those around it by more than these
     predict.
     """

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig.arrays import Floats, Integers
 from rig.compute.parallel_map import thread_map
 from vision.bundle import corner_jacobians
 from vision.bundle.corner_jacobians import (
@@ -28,17 +29,17 @@ class Derivatives:
     """
 
     rows: slice
-    whole: np.ndarray
-    own_columns: np.ndarray
-    shared_columns: np.ndarray
+    whole: Floats
+    own_columns: Integers
+    shared_columns: Floats
 
     @property
-    def own(self) -> np.ndarray:
+    def own(self) -> Floats:
         """(n, 2, k) to unknowns of the corner's frame."""
         return self.whole[..., : len(self.own_columns)]
 
     @property
-    def shared(self) -> np.ndarray:
+    def shared(self) -> Floats:
         """(n, 2, w) to shared unknowns."""
         return self.whole[..., len(self.own_columns) : -1]
 
@@ -49,16 +50,16 @@ class Blocks:
     common : (s,).
     """
 
-    local: np.ndarray
-    cross: np.ndarray
-    shared: np.ndarray
-    own: np.ndarray
-    common: np.ndarray
+    local: Floats
+    cross: Floats
+    shared: Floats
+    own: Floats
+    common: Floats
 
 
 def linearise(
     observations: Observations, estimate: Estimate, unknowns: Unknowns, whitener: Whitener
-) -> tuple[np.ndarray, dict[int, Derivatives]]:
+) -> tuple[Floats, dict[int, Derivatives]]:
     """Linearised prediction: whitened residuals (n, 2), and {camera index: Derivatives}.
 
     whitener : Whitener of the observations
@@ -76,6 +77,7 @@ def linearise(
         i, rows, uv, J_base, J_camera, J_lens = view
         on, marker, corner = observations.on_platform[rows], observations.marker[rows], observations.corner[rows]
         J_body = rotate_jacobian(J_base, R_platform, observations.frame[rows], on)
+        own_columns: list[Integers]
         local, own_columns = (
             [np.where(on[:, None, None], small_motion_jacobian(J_body, body[rows]), 0.0)],
             [np.arange(6)],
@@ -121,11 +123,11 @@ def linearise(
     return residual, found
 
 
-def _range(columns: slice) -> np.ndarray:
+def _range(columns: slice) -> Integers:
     return np.arange(columns.start, columns.stop)
 
 
-def _about_targets(estimate: Estimate, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray]:
+def _about_targets(estimate: Estimate, unknowns: Unknowns) -> tuple[Floats, Floats]:
     """Corners (m, 4, 3) m along each target's own axes, about its middle, and those axes (m, 3, 3) in the body."""
     markers = estimate.state.placed
     shift = marker_motions_with_targets(estimate, unknowns)
@@ -136,7 +138,7 @@ def _about_targets(estimate: Estimate, unknowns: Unknowns) -> tuple[np.ndarray, 
 
 
 def normal_equations(
-    observations: Observations, derivatives: dict[int, Derivatives], unknowns: Unknowns, offset: np.ndarray
+    observations: Observations, derivatives: dict[int, Derivatives], unknowns: Unknowns, offset: Floats
 ) -> Blocks:
     """Normal equations as Blocks, from the whitened residuals, their derivatives and the priors.
     offset : (s,) scaled, from the stated
@@ -163,7 +165,7 @@ def normal_equations(
     return blocks
 
 
-def solve_step(blocks: Blocks, unknowns: Unknowns, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+def solve_step(blocks: Blocks, unknowns: Unknowns, damping: float = 0.0) -> tuple[Floats, Floats]:
     """Solved step of the shared unknowns (s,) and of each frame (F, l), scaled, by the Schur complement."""
     diagonal = np.einsum("fii->fi", blocks.local)
     H = blocks.local + damping * diagonal[:, :, None] * np.eye(unknowns.local)
@@ -179,7 +181,7 @@ def solve_step(blocks: Blocks, unknowns: Unknowns, damping: float = 0.0) -> tupl
     return shared, solved[..., -1] - solved[..., :-1] @ shared
 
 
-def predicted_decrease(blocks: Blocks, shared_step: np.ndarray, local_step: np.ndarray) -> float:
+def predicted_decrease(blocks: Blocks, shared_step: Floats, local_step: Floats) -> float:
     """Predicted decrease of the cost by the undamped steps of `solve_step`, to first order.
 
     shared_step, local_step : the steps (s,), (frames, l), scaled, as `solve_step` gives them
@@ -187,7 +189,7 @@ def predicted_decrease(blocks: Blocks, shared_step: np.ndarray, local_step: np.n
     return float(blocks.common @ shared_step + (blocks.own * local_step).sum())
 
 
-def schur_complement(blocks: Blocks) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def schur_complement(blocks: Blocks) -> tuple[Floats, Floats, Floats]:
     """Schur complement of the shared unknowns: (gain (F, l, s), reduced (s, s), right (s,)).
     The frames' own unknowns are eliminated; own = ... - gain @ shared.
     """
@@ -195,7 +197,7 @@ def schur_complement(blocks: Blocks) -> tuple[np.ndarray, np.ndarray, np.ndarray
     return solved[..., :-1], *_reduced(blocks, solved)
 
 
-def _reduced(blocks: Blocks, solved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _reduced(blocks: Blocks, solved: Floats) -> tuple[Floats, Floats]:
     s = blocks.shared.shape[0]
     both = blocks.cross.reshape(blocks.own.size, s).T @ solved.reshape(blocks.own.size, s + 1)
     return blocks.shared - both[:, :-1], blocks.common - both[:, -1]

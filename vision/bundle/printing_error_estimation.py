@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri
 
+from rig.arrays import Floats
 from rig.compute.parallel_map import thread_map
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, schur_complement, solve_step
@@ -47,9 +48,9 @@ class _Told:
     """What images say of prints, all else free. information : (q, q), right : (q,) in units of what is tolerated;
     kind : (q,) which variance each has; cost, dof : of the adjustment without them."""
 
-    information: np.ndarray
-    right: np.ndarray
-    kind: np.ndarray
+    information: Floats
+    right: Floats
+    kind: Floats
     cost: float
     dof: float
 
@@ -152,7 +153,7 @@ def _printing(told: _Told) -> Printing | None:
     return None
 
 
-def _likeliest(told: _Told, there: np.ndarray, start: np.ndarray | None = None) -> tuple[np.ndarray, float]:
+def _likeliest(told: _Told, there: Floats, start: Floats | None = None) -> tuple[Floats, float]:
     """(standard deviations (kinds,) of those that are `there`, minus twice their restricted log likelihood but for a
     constant).
     """
@@ -183,13 +184,13 @@ def _likeliest(told: _Told, there: np.ndarray, start: np.ndarray | None = None) 
     return sigma, float(likelihood)
 
 
-def _of(told: _Told, sigma: np.ndarray) -> _Told:
+def _of(told: _Told, sigma: Floats) -> _Told:
     """_Told of the numbers on prints that are not held at nothing. sigma : (kinds,)"""
     on = np.flatnonzero(sigma[told.kind] > 0)
     return replace(told, information=told.information[np.ix_(on, on)], right=told.right[on], kind=told.kind[on])
 
 
-def _inverse(M: np.ndarray) -> np.ndarray:
+def _inverse(M: Floats) -> Floats:
     """(q, q) inverse of a symmetric positive definite M (q, q). Raises LinAlgError where it is not."""
     if not len(M):
         return M

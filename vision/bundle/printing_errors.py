@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.model.manufacturing_tolerances import PLACES, SIDES
 from rig.model.pose import exp, log
 from vision.targets import MarkerMap
@@ -59,7 +60,7 @@ class Printing:
         shares = (self.place, self.lift, self.turn, self.side)
         return [k for kind, share in zip(KINDS, shares) if share > 0 for k in range(len(NAMES))[kind]]
 
-    def sigma(self, side: float) -> np.ndarray:
+    def sigma(self, side: float) -> Floats:
         """(parts,) m, rad and shares: standard deviations of a marker of that side (m)."""
         m, rad = PLACES.sigma, 2 * PLACES.sigma / side
         full = np.array([self.place * m] * 2 + [self.lift * m] + [self.turn * rad] * 3 + [self.side * SIDES.sigma])
@@ -78,7 +79,7 @@ class Prints(NamedTuple):
 NONE = Prints([], {}, slice(0, 0))
 
 
-def apply_printing_errors(markers: MarkerMap, prints: Prints, step: np.ndarray) -> MarkerMap:
+def apply_printing_errors(markers: MarkerMap, prints: Prints, step: Floats) -> MarkerMap:
     """The MarkerMap with a step (s,) of printing errors applied, m, rad and shares."""
     own, grown = np.zeros((len(markers.id), len(NAMES))), float(step[prints.together].sum())
     for row, columns in prints.rows.items():
@@ -89,7 +90,7 @@ def apply_printing_errors(markers: MarkerMap, prints: Prints, step: np.ndarray) 
     )
 
 
-def fill_printing_offsets(markers: MarkerMap, stated: MarkerMap, prints: Prints, offsets: np.ndarray) -> None:
+def fill_printing_offsets(markers: MarkerMap, stated: MarkerMap, prints: Prints, offsets: Floats) -> None:
     """Fill offsets (s,) with the printing errors that take the stated markers to these, m, rad and shares.
 
     Only each marker's whole side shows in images: of it the part that all have in common is what its prior and theirs
@@ -107,7 +108,7 @@ def fill_printing_offsets(markers: MarkerMap, stated: MarkerMap, prints: Prints,
         offsets[columns] = away[row, prints.parts]
 
 
-def printing_jacobian(J: np.ndarray, J_motion: np.ndarray, corners_marker: np.ndarray) -> np.ndarray:
+def printing_jacobian(J: Floats, J_motion: Floats, corners_marker: Floats) -> Floats:
     """(n, 2, 7) Jacobian of corners to the printing errors NAMES.
     J : (n, 2, 3) to the corner in its marker's frame; J_motion : (n, 2, 6) to a motion; corners_marker : (n, 3) m
     """

@@ -7,6 +7,7 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Booleans, Floats, Integers
 from rig.errors import NotEnoughData
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.corner_observations import (
@@ -36,9 +37,9 @@ class RobustAdjustment:
     scatter seen has it; scale : what the stated standard deviations were multiplied by."""
 
     adjustment: Adjustment
-    solved: np.ndarray
-    inliers: np.ndarray
-    covariance: np.ndarray
+    solved: Integers
+    inliers: Booleans
+    covariance: Floats
     scale: float
 
 
@@ -108,7 +109,7 @@ def adjust_robustly(
     )
 
 
-def _scatter(observations: Observations, inliers: np.ndarray, state: State) -> np.ndarray:
+def _scatter(observations: Observations, inliers: Booleans, state: State) -> Floats:
     """(n,) by how much the variance of each frame's corners of each body exceeds the typical: motion blurs some frames
     more.
 
@@ -145,8 +146,8 @@ def _scatter(observations: Observations, inliers: np.ndarray, state: State) -> n
 
 
 def inflate_repeated_corner_covariance(
-    observations: Observations, inliers: np.ndarray, state: State
-) -> tuple[np.ndarray, float]:
+    observations: Observations, inliers: Booleans, state: State
+) -> tuple[Floats, float]:
     """Inflated covariances (n, 2, 2) of repeated base corners, and their systematic error in px.
 
     A base marker seen by a fixed camera stands on the same pixels in every frame, and what the pixel grid does to it
@@ -172,7 +173,7 @@ def inflate_repeated_corner_covariance(
     return covariance, float(np.sqrt(excess))
 
 
-def _spread(found: State, state: State, solved: np.ndarray) -> State:
+def _spread(found: State, state: State, solved: Floats) -> State:
     """The state over all frames with the solved ones' poses put in."""
 
     def put(all_frames: RigidTransform, some: RigidTransform) -> RigidTransform:
@@ -188,7 +189,7 @@ def _spread(found: State, state: State, solved: np.ndarray) -> State:
     )
 
 
-def _medians(group: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
+def _medians(group: Integers, values: Floats, count: int) -> Floats:
     """(count,) median of the values (n,) of each group (n,), 0 for an empty one: a few corners gone wrong do not move
     it.
     """
@@ -201,7 +202,7 @@ def _medians(group: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
     return out
 
 
-def _squares(observations: Observations, state: State) -> np.ndarray:
+def _squares(observations: Observations, state: State) -> Floats:
     """(n,) whitened squares of how far the corners lie from where the state puts them; infinite behind a camera."""
     whitener = inverse_cholesky_factors(observations.covariance)
     uv, ahead = predict_corners(observations, state)
@@ -210,7 +211,7 @@ def _squares(observations: Observations, state: State) -> np.ndarray:
     return square
 
 
-def is_within_gate(observations: Observations, state: State, smallest_gate: float = 0.0) -> np.ndarray:
+def is_within_gate(observations: Observations, state: State, smallest_gate: float = 0.0) -> Booleans:
     """(n,) bool, whether a corner's residual is within the gate: GATE robust scales, or the smallest gate px."""
     square = _squares(observations, state)
     scale = np.sqrt(np.median(square) / MEDIAN)
@@ -219,7 +220,7 @@ def is_within_gate(observations: Observations, state: State, smallest_gate: floa
 
 
 def _unsupported(
-    observations: Observations, inliers: np.ndarray, state: State, vouched: Collection[tuple[int, int]]
+    observations: Observations, inliers: Booleans, state: State, vouched: Collection[tuple[int, int]]
 ) -> dict[int, str]:
     """{frame: reason} of frames whose inliers are fewer than two sightings of the platform, or of the base by a moving
     camera.

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rig.arrays import Floats, Integers
 from rig.model.design import Camera
 from rig.model.manufacturing_tolerances import SIDES
 from rig.model.pose import skew
@@ -54,7 +55,7 @@ ANCHORS = 2  # markers of the base that show it
 PARTS = ("x", "y", "z", "rx", "ry", "rz")
 
 
-def stated_lens_sigmas(camera: Camera) -> np.ndarray:
+def stated_lens_sigmas(camera: Camera) -> Floats:
     """(4 + terms,) standard deviations (sigmas) that a stated lens is given as a prior."""
     focal = [FOCAL_PRIOR * camera.matrix[0, 0], FOCAL_PRIOR * camera.matrix[1, 1]]
     return np.array(
@@ -91,7 +92,7 @@ def adjustment_unknowns(
     state: State,
     stated: State,
     free: Sequence[str],
-    lens_prior_sigmas: Callable[[Camera], np.ndarray] = stated_lens_sigmas,
+    lens_prior_sigmas: Callable[[Camera], Floats] = stated_lens_sigmas,
     printing: Printing | None = None,
 ) -> tuple[Unknowns, Estimate]:
     """Unknowns of an adjustment with their priors, and the Estimate to start from.
@@ -191,7 +192,7 @@ def _place_prior(side: float) -> list[float]:
     return [PLACE_PRIOR[0] * side] * 3 + [PLACE_PRIOR[1]] * 3
 
 
-def _basis(observations: Observations, state: State, unknowns: Unknowns) -> np.ndarray:
+def _basis(observations: Observations, state: State, unknowns: Unknowns) -> Floats:
     """(shared, k) basis of the shared motions that leave base and platform frame where the stated places put them."""
     rows = [np.zeros((0, unknowns.shared))]
     if observations.on_platform.all() and unknowns.poses and not unknowns.local_poses:
@@ -211,15 +212,15 @@ def _basis(observations: Observations, state: State, unknowns: Unknowns) -> np.n
                 rows.append(_mean_motion(m, body, unknowns, True))
         if unknowns.markers and unknowns.targets:
             rows += [_mean_motion(m, seen[target[seen] == name], unknowns, False) for name in unknowns.targets]
-    rows = np.concatenate(rows) * unknowns.scale
-    if not len(rows):
+    stacked = np.concatenate(rows) * unknowns.scale
+    if not len(stacked):
         return np.eye(unknowns.shared)
-    _, values, vt = np.linalg.svd(rows)
+    _, values, vt = np.linalg.svd(stacked)
     rank = int((values > 1e-9 * values[0]).sum()) if len(values) and values[0] > 0 else 0
     return vt[rank:].T
 
 
-def _mean_motion(markers: MarkerMap, rows: np.ndarray, unknowns: Unknowns, with_targets: bool) -> np.ndarray:
+def _mean_motion(markers: MarkerMap, rows: Integers, unknowns: Unknowns, with_targets: bool) -> Floats:
     """(6, shared) the motion as one body that small motions of markers (rows) and their targets make: sums over their
     corners.
     """

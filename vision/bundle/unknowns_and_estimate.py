@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.arrays import Booleans, Floats, Integers
 from rig.model.pose import exp, log
 from vision.bundle.printing_errors import NONE, Prints, apply_printing_errors, fill_printing_offsets
 from vision.predict import State
@@ -33,13 +34,13 @@ class Unknowns:
     local_poses: dict[int, slice]
     shared: int
     local: int
-    used: np.ndarray
-    scale: np.ndarray
-    prior: np.ndarray
+    used: Booleans
+    scale: Floats
+    prior: Floats
     names: list[tuple[str, str]]
-    basis: np.ndarray
-    middles: dict[str, np.ndarray]
-    seen: np.ndarray
+    basis: Floats
+    middles: dict[str, Floats]
+    seen: Integers
     prints: Prints = NONE
 
 
@@ -77,9 +78,7 @@ def do_cameras_hold_base(unknowns: Unknowns, state: State) -> bool:
     return not unknowns.poses and len(state.moving) < len(state.cameras)
 
 
-def update_estimate(
-    estimate: Estimate, unknowns: Unknowns, shared_step: np.ndarray, local_step: np.ndarray
-) -> Estimate:
+def update_estimate(estimate: Estimate, unknowns: Unknowns, shared_step: Floats, local_step: Floats) -> Estimate:
     """The updated Estimate after a step of the shared (s,) and the local (F, l) unknowns, in scaled units."""
     state, step = estimate.state, shared_step * unknowns.scale
     cameras = list(state.cameras)
@@ -124,7 +123,7 @@ def marker_motions_with_targets(estimate: Estimate, unknowns: Unknowns) -> Rigid
     return RigidTransform.from_matrix(matrices)
 
 
-def offset_from_stated(estimate: Estimate, stated: State, unknowns: Unknowns) -> np.ndarray:
+def offset_from_stated(estimate: Estimate, stated: State, unknowns: Unknowns) -> Floats:
     """(s,) offset of lenses, places, prints and held camera poses from the stated ones, in scaled units."""
     out, cameras = np.zeros(unknowns.shared), estimate.state.cameras
     for i, columns in unknowns.poses.items():
@@ -193,7 +192,7 @@ def align_with_datums(estimate: Estimate, stated: State, unknowns: Unknowns) -> 
     return replace(found, marker_moves=marker_motions_on_targets(found, stated, unknowns))
 
 
-def align_points(points: np.ndarray, target_points: np.ndarray) -> RigidTransform:
+def align_points(points: Floats, target_points: Floats) -> RigidTransform:
     """RigidTransform that aligns points (n, 3) m with target points (n, 3) m best."""
     turn, _ = Rotation.align_vectors(target_points - target_points.mean(axis=0), points - points.mean(axis=0))
     return RigidTransform.from_components(target_points.mean(axis=0) - turn.apply(points.mean(axis=0)), turn)

@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.arrays import Floats
 from rig.model.design import Camera
 from vision import lens
 from vision.checks.corner_convention_trials import SampledRecording
@@ -181,7 +182,7 @@ def _same(a: Camera, b: Camera) -> bool:
     return np.array_equal(a.matrix, b.matrix) and np.array_equal(a.distortion, b.distortion) and a.pose is b.pose
 
 
-def _matrix(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
+def _matrix(fx: float, fy: float, cx: float, cy: float) -> Floats:
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
 
 
@@ -217,7 +218,7 @@ def _focal(factor: float) -> Callable[[Camera], Camera]:
     )
 
 
-def _terms(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Camera], Camera]:
+def _terms(change: Callable[[Floats], Floats]) -> Callable[[Camera], Camera]:
     def other(c: Camera) -> Camera:
         d = np.zeros(max(5, len(c.distortion)))
         d[: len(c.distortion)] = c.distortion

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from rig.arrays import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Design
-from rig.recording.recording_folder import Corners
+from rig.recording.corner_and_pose_tables import Corners
 from vision.corner_observations import observations_from_corners
 from vision.recording_adjustment import Measurement, measure
 from vision.recording_measurement import unsolved_frames_with_enough_markers
@@ -25,14 +26,14 @@ class SampledRecording:
 
     design: Design
     corners: Corners
-    frames: np.ndarray
-    t: np.ndarray
+    frames: Integers
+    t: Floats
 
-    def with_cameras(self, cameras: tuple) -> "SampledRecording":
+    def with_cameras(self, cameras: tuple[Any, ...]) -> "SampledRecording":
         """The same with other cameras in the design."""
         return replace(self, design=replace(self.design, cameras=tuple(cameras)))
 
-    def with_targets(self, targets: tuple) -> "SampledRecording":
+    def with_targets(self, targets: tuple[Any, ...]) -> "SampledRecording":
         """The same with other targets in the design."""
         return replace(self, design=replace(self.design, targets=tuple(targets)))
 
@@ -51,11 +52,11 @@ class Trial:
     misfit: float
     seen: SampledRecording
     measured: Measurement | None
-    miss: np.ndarray | None
+    miss: Floats | None
 
 
 def sample_frames(
-    design: Design, corners: Corners, frames: np.ndarray, t: np.ndarray, count: int = FRAMES
+    design: Design, corners: Corners, frames: Integers, t: Floats, count: int = FRAMES
 ) -> SampledRecording | None:
     """Seen: a sample of frames spread over a recording, the richest of each stretch; None without corners.
 
@@ -78,7 +79,7 @@ def sample_frames(
     )
 
 
-def _select_corners(corners: Corners, mask: np.ndarray) -> Corners:
+def _select_corners(corners: Corners, mask: Booleans) -> Corners:
     """Corners of a mask (n,)."""
     rows = np.flatnonzero(mask)
     return Corners(
@@ -155,7 +156,7 @@ def single_camera_corner_trials(seen: SampledRecording) -> Iterator[Candidate]:
         yield from _of(seen, [(f" of camera {camera.name}", names == camera.name) for camera in seen.design.cameras])
 
 
-def _of(seen: SampledRecording, parts: list[tuple[str, np.ndarray]]) -> Iterator[Candidate]:
+def _of(seen: SampledRecording, parts: list[tuple[str, Floats]]) -> Iterator[Candidate]:
     """Mistakes in parts of the corners. parts : (how they are called, (n,) bool)"""
     c = seen.corners
     size = {camera.name: np.array([camera.width, camera.height], float) for camera in seen.design.cameras}
@@ -164,7 +165,7 @@ def _of(seen: SampledRecording, parts: list[tuple[str, np.ndarray]]) -> Iterator
         if not rows.any():
             continue
 
-        def put(uv: np.ndarray, rows: np.ndarray = rows) -> SampledRecording:
+        def put(uv: Floats, rows: Floats = rows) -> SampledRecording:
             return seen.with_corners(uv=np.where(rows[:, None], uv, c.uv))
 
         yield f"corners.csv: u and v{who} are exchanged", "u runs to the right, v down", put(c.uv[:, ::-1])

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats
 from rig.model.design import Design, Target
 from vision.predict import markers_expected_in_image
 from vision.targets import MarkerMap, marker_map, markers_of_target
@@ -36,7 +37,7 @@ def cube_layout_remarks(design: Design) -> tuple[str, ...]:
     )
 
 
-def _middle(target: Target) -> np.ndarray | None:
+def _middle(target: Target) -> Floats | None:
     """(3,) m, where the normals of a target's markers meet, in its body; None for a target that is no cube."""
     if target.pose is not None:
         return np.asarray(target.pose.translation)

@@ -6,9 +6,11 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
+from rig.arrays import Floats, Pixels
 from rig.checks import Mistake
 from rig.errors import FileError
-from rig.recording.recording_folder import Corners, Recording
+from rig.recording.corner_and_pose_tables import Corners
+from rig.recording.recording_folder import Recording
 from vision.checks.corner_convention_trials import FRAMES
 from vision.corners.marker_detection import Detection, detect_markers, opencv_detector
 from vision.reading.parallel_images import map_images_in_threads
@@ -64,7 +66,7 @@ def dictionary_and_identity_mistakes(recording: Recording) -> list[Mistake]:
     ]
 
 
-Sight = tuple[int, str, np.ndarray, Detection]
+Sight = tuple[int, str, Floats, Detection]
 
 
 def _sights(recording: Recording, markers: MarkerMap, count: int) -> tuple[list[Sight], list[Mistake]]:
@@ -92,7 +94,7 @@ def _sights(recording: Recording, markers: MarkerMap, count: int) -> tuple[list[
     return [(*one, detection) for one, detection in zip(looked_at, seen)], found
 
 
-def _other_dictionary_mistakes(images: list[np.ndarray], seen: Counter, markers: MarkerMap) -> list[Mistake]:
+def _other_dictionary_mistakes(images: list[Pixels], seen: Counter[int], markers: MarkerMap) -> list[Mistake]:
     """Targets none of whose markers is read in images (height, width) uint8, though another dictionary's are; mirrored
     images.
 
@@ -145,7 +147,7 @@ def _other_dictionary_mistakes(images: list[np.ndarray], seen: Counter, markers:
     return list(_none(some, markers, votes))
 
 
-def _none(images: list[np.ndarray], markers: MarkerMap, votes: dict[str, Counter]) -> Iterator[Mistake]:
+def _none(images: list[Pixels], markers: MarkerMap, votes: dict[str, Counter[int]]) -> Iterator[Mistake]:
     """Why no marker at all is read."""
     for family in dict.fromkeys(markers.dictionary):
         for code in (1, 0):  # left to right, upside down
@@ -192,7 +194,7 @@ def _none(images: list[np.ndarray], markers: MarkerMap, votes: dict[str, Counter
         )
 
 
-def _numbers(image: np.ndarray, name: str) -> list[int]:
+def _numbers(image: Pixels, name: str) -> list[int]:
     ids = opencv_detector(name).detectMarkers(image)[1]
     return [] if ids is None else [int(number) for number in ids.ravel()]
 

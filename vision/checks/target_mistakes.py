@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.arrays import Floats, Pixels
 from rig.model.design import Camera, Target
 from vision.checks.corner_convention_trials import SampledRecording, Trial
 from vision.targets import SQUARE, marker_map
@@ -68,7 +69,7 @@ def _marker_scale_ratios(seen: SampledRecording) -> dict[str, tuple[float, int]]
     return {body: (float(np.median(values)), len(values)) for body, values in ratios.items()}
 
 
-def _alone(uv: np.ndarray, camera: Camera, side: float) -> np.ndarray | None:
+def _alone(uv: Floats, camera: Camera, side: float) -> Pixels | None:
     """(3,) m, a marker's middle in its camera, from its four corners alone; None where they are no square's image."""
     found = cv2.solvePnPGeneric(
         side * SQUARE, np.ascontiguousarray(uv), camera.matrix, camera.distortion, flags=cv2.SOLVEPNP_IPPE_SQUARE
@@ -300,7 +301,7 @@ def suspicious_targets(trial: Trial) -> list[str]:
     return sorted(off, key=lambda name: off[name], reverse=True)[:2]
 
 
-_POSES = (
+_POSES: tuple[tuple[str, Callable[[RigidTransform], RigidTransform]], ...] = (
     ("inverted (body in cube)", lambda T: T.inv()),
     ("rotations are inverted", lambda T: RigidTransform.from_components(T.translation, T.rotation.inv())),
     (

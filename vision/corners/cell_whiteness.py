@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rig.arrays import Floats
 from vision.corners.numba_compilation import kernel
 
 STEPS, SPAN = 512, 10.0  # a tabulated edge reaches from -SPAN / 2 to SPAN / 2 widths
@@ -21,8 +22,8 @@ class Tables(NamedTuple):
     """Edge spread functions of a marker's X and of its Y edges, each (STEPS, 4) float32: over the steps of GRID the
     share of white, what it gains over one, its slope, what that gains."""
 
-    x: np.ndarray
-    y: np.ndarray
+    x: Floats
+    y: Floats
 
 
 class Meeting(NamedTuple):
@@ -47,7 +48,7 @@ class Share(NamedTuple):
 
 
 @kernel
-def fill_edge_spread_table(function: np.ndarray, table: np.ndarray) -> None:
+def fill_edge_spread_table(function: Floats, table: Floats) -> None:
     """Fill a table (STEPS, 4) with an edge spread function (STEPS + 1, 2), share of white and slope."""
     for k in range(len(table)):
         for q in range(2):
@@ -55,7 +56,7 @@ def fill_edge_spread_table(function: np.ndarray, table: np.ndarray) -> None:
 
 
 @kernel
-def edge_whiteness(table: np.ndarray, x: float) -> tuple[float, float]:
+def edge_whiteness(table: Floats, x: float) -> tuple[float, float]:
     """Whiteness and its slope at x edge widths from an edge, from a table (STEPS, 4)."""
     at = min(max((x + SPAN / 2) * (STEPS / SPAN), 0.0), STEPS - 1e-6)
     i = int(at)
@@ -84,7 +85,7 @@ def _meeting(h: float, k: float, rho: float) -> float:
 
 @kernel
 def cell_whiteness(
-    cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting: Meeting, table_x: np.ndarray, table_y: np.ndarray
+    cells: Floats, i: int, j: int, X: float, Y: float, meeting: Meeting, table_x: Floats, table_y: Floats
 ) -> Share:
     """Whiteness at cell coordinates X, Y in or next to cell (i, j), by the spread of its edges.
 
@@ -132,7 +133,7 @@ def cell_whiteness(
 
 @kernel
 def wide_edge_cell_whiteness(
-    cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting: Meeting, table_x: np.ndarray, table_y: np.ndarray
+    cells: Floats, i: int, j: int, X: float, Y: float, meeting: Meeting, table_x: Floats, table_y: Floats
 ) -> Share:
     """Whiteness in cells whose edges are so wide that cells beyond the neighbours count.
 

@@ -2,13 +2,12 @@
 
 import math
 
-import numpy as np
-
+from rig.arrays import Floats
 from vision.corners.numba_compilation import kernel
 
 
 @kernel
-def cholesky_factor(H: np.ndarray, first: int, size: int, L: np.ndarray) -> bool:
+def cholesky_factor(H: Floats, first: int, size: int, L: Floats) -> bool:
     """Write the Cholesky factor of H[first:first + size, first:first + size] into L; False if not definite.
 
     H, L : (n, n)
@@ -28,7 +27,7 @@ def cholesky_factor(H: np.ndarray, first: int, size: int, L: np.ndarray) -> bool
 
 
 @kernel
-def cholesky_solve(L: np.ndarray, size: int, b: np.ndarray, x: np.ndarray) -> None:
+def cholesky_solve(L: Floats, size: int, b: Floats, x: Floats) -> None:
     """Solve L L' x = b for x (size,), with the Cholesky factor L."""
     for i in range(size):
         total = b[i]
@@ -46,7 +45,7 @@ HALVINGS = 14  # of the numbers' range
 
 
 @kernel
-def order_statistic(values: np.ndarray, rank: int) -> float:
+def order_statistic(values: Floats, rank: int) -> float:
     """Order statistic of values (k,): the one of that rank, to a 16 000th of their range; 0 for none."""
     if len(values) == 0:
         return 0.0

@@ -10,6 +10,7 @@ Source: border following, Suzuki and Abe, Computer Vision, Graphics, and Image P
 
 import numpy as np
 
+from rig.arrays import Floats, ImageBytes, Integers, Pixels
 from vision.corners.numba_compilation import inlined_kernel, kernel
 from vision.corners.quadrangle_candidates import OutlineBuffers, write_outline_quadrangle
 
@@ -19,7 +20,7 @@ LEFT = 1  # columns and rows of zeros before the image's own
 
 
 @kernel
-def mark_dark_pixels(image: np.ndarray, window: int, out: np.ndarray) -> None:
+def mark_dark_pixels(image: Pixels, window: int, out: ImageBytes) -> None:
     """Mark the pixels of an image that are darker than the mean of their window, 1 in out, else 0.
 
     window : px, of WINDOWS. The image goes on beyond its border as it is there. out : zeros beyond the image's own
@@ -44,7 +45,7 @@ def mark_dark_pixels(image: np.ndarray, window: int, out: np.ndarray) -> None:
 
 
 @inlined_kernel
-def _compare(row: np.ndarray, sums: np.ndarray, window: int, out: np.ndarray) -> None:
+def _compare(row: Floats, sums: Integers, window: int, out: Floats) -> None:
     """out (width + 2 or more): which pixels of an image row are darker, by sums (3, width + window); sums of two and
     four columns are overwritten.
     """
@@ -86,9 +87,7 @@ _1, _7, _8, _56, _0 = (np.uint64(k) for k in (1, 7, 8, 56, 0))
 
 
 @kernel
-def trace_quadrangles(
-    words: np.ndarray, marks: np.ndarray, least: int, traced: OutlineBuffers, found: np.ndarray
-) -> int:
+def trace_quadrangles(words: Floats, marks: ImageBytes, least: int, traced: OutlineBuffers, found: Integers) -> int:
     """Trace all outlines and write the corners of quadrangles to found (k, 4, 2), px; returns their count.
 
     words, marks : (rows, columns / 8) uint64 and (rows, columns) uint8, the same memory: of `darker`, overwritten
@@ -149,7 +148,7 @@ def _place(bit: np.uint64) -> int:
 
 
 @inlined_kernel
-def _follow(flat: np.ndarray, stride: int, around: np.ndarray, start: int, bright: int, traced: OutlineBuffers) -> int:
+def _follow(flat: ImageBytes, stride: int, around: Integers, start: int, bright: int, traced: OutlineBuffers) -> int:
     """Mark the pixels of an outline from `start` on, as `flat` counts them; returns how many, of which traced has as
     many as it has room for.
 

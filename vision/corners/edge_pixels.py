@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rig.arrays import Floats, Integers, Singles
 from vision.corners.local_lens import polynomial_along_row
 from vision.corners.numba_compilation import inlined_kernel, kernel
 
@@ -34,13 +35,13 @@ class EdgePixels(NamedTuple):
     first : (KINDS + 1,) int64, the first pixel of each kind, and how many there are
     """
 
-    x: np.ndarray
-    y: np.ndarray
-    greys: np.ndarray
-    i: np.ndarray
-    j: np.ndarray
-    looks: np.ndarray
-    first: np.ndarray
+    x: Singles
+    y: Singles
+    greys: Singles
+    i: Floats
+    j: Floats
+    looks: Floats
+    first: Floats
 
 
 class Raster(NamedTuple):
@@ -50,12 +51,12 @@ class Raster(NamedTuple):
     x, y, greys : (k,) float32 and entries : (k,) int32 of all pixels that are near an edge, in the image's order
     """
 
-    rows: np.ndarray
-    kept: np.ndarray
-    x: np.ndarray
-    y: np.ndarray
-    greys: np.ndarray
-    entries: np.ndarray
+    rows: Floats
+    kept: Floats
+    x: Singles
+    y: Singles
+    greys: Singles
+    entries: Floats
 
 
 class Printed(NamedTuple):
@@ -70,17 +71,17 @@ class Printed(NamedTuple):
     centre : (3,) x, y, scale px, of local coordinates
     """
 
-    cells: np.ndarray
-    outlook: np.ndarray
+    cells: Floats
+    outlook: Floats
     n: int
     margin: float
-    directions: np.ndarray
-    box: np.ndarray
-    lens: np.ndarray
-    centre: np.ndarray
+    directions: Floats
+    box: Floats
+    lens: Floats
+    centre: Floats
 
 
-def pixel_edge_kinds(cells: np.ndarray) -> np.ndarray:
+def pixel_edge_kinds(cells: Floats) -> Floats:
     """(NOWHERE + 1,) int8, kind of edge that pixels of each cell see, by cells (k, k) of a marker.
 
     NONE, MANY edges, one: 2 + 4 where it lies across (Y) + 2 where it is the right or lower side + 1 where white comes
@@ -117,7 +118,7 @@ def pixel_edge_kinds(cells: np.ndarray) -> np.ndarray:
     return np.append(out.ravel(), np.int8(NONE))
 
 
-def _told() -> np.ndarray:
+def _told() -> Integers:
     """(MEETS + 64, 4) int32 of the codes of outlooks: the kind, what to add to the cell for i and j, and looks."""
     out = np.zeros((MEETS + 64, 4), np.int32)
     out[[NONE, MANY]] = SEVERAL, 0, 0, 0
@@ -135,7 +136,7 @@ _MOST, _VIEWS, _NOWHERE, _CLEAR = np.float32(MOST), np.float32(VIEWS), np.float3
 
 
 @inlined_kernel
-def _row(quad: np.ndarray, pad: float, y: int, low: int, high: int) -> tuple[int, int]:
+def _row(quad: Floats, pad: float, y: int, low: int, high: int) -> tuple[int, int]:
     """Pixels [low, high) of image row y that lie in a convex quad (4, 2) px widened by pad."""
     first, last = low - 1.0, high + 1.0
     for k in range(4):
@@ -152,7 +153,7 @@ def _row(quad: np.ndarray, pad: float, y: int, low: int, high: int) -> tuple[int
 
 @kernel
 def collect_edge_pixels(
-    crop: np.ndarray, marker: Printed, quad: np.ndarray, g: np.ndarray, s: float, raster: Raster, pixels: EdgePixels
+    crop: Floats, marker: Printed, quad: Floats, g: Floats, s: float, raster: Raster, pixels: EdgePixels
 ) -> int:
     """Collect the pixels near an edge into EdgePixels; returns how many.
 
@@ -207,7 +208,7 @@ def collect_edge_pixels(
 
 @inlined_kernel
 def _look(
-    rows: np.ndarray, span: tuple[int, int], marker: Printed, v: float, g: np.ndarray, reach: tuple[float, float]
+    rows: Floats, span: tuple[int, int], marker: Printed, v: float, g: Floats, reach: tuple[float, float]
 ) -> None:
     """Ideal coordinates of a span of an image row's columns, and where in the outlook stands what they see, into rows
     (4, width).
@@ -252,7 +253,7 @@ def _look(
 
 
 @inlined_kernel
-def _sort(raster: Raster, count: int, seen: np.ndarray, pixels: EdgePixels) -> int:
+def _sort(raster: Raster, count: int, seen: Floats, pixels: EdgePixels) -> int:
     """The first `count` pixels of a Raster by kind into EdgePixels; returns how many. seen : the marker's outlook"""
     first = pixels.first
     at = np.zeros(KINDS + 1, np.int64)

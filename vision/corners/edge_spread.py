@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import ndtr
 
+from rig.arrays import Floats, Integers
 from vision.corners.cell_whiteness import GRID
 from vision.corners.square_fit_residuals import PROFILED
 
@@ -28,25 +29,25 @@ PLAUSIBLE = 0.02  # of the contrast, how far a camera's edges are expected to be
 LEAST = 2000  # pixels from which anything is learnt
 
 
-def _splines(h: np.ndarray) -> np.ndarray:
+def _splines(h: Floats) -> Floats:
     """(..., KNOTS) odd pairs of cubic B-splines at distances h (edge widths)."""
     at = np.asarray(h)[..., None] / KNOT
     knots = np.arange(1, KNOTS + 1)
     return _bump(at - knots) - _bump(at + knots)
 
 
-def _bump(t: np.ndarray) -> np.ndarray:
+def _bump(t: Floats) -> Floats:
     """The cubic B-spline of unit knots about 0."""
     t = np.abs(t)
     return np.where(t < 1, 2 / 3 - t * t + t**3 / 2, np.where(t < 2, (2 - np.minimum(t, 2)) ** 3 / 6, 0.0))
 
 
-def _waves(angles: np.ndarray) -> np.ndarray:
+def _waves(angles: Floats) -> Floats:
     """(..., 5) Fourier series of a direction, of period half a turn."""
     return np.stack([f(k * angles) for k in HARMONICS for f in ((np.cos, np.sin) if k else (np.cos,))], axis=-1)
 
 
-def _plain() -> np.ndarray:
+def _plain() -> Floats:
     """(widths, DIRECTIONS, STEPS + 1, 2) share of white and its slope across an edge that a Gaussian blurs and square
     pixels integrate.
     """
@@ -77,14 +78,14 @@ class EdgeSpread:
     plain edge's."""
 
     width: float = FIRST_WIDTH
-    terms: np.ndarray = field(default_factory=lambda: np.zeros((KNOTS, 2 * len(HARMONICS) - 1)))
-    tables: np.ndarray = field(init=False)
+    terms: Floats = field(default_factory=lambda: np.zeros((KNOTS, 2 * len(HARMONICS) - 1)))
+    tables: Floats = field(init=False)
 
     def __post_init__(self) -> None:
         more = _waves(np.pi * np.arange(DIRECTIONS) / DIRECTIONS) @ self.terms.T @ _splines(GRID).T
         object.__setattr__(self, "tables", _PLAIN + np.stack([more, np.gradient(more, GRID, axis=1)], axis=-1))
 
-    def rows(self, angles: np.ndarray) -> np.ndarray:
+    def rows(self, angles: Floats) -> Integers:
         """(...,) row of the tables for directions (rad) of edges' normals."""
         return np.rint(np.asarray(angles) % np.pi / np.pi * DIRECTIONS).astype(np.int64) % DIRECTIONS
 
@@ -93,12 +94,12 @@ PLAIN_EDGE_SPREAD = EdgeSpread()
 NO_PROFILE = np.zeros((1, 0, 3))
 
 
-def empty_profile() -> np.ndarray:
+def empty_profile() -> Floats:
     """Empty residual profile (DIRECTIONS, BINS, 3): count, sum, sum of squares."""
     return np.zeros((DIRECTIONS, BINS, 3))
 
 
-def learn_edge_spread(spread: EdgeSpread, profile: np.ndarray, width: float) -> EdgeSpread:
+def learn_edge_spread(spread: EdgeSpread, profile: Floats, width: float) -> EdgeSpread:
     """Edge spread learned from the residual profile of fits with `spread`.
 
     profile : (DIRECTIONS, BINS, 3); width : px, typical of the edges. Where there are too few pixels the spread stays

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.model.design import Camera
 from vision import lens
 from vision.corners.numba_compilation import kernel
@@ -22,13 +23,13 @@ _NODES = _SPREAD * np.stack(np.meshgrid(*[np.cos(np.pi * (np.arange(5) + 0.5) / 
 _TO_POLYNOMIAL = np.linalg.pinv((_NODES[:, None, :] ** _ORDERS).prod(axis=2))
 
 
-def local_coordinate_origins(quads: np.ndarray) -> np.ndarray:
+def local_coordinate_origins(quads: Floats) -> Floats:
     """(m, 3) origin x, y and scale px of the local coordinates of markers with corners (m, 4, 2) px."""
     middle = quads.mean(axis=1)
     return np.concatenate([middle, np.abs(quads - middle[:, None]).max(axis=(1, 2))[:, None]], axis=1)
 
 
-def ideal_coordinate_table(camera: Camera) -> np.ndarray:
+def ideal_coordinate_table(camera: Camera) -> Floats:
     """(rows, columns, 2) table of ideal coordinates at nodes SPACING px apart, times the focal lengths.
     From -BEYOND * SPACING on; NaN beyond a lens.
     """
@@ -36,7 +37,7 @@ def ideal_coordinate_table(camera: Camera) -> np.ndarray:
 
 
 @lru_cache(maxsize=64)
-def _table(matrix: bytes, distortion: bytes, width: int, height: int) -> np.ndarray:
+def _table(matrix: bytes, distortion: bytes, width: int, height: int) -> Floats:
     K = np.frombuffer(matrix).reshape(3, 3)
     u, v = (SPACING * np.arange(-BEYOND, int(size / SPACING) + BEYOND + 2) for size in (width, height))
     ideal = lens.undistort(np.stack(np.meshgrid(u, v), axis=-1), K, np.frombuffer(distortion))
@@ -44,7 +45,7 @@ def _table(matrix: bytes, distortion: bytes, width: int, height: int) -> np.ndar
 
 
 @kernel
-def _at(nodes: np.ndarray, x: float, y: float) -> tuple[float, float]:
+def _at(nodes: Floats, x: float, y: float) -> tuple[float, float]:
     """The table's value at pixel x, y: cubic through four nodes each way (Lagrange)."""
     x, y = x / SPACING + BEYOND, y / SPACING + BEYOND
     i, j = min(max(int(x), 1), nodes.shape[1] - 3), min(max(int(y), 1), nodes.shape[0] - 3)
@@ -71,7 +72,7 @@ def _at(nodes: np.ndarray, x: float, y: float) -> tuple[float, float]:
 
 
 @kernel
-def fit_local_polynomials(nodes: np.ndarray, centres: np.ndarray, out: np.ndarray) -> None:
+def fit_local_polynomials(nodes: Floats, centres: Floats, out: Floats) -> None:
     """Fit local polynomials out (m, 2, TERMS), pixel to ideal coordinates, around centres (m, 3).
 
     Local pixel: (pixel - centre) / scale. Local ideal: (ideal * focal - its value at the centre) / scale.
@@ -99,7 +100,7 @@ class Along(NamedTuple):
 
 
 @kernel
-def polynomial_along_row(terms: np.ndarray, v: float) -> Along:
+def polynomial_along_row(terms: Floats, v: float) -> Along:
     """A polynomial (TERMS,) of u, v as a polynomial of u along the row v."""
     a = terms[0] + v * (terms[2] + v * (terms[5] + v * (terms[9] + v * terms[14])))
     b = terms[1] + v * (terms[4] + v * (terms[8] + v * terms[13]))
@@ -107,7 +108,7 @@ def polynomial_along_row(terms: np.ndarray, v: float) -> Along:
 
 
 @kernel
-def _change(terms: np.ndarray, u: float, v: float) -> tuple[float, float]:
+def _change(terms: Floats, u: float, v: float) -> tuple[float, float]:
     """How a polynomial (TERMS,) changes with u and with v."""
     p = polynomial_along_row(terms, v)
     with_v = (
@@ -119,7 +120,7 @@ def _change(terms: np.ndarray, u: float, v: float) -> tuple[float, float]:
 
 
 @kernel
-def pixel_to_ideal(lens: np.ndarray, u: float, v: float) -> tuple[float, float]:
+def pixel_to_ideal(lens: Floats, u: float, v: float) -> tuple[float, float]:
     """Local ideal coordinates of local pixel coordinates by the polynomials of a lens (2, TERMS)."""
     x, y = polynomial_along_row(lens[0], v), polynomial_along_row(lens[1], v)
     return x.a + u * (x.b + u * (x.c + u * (x.d + u * x.e))), y.a + u * (y.b + u * (y.c + u * (y.d + u * y.e)))
@@ -137,7 +138,7 @@ class LocalPixel(NamedTuple):
 
 
 @kernel
-def ideal_to_pixel(lens: np.ndarray, x: float, y: float, u: float, v: float) -> LocalPixel:
+def ideal_to_pixel(lens: Floats, x: float, y: float, u: float, v: float) -> LocalPixel:
     """Local pixel of ideal coordinates x, y by a lens (2, TERMS), from a guess u, v: inverse of pixel_to_ideal."""
     ux, uy, vx, vy = 1.0, 0.0, 0.0, 1.0
     for _ in range(4):
@@ -151,9 +152,7 @@ def ideal_to_pixel(lens: np.ndarray, x: float, y: float, u: float, v: float) -> 
 
 
 @kernel
-def corners_to_image(
-    lens: np.ndarray, centre: np.ndarray, guess: np.ndarray, corners: np.ndarray, covariance: np.ndarray
-) -> None:
+def corners_to_image(lens: Floats, centre: Floats, guess: Floats, corners: Floats, covariance: Floats) -> None:
     """Convert corners (4, 2) and covariance (8, 8) from local ideal coordinates to image px, in place.
     guess : (4, 2) px
     """

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats, Integers, Pixels
 from rig.model.design import Camera
 from vision.corners import edge_pixels, local_lens, square_fit, square_gauss_newton, square_sides
 from vision.corners.edge_spread import LEVELS, NO_PROFILE, PLAIN_EDGE_SPREAD, EdgeSpread
@@ -55,12 +56,12 @@ class Detection:
     left_out : markers that were read and not placed
     """
 
-    marker: np.ndarray
-    corners: np.ndarray
-    covariance: np.ndarray
-    blur: np.ndarray
-    noise: np.ndarray
-    contrast: np.ndarray
+    marker: Integers
+    corners: Floats
+    covariance: Floats
+    blur: Floats
+    noise: Floats
+    contrast: Floats
     left_out: tuple[ExcludedMarker, ...]
 
     @property
@@ -68,7 +69,7 @@ class Detection:
         """The same as markers to be placed once more."""
         return ReadMarkers(self.marker, self.corners, self.left_out)
 
-    def take(self, index: np.ndarray) -> Detection:
+    def take(self, index: Integers) -> Detection:
         """The same with only the markers of an index or mask (m,)."""
         return Detection(
             self.marker[index],
@@ -82,20 +83,14 @@ class Detection:
 
 
 @overload
-def grey_images_for_reader_and_fit(
-    image: np.ndarray, with_reader_image: Literal[True] = True
-) -> tuple[np.ndarray, np.ndarray]: ...
+def grey_images_for_reader_and_fit(image: Pixels, with_reader_image: Literal[True] = True) -> tuple[Floats, Floats]: ...
 
 
 @overload
-def grey_images_for_reader_and_fit(
-    image: np.ndarray, with_reader_image: bool
-) -> tuple[np.ndarray | None, np.ndarray]: ...
+def grey_images_for_reader_and_fit(image: Pixels, with_reader_image: bool) -> tuple[Floats | None, Floats]: ...
 
 
-def grey_images_for_reader_and_fit(
-    image: np.ndarray, with_reader_image: bool = True
-) -> tuple[np.ndarray | None, np.ndarray]:
+def grey_images_for_reader_and_fit(image: Pixels, with_reader_image: bool = True) -> tuple[Pixels | None, Pixels]:
     """(height, width) uint8 for the reader, and in 255ths at full depth for the fit, of an image as cv2 reads it: 8 or
     16 bit, grey or colour.
 
@@ -124,7 +119,7 @@ def opencv_detector(dictionary_name: str) -> cv2.aruco.ArucoDetector:
 
 
 def detect_markers(
-    image: np.ndarray,
+    image: Pixels,
     camera: Camera,
     marker_map: MarkerMap,
     spread: EdgeSpread = PLAIN_EDGE_SPREAD,
@@ -167,7 +162,7 @@ def detect_markers(
     return fit_read_markers(full, camera, marker_map, read_markers(eight, marker_map), spread)
 
 
-def _others(image: np.ndarray, marker_map: MarkerMap, rows: np.ndarray, places: np.ndarray) -> bool:
+def _others(image: Pixels, marker_map: MarkerMap, rows: Integers, places: Floats) -> bool:
     """Whether any marker is read around places (m, 4, 2) px where those of rows (m,) were not: another, turned, or a
     little way off.
     """
@@ -187,14 +182,14 @@ def _others(image: np.ndarray, marker_map: MarkerMap, rows: np.ndarray, places: 
 
 
 def fit_read_markers(
-    full: np.ndarray,
+    full: Floats,
     camera: Camera,
     marker_map: MarkerMap,
     read: ReadMarkers,
     spread: EdgeSpread = PLAIN_EDGE_SPREAD,
     reach: float = REACH,
     verify: bool = False,
-    profile: np.ndarray | None = None,
+    profile: Floats | None = None,
 ) -> Detection:
     """Detection of markers that are Read.
 
@@ -247,13 +242,13 @@ def fit_read_markers(
 class _Printed(NamedTuple):
     """What m markers of one size look like: cells and outlooks as in square.Squares, margins (m,) in cells."""
 
-    cells: np.ndarray
-    outlooks: np.ndarray
-    margins: np.ndarray
+    cells: Floats
+    outlooks: Floats
+    margins: Floats
 
 
 def _cut_out(
-    full: np.ndarray, camera: Camera, quads: np.ndarray, printed: _Printed, spread: EdgeSpread, reach: float
+    full: Floats, camera: Camera, quads: Floats, printed: _Printed, spread: EdgeSpread, reach: float
 ) -> square_fit.Squares:
     """square.Squares of quads (m, 4, 2) px of one size."""
     height, width = full.shape
@@ -279,7 +274,7 @@ def _cut_out(
 
 
 def _fit(
-    squares: square_fit.Squares, quads: np.ndarray, manner: square_fit.FitSettings, profile: np.ndarray
+    squares: square_fit.Squares, quads: Floats, manner: square_fit.FitSettings, profile: Floats
 ) -> square_fit.Fits:
     """square.Fits of Squares, from quads (m, 4, 2) px on; profile added to."""
     m = len(quads)
@@ -301,7 +296,7 @@ def _fit(
     return fits
 
 
-def _reasons(fits: square_fit.Fits, quads: np.ndarray, size: int) -> list[str]:
+def _reasons(fits: square_fit.Fits, quads: Floats, size: int) -> list[str]:
     """Why each of the Fits is left out, or "" where it is not. quads : (m, 4, 2) px, where they were read;
     size : cells, white ring and all.
     """
@@ -335,6 +330,6 @@ def _reason(status: int, cell: float, wandered: bool, noise: float, contrast: fl
 
 
 @cache
-def _pattern(name: str, number: int) -> tuple[np.ndarray, np.ndarray]:
+def _pattern(name: str, number: int) -> tuple[Floats, Floats]:
     cells = marker_cells(name, number)
     return cells, edge_pixels.pixel_edge_kinds(cells)

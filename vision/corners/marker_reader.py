@@ -14,6 +14,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from rig.arrays import Floats, ImageBytes, Integers, Pixels
 from vision.corners.dark_pixel_outlines import LEFT, WINDOWS, mark_dark_pixels, trace_quadrangles
 from vision.corners.numba_compilation import inlined_kernel, kernel
 from vision.corners.quadrangle_candidates import Candidates, empty_outline_buffers, marker_candidates
@@ -35,7 +36,7 @@ class Codes(NamedTuple):
     begin with
     n : bits each way; wrong : errors that are corrected."""
 
-    bits: np.ndarray
+    bits: Integers
     n: int
     wrong: int
 
@@ -51,7 +52,7 @@ def marker_codes(dictionary_name: str, numbers: tuple[int, ...]) -> Codes:
     return Codes(bits, n, int(CORRECTED * dictionary.maxCorrectionBits))
 
 
-def identify_markers(image: np.ndarray, candidates: Candidates, codes: Codes) -> tuple[np.ndarray, np.ndarray]:
+def identify_markers(image: Pixels, candidates: Candidates, codes: Codes) -> tuple[Floats, Floats]:
     """Identified markers among Candidates of an image: rows of the Codes (k,), corners (k, 4, 2) px."""
     count = len(candidates.first) - 1
     rows, corners = np.full(count, -1), np.empty((count, 4, 2))
@@ -61,7 +62,7 @@ def identify_markers(image: np.ndarray, candidates: Candidates, codes: Codes) ->
 
 @kernel
 def _identify(
-    image: np.ndarray, places: Candidates, bits: np.ndarray, n: int, wrong: int, rows: np.ndarray, corners: np.ndarray
+    image: Pixels, places: Candidates, bits: Integers, n: int, wrong: int, rows: Floats, corners: Floats
 ) -> None:
     """Write rows (m,), -1 where there is none, and corners (m, 4, 2) of each place. bits, n, wrong : as in Codes"""
     patch = np.empty((CELL * (n + 2), CELL * (n + 2)), np.uint8)
@@ -78,7 +79,7 @@ def _identify(
 
 
 @inlined_kernel
-def _from_above(image: np.ndarray, quad: np.ndarray, patch: np.ndarray) -> None:
+def _from_above(image: Pixels, quad: Floats, patch: ImageBytes) -> None:
     """patch (s, s) uint8: the pixels of an image nearest to points all over a quadrangle (4, 2) px, its corners the
     outermost ones; 0 outside.
     """
@@ -99,7 +100,7 @@ def _from_above(image: np.ndarray, quad: np.ndarray, patch: np.ndarray) -> None:
 
 
 @inlined_kernel
-def _between_classes(patch: np.ndarray) -> int:
+def _between_classes(patch: ImageBytes) -> int:
     """Grey level above which points of a patch (s, s) are bright, or -1 where they vary less than FAINTEST away from
     its rim.
     """
@@ -128,7 +129,7 @@ def _between_classes(patch: np.ndarray) -> int:
 
 
 @inlined_kernel
-def _read(patch: np.ndarray, bits: np.ndarray, n: int, wrong: int) -> tuple[int, int]:
+def _read(patch: ImageBytes, bits: Integers, n: int, wrong: int) -> tuple[int, int]:
     """(row of the bits that a patch shows or -1, the corner that is the marker's own first)."""
     level, size = _between_classes(patch), n + 2
     if level < 0:
@@ -184,15 +185,15 @@ class ReadMarkers(NamedTuple):
     marker : (m,) identities; corners : (m, 4, 2) px; left_out : those that are not to be placed
     """
 
-    marker: np.ndarray
-    corners: np.ndarray
+    marker: Integers
+    corners: Floats
     left_out: Sequence[ExcludedMarker] = ()
 
 
-def read_markers(image: np.ndarray, marker_map: MarkerMap) -> ReadMarkers:
+def read_markers(image: Pixels, marker_map: MarkerMap) -> ReadMarkers:
     """Read the markers of a rig in a whole image (height, width) uint8; repeated ones are excluded."""
     image = np.require(image, np.uint8, ["C", "W"])  # kernels are compiled for one kind of array
-    found: dict[int, list[np.ndarray]] = {}
+    found: dict[int, list[Floats]] = {}
     left_out, all_ = [], find_dark_quadrangles(image)
     for name in dict.fromkeys(marker_map.dictionary):
         own = tuple(number for number, other in zip(marker_map.id.tolist(), marker_map.dictionary) if other == name)
@@ -207,7 +208,7 @@ def read_markers(image: np.ndarray, marker_map: MarkerMap) -> ReadMarkers:
     )
 
 
-def find_dark_quadrangles(image: np.ndarray) -> np.ndarray:
+def find_dark_quadrangles(image: Pixels) -> Floats:
     """(n, 4, 2) px, int32, clockwise: quadrangles around dark regions of an image, and around holes in them."""
     height, width = image.shape
     longer = max(height, width)

@@ -12,7 +12,7 @@ from rig.compute.numba_kernels import Kernel, kernel_cache_folder
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 _OPTIONS = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": _FAST}
 
-F = TypeVar("F", bound=Callable)
+F = TypeVar("F", bound=Callable[..., Any])
 
 
 @cache

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rig.arrays import Floats, Integers
 from vision.corners.numba_compilation import inlined_kernel, kernel
 
 AWAY = 0.03  # of an outline's pixels, that it may be away from its polygon
@@ -23,10 +24,10 @@ class OutlineBuffers(NamedTuple):
     and corners : (MOST,).
     """
 
-    x: np.ndarray
-    y: np.ndarray
-    pieces: np.ndarray
-    corners: np.ndarray
+    x: Floats
+    y: Floats
+    pieces: Floats
+    corners: Floats
 
 
 def empty_outline_buffers(most_pixels: int) -> OutlineBuffers:
@@ -40,7 +41,7 @@ def empty_outline_buffers(most_pixels: int) -> OutlineBuffers:
 
 
 @kernel
-def write_outline_quadrangle(traced: OutlineBuffers, pixels: int, found: np.ndarray, row: int) -> int:
+def write_outline_quadrangle(traced: OutlineBuffers, pixels: int, found: Integers, row: int) -> int:
     """Write the corners of a traced outline to found[row] if it is a convex quadrangle; returns 1 or 0.
 
     found : (k, 8) px
@@ -66,7 +67,7 @@ def write_outline_quadrangle(traced: OutlineBuffers, pixels: int, found: np.ndar
 
 
 @inlined_kernel
-def _farthest(x: np.ndarray, y: np.ndarray, pixels: int, start: int) -> tuple[int, int]:
+def _farthest(x: Floats, y: Floats, pixels: int, start: int) -> tuple[int, int]:
     """(number of the pixel farthest from that at start, px^2 it is away); of several the first after start."""
     far, most = start, 0
     for part in range(2):  # after start, then before it
@@ -161,12 +162,12 @@ class Candidates(NamedTuple):
     of a place's in tries.
     """
 
-    quads: np.ndarray
-    tries: np.ndarray
-    first: np.ndarray
+    quads: Floats
+    tries: Integers
+    first: Integers
 
 
-def marker_candidates(quads: np.ndarray, shape: tuple[int, int], size: int) -> Candidates:
+def marker_candidates(quads: Floats, shape: tuple[int, int], size: int) -> Candidates:
     """Candidates for markers of `size` cells each way, selected from quadrangles (n, 4, 2) px of an image."""
     sides = np.sqrt(((quads - quads[:, [1, 2, 3, 0]]).astype(np.float32) ** 2).sum(axis=2))
     perimeters = sides.sum(axis=1)
@@ -188,7 +189,7 @@ def marker_candidates(quads: np.ndarray, shape: tuple[int, int], size: int) -> C
 
 
 @inlined_kernel
-def _apart2(a: np.ndarray, b: np.ndarray) -> float:
+def _apart2(a: Floats, b: Floats) -> float:
     """Mean square of how far the corners of two quadrangles (4, 2) are apart, px^2, from whichever corner on they are
     nearest.
     """
@@ -203,7 +204,7 @@ def _apart2(a: np.ndarray, b: np.ndarray) -> float:
 
 
 @kernel
-def _together(quads: np.ndarray, perimeters: np.ndarray, places: np.ndarray) -> None:
+def _together(quads: Floats, perimeters: Floats, places: Floats) -> None:
     """Number the places (n,) of quadrangles, largest first; all of them -1 before."""
     count, n = 0, len(quads)
     middles = np.empty((n, 2))
@@ -228,13 +229,7 @@ def _together(quads: np.ndarray, perimeters: np.ndarray, places: np.ndarray) -> 
 
 @kernel
 def _in_turn(
-    quads: np.ndarray,
-    perimeters: np.ndarray,
-    places: np.ndarray,
-    last: np.ndarray,
-    another: float,
-    tries: np.ndarray,
-    first: np.ndarray,
+    quads: Floats, perimeters: Floats, places: Floats, last: Floats, another: float, tries: Integers, first: Integers
 ) -> int:
     """Write Candidates.tries and first; returns how many places there are. last : (2,) x, y px; another : of the
     perimeter; places : overwritten

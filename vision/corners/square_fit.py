@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rig.arrays import Floats, Integers
 from vision.corners.cell_whiteness import STEPS, Tables, fill_edge_spread_table
 from vision.corners.cholesky_and_order_statistics import cholesky_factor, cholesky_solve, order_statistic
 from vision.corners.edge_pixels import KINDS, EdgePixels, Printed, Raster, collect_edge_pixels
@@ -77,15 +78,15 @@ class Squares(NamedTuple):
     directions : (m, 2) of each, see Printed
     """
 
-    pixels: np.ndarray
-    starts: np.ndarray
-    boxes: np.ndarray
-    lenses: np.ndarray
-    centres: np.ndarray
-    cells: np.ndarray
-    outlooks: np.ndarray
-    margins: np.ndarray
-    directions: np.ndarray
+    pixels: Floats
+    starts: Floats
+    boxes: Floats
+    lenses: Floats
+    centres: Floats
+    cells: Floats
+    outlooks: Floats
+    margins: Floats
+    directions: Integers
 
 
 class FitSettings(NamedTuple):
@@ -100,8 +101,8 @@ class FitSettings(NamedTuple):
     reach: float
     wrong: int
     iterations: int
-    tables: np.ndarray
-    levels: np.ndarray
+    tables: Floats
+    levels: Floats
     width: float
 
 
@@ -117,17 +118,17 @@ class Fits(NamedTuple):
     not wanted
     """
 
-    quads: np.ndarray
-    corners: np.ndarray
-    covariances: np.ndarray
-    noise: np.ndarray
-    contrast: np.ndarray
-    used: np.ndarray
-    doubted: np.ndarray
-    width: np.ndarray
-    steps: np.ndarray
-    status: np.ndarray
-    profile: np.ndarray
+    quads: Floats
+    corners: Floats
+    covariances: Floats
+    noise: Floats
+    contrast: Floats
+    used: Floats
+    doubted: Floats
+    width: Floats
+    steps: Floats
+    status: Floats
+    profile: Floats
 
 
 class Room(NamedTuple):
@@ -140,9 +141,9 @@ class Room(NamedTuple):
     work: Work
     bowed: Bow
     tables: Tables
-    sums: np.ndarray
-    told: np.ndarray
-    hidden: np.ndarray
+    sums: Floats
+    told: Floats
+    hidden: Floats
 
 
 @kernel
@@ -204,7 +205,7 @@ def _take(every: EdgePixels, sample: EdgePixels, stride: int) -> int:
 
 
 @inlined_kernel
-def _median(sizes: np.ndarray) -> float:
+def _median(sizes: Floats) -> float:
     """Median of those sizes (k,) that are not negative."""
     negative = 0
     for size in sizes:
@@ -213,7 +214,7 @@ def _median(sizes: np.ndarray) -> float:
 
 
 @inlined_kernel
-def _lighten(work: Work, light: np.ndarray) -> bool:
+def _lighten(work: Work, light: Floats) -> bool:
     """Set the greys from normal equations in which the square's place is held; False where white is no brighter than
     black.
     """
@@ -260,7 +261,7 @@ def fit_squares(squares: Squares, settings: FitSettings, fits: Fits) -> None:
 
 
 @inlined_kernel
-def _tabulated(tables: Tables, before: int, s: float, manner: FitSettings, directions: np.ndarray) -> int:
+def _tabulated(tables: Tables, before: int, s: float, manner: FitSettings, directions: Floats) -> int:
     """Level of the edges' width s (px), whose edge spread functions in directions (2,) are in the tables then;
     before : that of those that were
     """
@@ -296,9 +297,7 @@ def _finish(room: Room, square: Square, marker: Printed, m: int, weights: float,
 
 
 @inlined_kernel
-def _fit_square(
-    crop: np.ndarray, marker: Printed, m: int, s: float, manner: FitSettings, fits: Fits, room: Room
-) -> int:
+def _fit_square(crop: Floats, marker: Printed, m: int, s: float, manner: FitSettings, fits: Fits, room: Room) -> int:
     """Status of the fit of one marker, number m of the Fits, from edges of width s (px) on. room : of `_room`"""
     every, sample, work, hidden, tables = room.every, room.sample, room.work, room.hidden, room.tables
     hidden[:] = False

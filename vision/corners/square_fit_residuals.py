@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rig.arrays import Floats, Singles
 from vision.corners.cell_whiteness import Tables, edge_whiteness
 from vision.corners.cholesky_and_order_statistics import cholesky_factor, cholesky_solve
 from vision.corners.edge_pixels import KINDS, LEVEL, MEETING, EdgePixels
@@ -33,9 +34,7 @@ def _near(X: float, top: int) -> int:
 
 
 @kernel
-def edge_segment_sums(
-    pixels: EdgePixels, g: np.ndarray, rows: np.ndarray, last_step: np.ndarray, sums: np.ndarray
-) -> None:
+def edge_segment_sums(pixels: EdgePixels, g: Floats, rows: Floats, last_step: Floats, sums: Floats) -> None:
     """Sums of slope * residual and slope^2 over the pixels of each edge segment (side of a cell).
 
     pixels : EdgePixels; g : (3, 3) homography to cells; rows : as `accumulate` leaves them; last_step : the last step
@@ -69,7 +68,7 @@ def edge_segment_sums(
 
 
 @kernel
-def covariance_inflation(sums: np.ndarray, noise: float) -> float:
+def covariance_inflation(sums: Floats, noise: float) -> float:
     """Inflation factor of the corners' covariance, at least 1, by edges displaced more than noise allows.
 
     sums : of `edge_segment_sums`; noise : grey levels. White noise leaves a cell's side as far out of place as its
@@ -89,13 +88,7 @@ def covariance_inflation(sums: np.ndarray, noise: float) -> float:
 
 @kernel
 def add_to_residual_profile(
-    pixels: EdgePixels,
-    square: Square,
-    bowed: np.ndarray,
-    tables: Tables,
-    directions: np.ndarray,
-    limit: float,
-    profile: np.ndarray,
+    pixels: EdgePixels, square: Square, bowed: Floats, tables: Tables, directions: Floats, limit: float, profile: Floats
 ) -> None:
     """Add the residuals near single edges to a profile (d, BINS, 3): count, sum, sum of squares.
 
@@ -133,7 +126,7 @@ FITS = 0.999  # of a residual that is counted whole
 
 
 @kernel
-def _at(xi: float, yi: float, g: np.ndarray, top: int) -> tuple[int, int]:
+def _at(xi: float, yi: float, g: Floats, top: int) -> tuple[int, int]:
     """(column, row) of the cell of a point in local ideal coordinates, counted from 0 and held within 0 .. top."""
     w = 1.0 / (g[2, 0] * xi + g[2, 1] * yi + 1.0)
     X, Y = (g[0, 0] * xi + g[0, 1] * yi + g[0, 2]) * w, (g[1, 0] * xi + g[1, 1] * yi + g[1, 2]) * w
@@ -141,9 +134,7 @@ def _at(xi: float, yi: float, g: np.ndarray, top: int) -> tuple[int, int]:
 
 
 @kernel
-def find_occluded_cells(
-    pixels: EdgePixels, g: np.ndarray, rows: np.ndarray, counts: np.ndarray, occluded: np.ndarray
-) -> bool:
+def find_occluded_cells(pixels: EdgePixels, g: Floats, rows: Floats, counts: Floats, occluded: Floats) -> bool:
     """Whether cells of a square are occluded; these and their neighbours are marked in occluded (k, k) bool.
 
     pixels : EdgePixels; g : (3, 3) homography to cells; rows : as `accumulate` leaves them; counts : (2, k, k)
@@ -170,7 +161,7 @@ def find_occluded_cells(
 
 
 @kernel
-def remove_occluded_pixels(pixels: EdgePixels, g: np.ndarray, occluded: np.ndarray) -> int:
+def remove_occluded_pixels(pixels: EdgePixels, g: Floats, occluded: Floats) -> int:
     """Remove the EdgePixels in occluded cells (k, k), in place; returns how many remain.
     g : (3, 3) homography to cells
     """
@@ -194,9 +185,9 @@ class Bow(NamedTuple):
     covariance, over the noise's
     sizes : (TERMS,) grey levels, the terms."""
 
-    gain: np.ndarray
-    own: np.ndarray
-    sizes: np.ndarray
+    gain: Floats
+    own: Floats
+    sizes: Floats
 
 
 @kernel
@@ -252,9 +243,7 @@ def remove_uneven_illumination(pixels: EdgePixels, square: Square, weight_sum: f
 
 
 @inlined_kernel
-def _products(
-    pixels: EdgePixels, rows: np.ndarray, black: float, E: np.ndarray, cross: np.ndarray, within: np.ndarray
-) -> None:
+def _products(pixels: EdgePixels, rows: Floats, black: float, E: Singles, cross: Floats, within: Floats) -> None:
     """Add to cross (TERMS, ROWS) and to within (TERMS, TERMS), above its diagonal, sums of what bowed light does to all
     pixels times their rows,
     and times itself. E : overwritten"""
@@ -276,7 +265,7 @@ def _products(
 
 
 @kernel
-def _bowed(pixels: EdgePixels, start: int, size: int, black: float, J: np.ndarray, E: np.ndarray) -> None:
+def _bowed(pixels: EdgePixels, start: int, size: int, black: float, J: Floats, E: Singles) -> None:
     """E (TERMS, STRIP) what bowed light does to the pixels start .. start + size, whose rows are J. black : grey of
     black over that of white
     """

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rig.arrays import Floats
 from vision.corners.cell_whiteness import Tables
 from vision.corners.cholesky_and_order_statistics import cholesky_factor, cholesky_solve
 from vision.corners.edge_pixels import KINDS, EdgePixels
@@ -35,10 +36,10 @@ class Square(NamedTuple):
         middle, image to ideal
     """
 
-    g: np.ndarray
+    g: Floats
     width: float
-    light: np.ndarray
-    slope: np.ndarray
+    light: Floats
+    slope: Floats
 
 
 class Work(NamedTuple):
@@ -51,12 +52,12 @@ class Work(NamedTuple):
     sizes : (k,) float32, |residual| of the pixels, -1 of those that are saturated
     """
 
-    H: np.ndarray
-    L: np.ndarray
-    x: np.ndarray
-    J: np.ndarray
-    rows: np.ndarray
-    sizes: np.ndarray
+    H: Floats
+    L: Floats
+    x: Floats
+    J: Floats
+    rows: Floats
+    sizes: Floats
 
 
 class Counted(NamedTuple):
@@ -78,7 +79,7 @@ class Moved(NamedTuple):
 
 @kernel
 def accumulate_normal_equations(
-    pixels: EdgePixels, cells: np.ndarray, square: Square, tables: Tables, limit: float, lit: bool, work: Work
+    pixels: EdgePixels, cells: Floats, square: Square, tables: Tables, limit: float, lit: bool, work: Work
 ) -> Counted:
     """Accumulate the normal equations work.H = J J' over pixels; the last row of J is the residual.
 
@@ -104,7 +105,7 @@ def accumulate_normal_equations(
 
 @inlined_kernel
 def _greys(
-    pixels: EdgePixels, start: int, size: int, light: np.ndarray, limit: float, strip: np.ndarray, sizes: np.ndarray
+    pixels: EdgePixels, start: int, size: int, light: Floats, limit: float, strip: Floats, sizes: Floats
 ) -> Counted:
     """Rows of J from the shares in a strip (ROWS * STRIP,) of the pixels start .. start + size; zeros up to a multiple
     of PADDED pixels.
@@ -147,7 +148,7 @@ def _greys(
 
 
 @inlined_kernel
-def _multiply(strip: np.ndarray, size: int, first: int, H: np.ndarray) -> None:
+def _multiply(strip: Floats, size: int, first: int, H: Floats) -> None:
     """Add the products of the rows of a strip (ROWS * STRIP,), from an even one on, to the upper half of H (ROWS,
     ROWS), four sums at a time.
     """
@@ -168,7 +169,7 @@ def _multiply(strip: np.ndarray, size: int, first: int, H: np.ndarray) -> None:
 
 
 @kernel
-def corners_of_homography(g: np.ndarray, n: int, corners: np.ndarray, J: np.ndarray) -> bool:
+def corners_of_homography(g: Floats, n: int, corners: Floats, J: Floats) -> bool:
     """Corners (4, 2) of a homography g in local ideal coordinates, and Jacobian (8, 8); False if turned over."""
     for c in range(4):
         X = -1.0 if c == 0 or c == 3 else n + 1.0
@@ -191,7 +192,7 @@ def corners_of_homography(g: np.ndarray, n: int, corners: np.ndarray, J: np.ndar
 
 
 @kernel
-def gauss_newton_step(square: Square, n: int, scale: float, corners: np.ndarray, work: Work) -> Moved:
+def gauss_newton_step(square: Square, n: int, scale: float, corners: Floats, work: Work) -> Moved:
     """Gauss-Newton step of the square's homography and light, in place.
 
     square : Square; n : bits each way; scale : px, of local coordinates; corners : (4, 2), overwritten; work : Work as
@@ -223,7 +224,7 @@ def gauss_newton_step(square: Square, n: int, scale: float, corners: np.ndarray,
 
 
 @kernel
-def corner_covariance(work: Work, noise2: float, gain: np.ndarray, own: np.ndarray, covariance: np.ndarray) -> None:
+def corner_covariance(work: Work, noise2: float, gain: Floats, own: Floats, covariance: Floats) -> None:
     """Write the covariance (8, 8) of the corners' local ideal coordinates.
 
     work : Work of the last step, whose x is overwritten; noise2 : variance of the residuals; gain, own : as in

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from rig.arrays import Floats, Pixels
 from vision.corners.cholesky_and_order_statistics import order_statistic
 from vision.corners.local_lens import pixel_to_ideal
 from vision.corners.numba_compilation import inlined_kernel, kernel
@@ -13,7 +14,7 @@ FAINTEST = 6.0  # grey levels; a step below this is none
 
 
 @kernel
-def copy_image_boxes(image: np.ndarray, boxes: np.ndarray, starts: np.ndarray, out: np.ndarray) -> None:
+def copy_image_boxes(image: Pixels, boxes: Floats, starts: Floats, out: Floats) -> None:
     """Copy the boxes (m, 4) of an image into flat float32 out, one after the other from starts (m,)."""
     for m in range(len(boxes)):
         k, x0, width = np.uintp(starts[m]), np.uintp(boxes[m, 0]), np.uintp(boxes[m, 2] - boxes[m, 0])
@@ -25,7 +26,7 @@ def copy_image_boxes(image: np.ndarray, boxes: np.ndarray, starts: np.ndarray, o
 
 
 @kernel
-def _between(crop: np.ndarray, x: float, y: float) -> float:
+def _between(crop: Floats, x: float, y: float) -> float:
     """Grey level between pixels, held at the border."""
     x = min(max(x, 0.0), crop.shape[1] - 1.001)
     y = min(max(y, 0.0), crop.shape[0] - 1.001)
@@ -37,7 +38,7 @@ def _between(crop: np.ndarray, x: float, y: float) -> float:
 
 
 @inlined_kernel
-def _black_and_white(crop: np.ndarray, box: np.ndarray, quad: np.ndarray) -> tuple[float, float]:
+def _black_and_white(crop: Floats, box: Floats, quad: Floats) -> tuple[float, float]:
     """Grey levels of a marker's own black and white, of places all over a quad (4, 2) px."""
     inside = np.empty(64)
     for k in range(64):
@@ -49,7 +50,7 @@ def _black_and_white(crop: np.ndarray, box: np.ndarray, quad: np.ndarray) -> tup
 
 
 @inlined_kernel
-def _line(where: np.ndarray, offsets: np.ndarray, found: int) -> tuple[float, float]:
+def _line(where: Floats, offsets: Floats, found: int) -> tuple[float, float]:
     """(shift, turn) px of a side by the line through the offsets (PROFILES,) of the first `found` profiles, at where
     (PROFILES,) along it; those that stand apart do not count, and of fewer than half the profiles there is none."""
     shift, turn = 0.0, 0.0
@@ -75,7 +76,7 @@ def _line(where: np.ndarray, offsets: np.ndarray, found: int) -> tuple[float, fl
 
 
 @kernel
-def fit_sides(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, size: int, reach: float) -> None:
+def fit_sides(crop: Floats, box: Floats, quad: Floats, size: int, reach: float) -> None:
     """Fit the sides of a quad (4, 2) px, in place, to the dark-to-bright steps in profiles across them.
 
     A side is moved by a line through the steps found within reach (px) and within the border of black, one of `size`
@@ -124,7 +125,7 @@ def fit_sides(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, size: int, re
 
 
 @kernel
-def square_homography(quad: np.ndarray, lens: np.ndarray, centre: np.ndarray, n: int, g: np.ndarray) -> bool:
+def square_homography(quad: Floats, lens: Floats, centre: Floats, n: int, g: Floats) -> bool:
     """Homography g (3, 3) from local ideal coordinates to cells of a square with corners quad (4, 2) px.
 
     False where the corners do not turn clockwise around a convex figure. Source: Heckbert 1989, square to quadrilateral
@@ -157,7 +158,7 @@ def square_homography(quad: np.ndarray, lens: np.ndarray, centre: np.ndarray, n:
 
 
 @kernel
-def misread_cell_count(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, cells: np.ndarray) -> int:
+def misread_cell_count(crop: Floats, box: Floats, quad: Floats, cells: Floats) -> int:
     """Count of a marker's misread cells, black border included, in a quad (4, 2) px.
 
     All of them where white is no brighter than black. Five points of each cell are read.

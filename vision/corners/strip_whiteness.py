@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rig.arrays import Floats
 from vision.corners.cell_whiteness import (
     NODES,
     SKEW,
@@ -43,14 +44,14 @@ class Seen(NamedTuple):
     """How a square is seen: g : (3, 3) homography from local ideal coordinates to cells; width : px, of edges
     slope : (2, 2) of the lens in the middle, image to ideal; cells : of `Printed`."""
 
-    g: np.ndarray
+    g: Floats
     width: float
-    slope: np.ndarray
-    cells: np.ndarray
+    slope: Floats
+    cells: Floats
 
 
 @kernel
-def strip_whiteness(pixels: EdgePixels, start: int, size: int, seen: Seen, tables: Tables, strip: np.ndarray) -> None:
+def strip_whiteness(pixels: EdgePixels, start: int, size: int, seen: Seen, tables: Tables, strip: Floats) -> None:
     """Write the whiteness and its derivatives at a strip of edge pixels into strip (ROWS * STRIP,) float32."""
     first = pixels.first
     for kind in range(KINDS):
@@ -72,7 +73,7 @@ def strip_whiteness(pixels: EdgePixels, start: int, size: int, seen: Seen, table
 
 
 @kernel
-def _look_up(table: np.ndarray, strip: np.ndarray, low: int, high: int, away: np.uintp, slope: np.uintp) -> None:
+def _look_up(table: Floats, strip: Floats, low: int, high: int, away: np.uintp, slope: np.uintp) -> None:
     """Replace distances in edge widths, at row `away` of a strip, by shares of white, and write their slopes at row
     `slope`.
     """
@@ -86,7 +87,7 @@ def _look_up(table: np.ndarray, strip: np.ndarray, low: int, high: int, away: np
 
 @kernel
 def _single(
-    axis: int, pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, table: np.ndarray, strip: np.ndarray
+    axis: int, pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, table: Floats, strip: Floats
 ) -> None:
     """The same for pixels low .. high of a strip that see one edge, across an axis, by that axis' table; the derivative
     at row 2.
@@ -134,9 +135,7 @@ def _single(
 
 
 @inlined_kernel
-def _meetings(
-    pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, tables: Tables, strip: np.ndarray
-) -> None:
+def _meetings(pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, tables: Tables, strip: Floats) -> None:
     """The same for pixels that see an upright and a level edge meet. Their product is corrected as in
     vision/corners/cell_whiteness.py.
     """
@@ -205,9 +204,7 @@ def _bell(squares: np.float32, product: np.float32, r: np.float32) -> np.float32
 
 
 @inlined_kernel
-def _several(
-    pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, tables: Tables, strip: np.ndarray
-) -> None:
+def _several(pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, tables: Tables, strip: Floats) -> None:
     """The same for pixels that see any number of edges, one by one."""
     g, s, slope = seen.g, seen.width, seen.slope
     g00, g01, g02, g10, g11, g12, g20, g21 = g[0, 0], g[0, 1], g[0, 2], g[1, 0], g[1, 1], g[1, 2], g[2, 0], g[2, 1]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats, Pixels
 from rig.errors import FileError, NotEnoughData, RigError
 from rig.model.design import Camera
 from rig.recording.exposures_and_images import read_image
@@ -51,8 +52,8 @@ class Calibrated:
     left_out: tuple[tuple[Path, str], ...]
     observations: Observations
     board: Board
-    uv: np.ndarray
-    sigma: np.ndarray
+    uv: Floats
+    sigma: Floats
 
     @property
     def middle(self) -> float:
@@ -75,7 +76,7 @@ def calibrate_photographs(
     A photograph that does not show the board is named and left out. Raises FileError for one that is no image or of
     another size than the first, NotEnoughData where too few show the board.
     """
-    images: list[np.ndarray] = []
+    images: list[Pixels] = []
     for path in paths:
         image = read_image(path, MOST_OF_A_PHOTOGRAPH)
         if images and image.shape[:2] != images[0].shape[:2]:

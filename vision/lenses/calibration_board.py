@@ -1,11 +1,13 @@
 """Calibration boards: their printed layout, and their corners in a photograph with covariance."""
 
 from dataclasses import dataclass
+from typing import cast
 
 import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats, Integers, Pixels
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 from rig.model.design import DICTIONARIES, Camera
@@ -38,7 +40,7 @@ class Board:
     legacy: bool = False
 
     @property
-    def points(self) -> np.ndarray:
+    def points(self) -> Floats:
         """(n, 3) m, corners that are measured: x right, y down, z = 0; of a charuco its inner corners row by row, else
         markers' four.
         """
@@ -47,15 +49,15 @@ class Board:
             return np.stack([x.ravel() * self.pitch, y.ravel() * self.pitch, 0.0 * x.ravel()], axis=1)
         return self.marker_corners().reshape(-1, 3)
 
-    def places(self) -> np.ndarray:
+    def places(self) -> Floats:
         """(m, 2) m, middles of the markers in the order of their identities."""
         x, y = (grid.ravel() for grid in np.meshgrid(np.arange(self.columns), np.arange(self.rows)))
         if self.kind == "charuco":
             odd = (x + y + (self.rows % 2 == 0 if self.legacy else 0)) % 2 == 1
             return (np.stack([x[odd], y[odd]], axis=1) + 0.5) * self.pitch
-        return np.stack([x, y], axis=1) * self.pitch + self.side / 2
+        return cast(Floats, np.stack([x, y], axis=1) * self.pitch + self.side / 2)
 
-    def marker_corners(self) -> np.ndarray:
+    def marker_corners(self) -> Floats:
         """(m, 4, 3) m, corners of the markers, clockwise from the top left."""
         middles = np.pad(self.places(), ((0, 0), (0, 1)))
         return middles[:, None] + self.side * SQUARE * [1, -1, 1]
@@ -116,13 +118,13 @@ class BoardView:
     px^2
     left_out : (corner, reason) of those expected and not placed."""
 
-    corner: np.ndarray
-    uv: np.ndarray
-    covariance: np.ndarray
+    corner: Integers
+    uv: Floats
+    covariance: Floats
     left_out: tuple[tuple[int, str], ...]
 
 
-def find_board_corners(image: np.ndarray, board: Board, camera: Camera) -> BoardView:
+def find_board_corners(image: Pixels, board: Board, camera: Camera) -> BoardView:
     """Find the corners of a board in an image as cv2 reads it, as a BoardView.
     camera : Camera whose lens bends the edges (no distortion for the first look)
     """
@@ -167,7 +169,7 @@ def find_board_corners(image: np.ndarray, board: Board, camera: Camera) -> Board
     )
 
 
-def _markers(image: np.ndarray, board: Board, camera: Camera) -> BoardView:
+def _markers(image: Pixels, board: Board, camera: Camera) -> BoardView:
     middles = np.pad(board.places() * [1, -1], ((0, 0), (0, 1)))
     gap = (board.pitch - board.side) / 2
     map_ = MarkerMap(
@@ -202,7 +204,7 @@ def _straight(camera: Camera) -> chessboard_corner.Straight:
     if not np.any(D):
         return chessboard_corner.Straight(lambda uv: uv, lambda xy: (xy, np.eye(2)))
 
-    def back(xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def back(xy: Floats) -> tuple[Floats, Floats]:
         uv, J, _ = lens.project_jacobian(np.append((xy - centre) / focal, 1.0), K, D)
         return uv, J[:, :2] / focal
 

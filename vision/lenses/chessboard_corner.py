@@ -15,6 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
+from rig.arrays import Floats, Pixels
+
 ITERATIONS = 40
 SETTLING = 8  # iterations
 SETTLED = 5e-4  # px
@@ -40,8 +42,8 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 class Junction:
     """uv : (2,) px; covariance : (2, 2) px^2; blur : px; noise, contrast : grey levels."""
 
-    uv: np.ndarray
-    covariance: np.ndarray
+    uv: Floats
+    covariance: Floats
     blur: float
     noise: float
     contrast: float
@@ -50,13 +52,13 @@ class Junction:
 class Share(NamedTuple):
     """White share (n,) of a crossing and its slopes (n,) by h, k and rho."""
 
-    white: np.ndarray
-    by_h: np.ndarray
-    by_k: np.ndarray
-    by_rho: np.ndarray
+    white: Floats
+    by_h: Floats
+    by_k: Floats
+    by_rho: Floats
 
 
-def crossing_whiteness(h: np.ndarray, k: np.ndarray, rho: float) -> Share:
+def crossing_whiteness(h: Floats, k: Floats, rho: float) -> Share:
     """Whiteness at a crossing of two blurred edges, white where h and k have the same sign.
 
     h, k : (n,) distances to the edges in blur widths; rho : correlation, the cosine between the edges' normals
@@ -80,8 +82,8 @@ class Straight(NamedTuple):
     pixel : function of one of these (2,) to its pixel (2,) and the Jacobian (2, 2) of that
     """
 
-    ideal: Callable[[np.ndarray], np.ndarray]
-    pixel: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+    ideal: Callable[[Floats], Floats]
+    pixel: Callable[[Floats], tuple[Floats, Floats]]
 
 
 class _Pixels(NamedTuple):
@@ -89,9 +91,9 @@ class _Pixels(NamedTuple):
     (n,); white as in `fit`.
     """
 
-    ideal: np.ndarray
-    board: np.ndarray
-    grey: np.ndarray
+    ideal: Floats
+    board: Floats
+    grey: Pixels
     white: bool
 
 
@@ -101,7 +103,7 @@ class _Extent(NamedTuple):
     """
 
     size: float
-    clear: np.ndarray
+    clear: Floats
 
 
 class _Linear(NamedTuple):
@@ -109,9 +111,9 @@ class _Linear(NamedTuple):
     were none.
     """
 
-    residual: np.ndarray
-    jacobian: np.ndarray
-    light: np.ndarray
+    residual: Floats
+    jacobian: Floats
+    light: Floats
 
 
 class _Settled(NamedTuple):
@@ -119,16 +121,16 @@ class _Settled(NamedTuple):
     weight, residual : (n,)
     scatter : grey levels, robust."""
 
-    p: np.ndarray
-    light: np.ndarray
-    information: np.ndarray
-    weight: np.ndarray
-    residual: np.ndarray
+    p: Floats
+    light: Floats
+    information: Floats
+    weight: Floats
+    residual: Floats
     scatter: float
 
 
 def fit_chessboard_corner(
-    image: np.ndarray, guess: np.ndarray, axes: np.ndarray, white: bool, straight: Straight, reach: float
+    image: Pixels, guess: Floats, axes: Floats, white: bool, straight: Straight, reach: float
 ) -> Junction | str:
     """Fitted chessboard corner (Junction), or the reason (text) why none was found.
 
@@ -160,7 +162,7 @@ def fit_chessboard_corner(
     return _judged(settled, uv, back, far)
 
 
-def _settle(pixels: _Pixels, p: np.ndarray, extent: _Extent) -> _Settled | str:
+def _settle(pixels: _Pixels, p: Floats, extent: _Extent) -> _Settled | str:
     """Robust Gauss-Newton from p (5,) on; or the reason why it does not settle."""
     light, scatter = None, np.inf
     for iteration in range(ITERATIONS):
@@ -190,7 +192,7 @@ def _settle(pixels: _Pixels, p: np.ndarray, extent: _Extent) -> _Settled | str:
     return "the fit did not settle"
 
 
-def _linearise(pixels: _Pixels, p: np.ndarray, light: np.ndarray | None, extent: _Extent) -> _Linear | str:
+def _linearise(pixels: _Pixels, p: Floats, light: Floats | None, extent: _Extent) -> _Linear | str:
     """The pixels near both edges of a crossing p (5,), linearised; or the reason why there are too few. light : (6,),
     or None to guess it.
     """
@@ -228,7 +230,7 @@ def _linearise(pixels: _Pixels, p: np.ndarray, light: np.ndarray | None, extent:
     return _Linear(grey - planes @ light, J, light)
 
 
-def _judged(settled: _Settled, uv: np.ndarray, back: np.ndarray, far: bool) -> Junction | str:
+def _judged(settled: _Settled, uv: Floats, back: Floats, far: bool) -> Junction | str:
     """Junction at uv (2,) px, or why it is none. back : (2, 2) px per px without the lens; far : whether it left where
     it was expected.
     """

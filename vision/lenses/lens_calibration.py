@@ -2,11 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.arrays import Booleans, Floats
 from rig.errors import NotEnoughData
 from rig.model.design import Camera
 from vision import lens
@@ -47,8 +49,8 @@ class Fit:
 
     terms: int
     camera: Camera
-    residuals: np.ndarray
-    inliers: np.ndarray
+    residuals: Floats
+    inliers: Booleans
     rms: float
     adjustment: Adjustment
 
@@ -95,12 +97,7 @@ def observations_from_board_views(views: Sequence[BoardView], board: Board) -> O
 
 
 def calibrate_lens(
-    observations: Observations,
-    width: int,
-    height: int,
-    terms: int,
-    name: str = "cam0",
-    inliers: np.ndarray | None = None,
+    observations: Observations, width: int, height: int, terms: int, name: str = "cam0", inliers: Booleans | None = None
 ) -> Fit:
     """Calibrated lens (Fit) with that many distortion terms.
     inliers : (n,) bool to hold to, or None: found here
@@ -131,9 +128,7 @@ def calibrate_lens(
     return Fit(terms, state.cameras[0], residuals, good, float(np.sqrt((residuals[good] ** 2).mean())), result)
 
 
-def cross_validate_lens(
-    observations: Observations, width: int, height: int, terms: int, inliers: np.ndarray
-) -> HeldOut:
+def cross_validate_lens(observations: Observations, width: int, height: int, terms: int, inliers: Booleans) -> HeldOut:
     """Cross-validation of a lens model (HeldOut): each photograph predicted by a lens from the others.
     The photograph's own pose alone is fitted to it. inliers : (n,) bool
     """
@@ -163,7 +158,7 @@ def choose_lens_model(held: Sequence[HeldOut]) -> HeldOut:
     return best
 
 
-def projection_uncertainty(fit: Fit, step: int = 40) -> tuple[np.ndarray, np.ndarray]:
+def projection_uncertainty(fit: Fit, step: int = 40) -> tuple[Floats, Floats]:
     """Standard uncertainty of the lens's projection over the image: uv (r, c, 2) px, sigma (r, c) px.
 
     The part that a small turn of the camera would undo is taken out, for a camera's pose is always found with its lens.
@@ -185,7 +180,7 @@ def projection_uncertainty(fit: Fit, step: int = 40) -> tuple[np.ndarray, np.nda
     return uv, np.where(inside, np.sqrt(np.trace(C, axis1=-2, axis2=-1) / 2), np.nan)
 
 
-def _cross(points: np.ndarray) -> np.ndarray:
+def _cross(points: Floats) -> Floats:
     out = np.zeros((*points.shape, 3))
     x, y, z = np.moveaxis(points, -1, 0)
     out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -z, y, -x
@@ -193,7 +188,7 @@ def _cross(points: np.ndarray) -> np.ndarray:
     return out
 
 
-def _worth(camera: Camera, terms: int) -> np.ndarray:
+def _worth(camera: Camera, terms: int) -> Floats:
     """(4 + terms,) standard deviations before the images: next to nothing known, or pinned."""
     names = lens.lens_parameter_names(camera.distortion)[4:]
     return np.array(
@@ -208,7 +203,7 @@ def _start(o: Observations, width: int, height: int, terms: int, name: str, came
     if camera is None:
         flat = [o.points[o.frame == f].astype(np.float32) for f in frames]
         seen = [o.uv[o.frame == f].astype(np.float32) for f in frames]
-        K = cv2.initCameraMatrix2D(flat, seen, (width, height), 1.0)
+        K = cast(Floats, cv2.initCameraMatrix2D(flat, seen, (width, height), 1.0))
         if not (np.isfinite(K).all() and 0.1 * width < K[0, 0] < 50 * width):
             K = np.array([[1.2 * width, 0, (width - 1) / 2], [0, 1.2 * width, (height - 1) / 2], [0, 0, 1]])
         camera = Camera(name, width, height, K, np.zeros(terms), RigidTransform.identity(), mount="moving")

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from rig.arrays import Floats
+
 FAR = 0.5  # s to the frame before or after, beyond which it says nothing
 AROUND = 20  # frames looked at on either side
 MARGIN = 2.0  # times what nine in ten solved frames miss their neighbours by
@@ -14,7 +16,7 @@ LEAST = np.radians(2.0)  # whatever is closer to its neighbours than this is clo
 MOST = np.radians(45.0)  # neighbours that may miss by more say nothing
 ENOUGH = 10  # solved frames between neighbours from which it is told how well neighbours predict
 
-Poses = dict[int, np.ndarray]  # {frame: T_world_body (4, 4)}
+Poses = dict[int, Floats]  # {frame: T_world_body (4, 4)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +29,7 @@ class Reach:
     beside: float
 
 
-def choose_poses_by_neighbours(found: Poses, candidates: dict[int, Sequence[np.ndarray]], t: np.ndarray) -> Poses:
+def choose_poses_by_neighbours(found: Poses, candidates: dict[int, Sequence[Floats]], t: Floats) -> Poses:
     """Ambiguous poses chosen by neighbouring frames: {frame: T_world_body (4, 4)}.
 
     found : {frame: (4, 4)} solved; candidates : {frame: ((4, 4), ...)} candidates; t : (F,) s
@@ -56,7 +58,7 @@ def choose_poses_by_neighbours(found: Poses, candidates: dict[int, Sequence[np.n
     return chosen
 
 
-def rotation_outliers(found: Poses, t: np.ndarray) -> dict[int, str]:
+def rotation_outliers(found: Poses, t: Floats) -> dict[int, str]:
     """Rotation outliers {frame: reason} among solved poses (4, 4): flips against well-predicted neighbours."""
     reach = neighbour_rotation_scatter(found, t)
     odd: dict[int, str] = {}
@@ -73,7 +75,7 @@ def rotation_outliers(found: Poses, t: np.ndarray) -> dict[int, str]:
     return odd
 
 
-def neighbour_rotation_scatter(found: Poses, t: np.ndarray) -> Reach | None:
+def neighbour_rotation_scatter(found: Poses, t: Floats) -> Reach | None:
     """Scatter (Reach) of rotation about what neighbouring solved frames predict; None with too few.
     t : (F,) s
     """
@@ -88,7 +90,7 @@ def neighbour_rotation_scatter(found: Poses, t: np.ndarray) -> Reach | None:
     return Reach(MARGIN * np.quantile(between, 0.9), MARGIN * np.quantile(beside, 0.9))
 
 
-def pose_from_neighbours(found: Poses, f: int, t: np.ndarray, scatter: Reach) -> tuple[np.ndarray | None, float]:
+def pose_from_neighbours(found: Poses, f: int, t: Floats, scatter: Reach) -> tuple[Floats | None, float]:
     """((4, 4) pose of frame f from solved neighbours, rad that it may be off); (None, inf) without any."""
     before, after = _near(found, f, t)
     ways = [(scatter.beside * abs(t[f] - t[k]), k) for k in (before, after) if k is not None]
@@ -98,7 +100,7 @@ def pose_from_neighbours(found: Poses, f: int, t: np.ndarray, scatter: Reach) ->
     return None if nearest is None else found.get(nearest), max(LEAST, limit)
 
 
-def _near(found: Poses, f: int, t: np.ndarray) -> list[int | None]:
+def _near(found: Poses, f: int, t: Floats) -> list[int | None]:
     """The nearest solved frames before and after f within FAR, None where there is none."""
     last = len(t) - 1
     return [
@@ -114,7 +116,7 @@ def _near(found: Poses, f: int, t: np.ndarray) -> list[int | None]:
     ]
 
 
-def _between(found: Poses, before: int, after: int, f: int, t: np.ndarray) -> np.ndarray:
+def _between(found: Poses, before: int, after: int, f: int, t: Floats) -> Floats:
     """(4, 4) at frame f on an even way from one solved frame to another."""
     share, T_a, T_b = (t[f] - t[before]) / (t[after] - t[before]), found[before], found[after]
     turn = Rotation.from_matrix(T_a[:3, :3].T @ T_b[:3, :3]).as_rotvec()
@@ -123,6 +125,6 @@ def _between(found: Poses, before: int, after: int, f: int, t: np.ndarray) -> np
     return out
 
 
-def rotation_angle(a: np.ndarray, b: np.ndarray) -> float:
+def rotation_angle(a: Floats, b: Floats) -> float:
     """rad between the rotations of two poses (4, 4)."""
     return float(np.arccos(np.clip((np.einsum("ij,ij", a[:3, :3], b[:3, :3]) - 1) / 2, -1, 1)))

@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, final
+from typing import Literal, NamedTuple, cast, final
 
 import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Booleans, Floats, Integers
 from rig.model.design import Camera
 from vision import lens
 from vision.pose.pose_refinement import AHEAD, GATE, refine_pose
@@ -31,15 +32,15 @@ class View:
     focal : (c,) px; T_camera_world : (c, 4, 4) matrices
     """
 
-    points: np.ndarray
-    normals: np.ndarray
-    ideal: np.ndarray
-    covariance: np.ndarray
-    camera: np.ndarray
-    marker: np.ndarray
-    corner: np.ndarray
-    focal: np.ndarray
-    T_camera_world: np.ndarray
+    points: Floats
+    normals: Floats
+    ideal: Floats
+    covariance: Floats
+    camera: Integers
+    marker: Integers
+    corner: Integers
+    focal: Floats
+    T_camera_world: Floats
 
 
 @final
@@ -49,9 +50,9 @@ class Located:
     inliers : (n,) bool.
     """
 
-    matrix: np.ndarray
-    covariance: np.ndarray
-    inliers: np.ndarray
+    matrix: Floats
+    covariance: Floats
+    inliers: Booleans
 
     @property
     def T_world_body(self) -> RigidTransform:
@@ -72,7 +73,7 @@ class Unsolved:
         return False
 
 
-_Sighting = tuple[int, int, np.ndarray]  # camera, marker, rows in corner order
+_Sighting = tuple[int, int, Integers]  # camera, marker, rows in corner order
 
 
 class _Refined(NamedTuple):
@@ -80,16 +81,16 @@ class _Refined(NamedTuple):
     scale : theirs, robust.
     """
 
-    matrix: np.ndarray
-    covariance: np.ndarray
-    inliers: np.ndarray
+    matrix: Floats
+    covariance: Floats
+    inliers: Booleans
     square: float
     scale: float
 
 
 def undistort_corners(
-    uv: np.ndarray, covariance: np.ndarray, camera: np.ndarray, cameras: Sequence[Camera]
-) -> tuple[np.ndarray, np.ndarray]:
+    uv: Floats, covariance: Floats, camera: Integers, cameras: Sequence[Camera]
+) -> tuple[Floats, Floats]:
     """Undistorted ideal coordinates (n, 2) of corners (n, 2) px, with covariance (n, 2, 2).
     Camera by camera; NaN beyond a lens.
     """
@@ -147,7 +148,7 @@ def locate_body(view: View, marker_map: MarkerMap, finest: float = FINEST) -> Lo
     return located
 
 
-def _alone(view: View, matrices: np.ndarray, distance: np.ndarray, finest: float) -> tuple[Located, ...]:
+def _alone(view: View, matrices: Floats, distance: Floats, finest: float) -> tuple[Located, ...]:
     """Located poses of one sighting by itself: one, or the two that a plane's image leaves and whose fits do not differ
     enough.
     """
@@ -176,7 +177,7 @@ def _sightings(view: View) -> list[_Sighting]:
     return [(int(view.camera[rows[0]]), int(view.marker[rows[0]]), rows) for rows in whole]
 
 
-def _candidates(view: View, sightings: Sequence[_Sighting], marker_map: MarkerMap) -> tuple[np.ndarray, np.ndarray]:
+def _candidates(view: View, sightings: Sequence[_Sighting], marker_map: MarkerMap) -> tuple[Floats, Floats]:
     """Matrices (k, 4, 4) T_world_body from each sighting by itself, and their distances (k, n) px to every corner."""
     found = []
     for camera, marker, rows in sightings:
@@ -196,7 +197,7 @@ def _candidates(view: View, sightings: Sequence[_Sighting], marker_map: MarkerMa
     return matrices, _distances(view, matrices)
 
 
-def inverse_pose(pose: np.ndarray) -> np.ndarray:
+def inverse_pose(pose: Floats) -> Floats:
     """Inverse (4, 4) of a pose (4, 4)."""
     out = np.eye(4)
     out[:3, :3] = pose[:3, :3].T
@@ -204,14 +205,14 @@ def inverse_pose(pose: np.ndarray) -> np.ndarray:
     return out
 
 
-def _ahead(view: View, matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _ahead(view: View, matrices: Floats) -> tuple[Floats, Floats]:
     """Rotations (..., n, 3, 3) body to each corner's camera, and the corners there (..., n, 3) m."""
     to_camera = view.T_camera_world[view.camera] @ matrices[..., None, :, :]
     R = to_camera[..., :3, :3]
     return R, (R @ view.points[..., None])[..., 0] + to_camera[..., :3, 3]
 
 
-def _distances(view: View, matrices: np.ndarray) -> np.ndarray:
+def _distances(view: View, matrices: Floats) -> Floats:
     """(k, n) px between corners and where each pose puts them; infinite where the marker would face away."""
     R, ahead = _ahead(view, matrices)
     facing = np.einsum("knij,nj,kni->kn", R, view.normals, ahead) < 0
@@ -220,7 +221,7 @@ def _distances(view: View, matrices: np.ndarray) -> np.ndarray:
     return np.where(possible & np.isfinite(gap[..., 0]), np.linalg.norm(gap, axis=-1) * view.focal[view.camera], np.inf)
 
 
-def _refine(view: View, matrix: np.ndarray, inliers: np.ndarray, least: float) -> _Refined | None:
+def _refine(view: View, matrix: Floats, inliers: Booleans, least: float) -> _Refined | None:
     """A robust Gauss-Newton from a pose and who agrees with it; None where it falls apart. least : px, the robust
     scale's floor
     """
@@ -247,18 +248,16 @@ def _refine(view: View, matrix: np.ndarray, inliers: np.ndarray, least: float) -
     if np.linalg.cond(H) > 1e14:
         return None
     return _Refined(
-        matrix, np.linalg.inv(H), inliers, float(np.minimum(square, (GATE * scale) ** 2).sum()), float(scale)
+        matrix,
+        cast(Floats, np.linalg.inv(H)),
+        inliers,
+        float(np.minimum(square, (GATE * scale) ** 2).sum()),
+        float(scale),
     )
 
 
 def _alternative(
-    view: View,
-    matrices: np.ndarray,
-    distance: np.ndarray,
-    matrix: np.ndarray,
-    square: float,
-    scale: float,
-    finest: float,
+    view: View, matrices: Floats, distance: Floats, matrix: Floats, square: float, scale: float, finest: float
 ) -> Located | None:
     """Located, a different pose that fits as well, or None. Only a candidate near nearly all corners can be one."""
     near = np.flatnonzero((distance < CONSENSUS).mean(axis=1) >= 0.9)
@@ -285,14 +284,14 @@ def _alternative(
     return None
 
 
-def _apart(a: np.ndarray, b: np.ndarray) -> float | None:
+def _apart(a: Floats, b: Floats) -> float | None:
     """Angle (rad) between two poses that differ, None for two that are the same."""
     angle = _turn(a, b)
     far = np.linalg.norm(a[:3, 3] - b[:3, 3]) > SAME * max(float(np.linalg.norm(a[:3, 3])), 0.1)
     return angle if angle > SAME or far else None
 
 
-def _turn(a: np.ndarray, b: np.ndarray) -> float:
+def _turn(a: Floats, b: Floats) -> float:
     """Angle (rad) between the rotations of two poses (4, 4)."""
     M = a[:3, :3].T @ b[:3, :3]
     sine = np.sqrt((M[2, 1] - M[1, 2]) ** 2 + (M[0, 2] - M[2, 0]) ** 2 + (M[1, 0] - M[0, 1]) ** 2)

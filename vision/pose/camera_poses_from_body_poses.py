@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats
 from rig.model.design import Camera
 from rig.model.pose import transform_points
 from vision.pose.body_pose import CONSENSUS, View, locate_body
@@ -20,7 +21,7 @@ def camera_poses_from_body_poses(
     cameras: Sequence[Camera],
     frames: Frames,
     cameras_placed_by_base: set[int],
-    t: np.ndarray | None = None,
+    t: Floats | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[int, RigidTransform]:
     """Poses {camera index: T_base_camera} of doubtful fixed cameras from body poses by the other cameras.

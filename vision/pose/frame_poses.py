@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Booleans, Floats, Integers
 from rig.compute.parallel_map import parallel_map
 from rig.model.design import Camera
 from vision.corner_observations import Observations
@@ -18,7 +19,7 @@ SHARED = 3  # frames that two cameras must share for the body to say how they st
 TOGETHER = 16  # frames that one process locates before it takes more
 PLATFORM = -1  # among the bodies of `vouched`; a moving camera's own number stands for the base seen from it
 
-Call = tuple[int, np.ndarray, np.ndarray]  # frame, rows of the observations, T_camera_world (c, 4, 4)
+Call = tuple[int, Floats, Floats]  # frame, rows of the observations, T_camera_world (c, 4, 4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +64,7 @@ class Views:
         self.focal = np.array([np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]) for camera in cameras])
         self.identity = np.broadcast_to(np.eye(4), (len(cameras), 4, 4))
 
-    def take(self, mask: np.ndarray) -> "Views":
+    def take(self, mask: Booleans) -> "Views":
         """The same recording with only the corners of a mask (n,)."""
         some = copy(self)
         some.observations, some.ideal, some.covariance, some.normals = (
@@ -74,9 +75,7 @@ class Views:
         )
         return some
 
-    def locate(
-        self, rows: np.ndarray, T_camera_world: np.ndarray, ideal: np.ndarray | None = None
-    ) -> Located | Unsolved:
+    def locate(self, rows: Integers, T_camera_world: Floats, ideal: Floats | None = None) -> Located | Unsolved:
         """Located or Unsolved from the observations' rows. T_camera_world : (c, 4, 4)."""
         o = self.observations
         ideal = self.ideal[rows] if ideal is None else ideal
@@ -143,10 +142,7 @@ def locate_cameras_without_base_targets(views: Views, cameras: Sequence[Camera])
 
 
 def locate_frames(
-    views: Views,
-    cameras: Sequence[Camera],
-    t: np.ndarray | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    views: Views, cameras: Sequence[Camera], t: Floats | None = None, progress: Callable[[int, int], None] | None = None
 ) -> Frames:
     """Locate the platform and moving cameras in all frames, as Frames.
     t : (F,) s; with it, a single sighting is checked against its neighbours in time
@@ -202,7 +198,7 @@ def _answers(
     return {f: answer for part, answers in zip(parts, found) for (f, _, _), answer in zip(part, answers)}
 
 
-def _decided(answers: dict[int, Located | Unsolved], t: np.ndarray | None) -> tuple[Poses, set[int], dict[int, str]]:
+def _decided(answers: dict[int, Located | Unsolved], t: Floats | None) -> tuple[Poses, set[int], dict[int, str]]:
     """({frame: (4, 4) T_world_body}, frames decided by their neighbours, {frame: reason}) of {frame: Located or
     Unsolved}.
     """
@@ -213,7 +209,7 @@ def _decided(answers: dict[int, Located | Unsolved], t: np.ndarray | None) -> tu
         for f, reason in rotation_outliers(found, t).items():
             del found[f]
             why[f] = reason
-        doubtful: dict[int, Sequence[np.ndarray]] = {
+        doubtful: dict[int, Sequence[Floats]] = {
             f: [one.matrix for one in answer.candidates]
             for f, answer in answers.items()
             if not answer and answer.candidates

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from rig.arrays import Booleans, Floats
 from rig.compute.numba_kernels import njit
 from rig.model.rotation_increment import rotate_increment
 
@@ -15,14 +16,14 @@ AHEAD = 1e-6  # m; what is nearer to the camera's plane is behind it
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def refine_pose(
-    corners: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
-    to_camera: np.ndarray,
-    focal: np.ndarray,
-    matrix: np.ndarray,
-    inliers: np.ndarray,
+    corners: tuple[Floats, Floats, Floats, Floats],
+    to_camera: Floats,
+    focal: Floats,
+    matrix: Floats,
+    inliers: Booleans,
     least: float,
-    J: np.ndarray,
-    square: np.ndarray,
+    J: Floats,
+    square: Floats,
 ) -> float:
     """Refine a pose in place; returns the whitened robust scale at the optimum, or NaN without one.
 
@@ -69,9 +70,7 @@ def refine_pose(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _roots(
-    covariance: np.ndarray, focal: np.ndarray, camera: np.ndarray, seen: np.ndarray, root: np.ndarray, least: float
-) -> float:
+def _roots(covariance: Floats, focal: Floats, camera: Floats, seen: Floats, root: Floats, least: float) -> float:
     """Into root (n, 3) the lower triangle (11, 21, 22) of each covariance's inverse square root. Returns least px in
     units of the typical corner.
     """
@@ -88,12 +87,12 @@ def _roots(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _linearise(
-    corners: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
-    to_camera: np.ndarray,
-    matrix: np.ndarray,
-    root: np.ndarray,
-    r: np.ndarray,
-    J: np.ndarray,
+    corners: tuple[Floats, Floats, Floats, Floats],
+    to_camera: Floats,
+    matrix: Floats,
+    root: Floats,
+    r: Floats,
+    J: Floats,
 ) -> bool:
     """Whitened residuals into r (n, 2) and derivatives into J (n, 2, 6) at a pose; returns whether all corners are
     ahead of their cameras.

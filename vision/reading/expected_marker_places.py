@@ -6,11 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats, Integers
 from rig.errors import NotConverged, NotEnoughData
 from rig.model import mechanisms
 from rig.model.design import Camera, Design
 from rig.model.pose import exp, pose_difference
-from rig.recording.recording_folder import Corners, Recording
+from rig.recording.corner_and_pose_tables import Corners
+from rig.recording.recording_folder import Recording
 from vision.corner_observations import observations_from_corners
 from vision.pose.body_pose import FINEST
 from vision.pose.frame_poses import Views, locate_frames
@@ -50,7 +52,7 @@ class Expectation:
 
 
 def learn_expected_places(
-    recording: Recording, corners: Corners, correlation: np.ndarray, repeated_ids: Sequence[int], markers: MarkerMap
+    recording: Recording, corners: Corners, correlation: Floats, repeated_ids: Sequence[int], markers: MarkerMap
 ) -> Expectation | None:
     """Expectation of marker places, learned from the corners of fully searched images; None if not as stated.
 
@@ -70,7 +72,7 @@ def learn_expected_places(
     return Expectation(m.design.cameras, markers, _commanded(recording, m, frames))
 
 
-def _commanded(recording: Recording, m: Measurement, frames: np.ndarray) -> dict[int, RigidTransform]:
+def _commanded(recording: Recording, m: Measurement, frames: Integers) -> dict[int, RigidTransform]:
     """{frame: pose} that the commands say, brought to the frames measured; empty where that is not where the platform
     is seen.
     """

@@ -15,11 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Booleans, Floats, Pixels
 from rig.compute.worker_processes import worker_count
 from rig.errors import NotEnoughData
 from rig.model.design import Camera, Design
 from rig.model.pose import adjoint
-from rig.recording.recording_folder import Corners
+from rig.recording.corner_and_pose_tables import Corners
 from vision.corner_observations import Observations, empty_observations, observations_from_corners
 from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, EdgeSpread
 from vision.corners.marker_detection import (
@@ -39,7 +40,7 @@ from vision.recording_adjustment import Measurement, measure
 from vision.targets import marker_map
 
 Rows = tuple[tuple[int, str, Detection], ...]  # frame, camera, what its image shows
-Images = tuple[tuple[int, str, np.ndarray], ...]  # frame, camera, its image
+Images = tuple[tuple[int, str, Pixels], ...]  # frame, camera, its image
 TAUGHT = (6, 12, 24, 48, 96)  # solved frames after which cameras are adjusted to all so far
 
 
@@ -57,16 +58,16 @@ class Sight:
 
     frame: int
     T_base_platform: RigidTransform | None
-    covariance: np.ndarray | None
+    covariance: Floats | None
     reason: str
     observations: Observations
-    residuals: np.ndarray
-    inliers: np.ndarray
+    residuals: Floats
+    inliers: Booleans
     detections: dict[str, Detection]
     expected: dict[str, tuple[int, ...]]
 
 
-def sight_from_measuring_limbs(frame: int, T_base_platform: RigidTransform, covariance: np.ndarray) -> Sight:
+def sight_from_measuring_limbs(frame: int, T_base_platform: RigidTransform, covariance: Floats) -> Sight:
     """Sight of a frame from a pose measured by limbs, with covariance (6, 6), no camera involved."""
     return Sight(
         frame, T_base_platform, covariance, "", empty_observations(frame), np.zeros((0, 2)), np.zeros(0, bool), {}, {}
@@ -119,14 +120,14 @@ class Live:
         self._solved, self._factor = 0, 1.0
         self._measurement: Measurement | None = None
         self._first: list[
-            tuple[int, str, np.ndarray]
+            tuple[int, str, Pixels]
         ] = []  # images from which the cameras' edges are learnt; none once they are
         self._spread = {camera.name: PLAIN_EDGE_SPREAD for camera in design.cameras}
         self._pool, self._beside = ThreadPoolExecutor(worker_count()), ThreadPoolExecutor(1)
         self._adjusting: Future[_Adjusted] | None = None
         self._told = 0  # frames of the last adjustment that was begun
 
-    def take(self, frame: int, images: dict[str, np.ndarray], T_expected: RigidTransform | None = None) -> Sight:
+    def take(self, frame: int, images: dict[str, Pixels], T_expected: RigidTransform | None = None) -> Sight:
         """The sight of a frame. images : {camera: as cv2 reads it}; T_expected : where the platform ought to be, or
         None.
         """
@@ -292,7 +293,7 @@ class Live:
             else ()
         )
 
-    def _uncertain(self, T: RigidTransform, own: np.ndarray) -> np.ndarray | None:
+    def _uncertain(self, T: RigidTransform, own: Floats) -> Floats | None:
         """(6, 6) a pose's own covariance and what the cameras' adds, as it is at the nearest pose to which they were
         adjusted.
         """

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from rig.arrays import Floats, Integers, Pixels
 from vision.corners.marker_detection import opencv_detector
 from vision.predict import Sightings, markers_expected_in_image, markers_facing_cameras, predict_sightings
 from vision.recording_adjustment import Measurement
@@ -39,7 +40,7 @@ _FAMILIES = (
 )
 
 
-ReadImage = Callable[[int, str], np.ndarray | None]  # see `suspects`
+ReadImage = Callable[[int, str], Floats | None]  # see `suspects`
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +152,7 @@ def _misplaced(m: Measurement, marker_map: MarkerMap) -> dict[int, Suspect]:
 
 
 def _look(
-    m: Measurement, marker_map: MarkerMap, marker: int, camera: int, frame: int, quad: np.ndarray
+    m: Measurement, marker_map: MarkerMap, marker: int, camera: int, frame: int, quad: Floats
 ) -> tuple[str, int, int] | None:
     """(kind, other identity, turn) of the place that a quad (4, 2) px of a marker is in, or None."""
     count = len(marker_map.id)
@@ -202,7 +203,7 @@ def _usurped(m: Measurement, marker_map: MarkerMap, read: ReadImage) -> dict[int
     return found
 
 
-def _reads_at(image: np.ndarray, place: np.ndarray, name: str) -> int | None:
+def _reads_at(image: Pixels, place: Floats, name: str) -> int | None:
     """Identity that is read in an image at a place (4, 2) px, turned or not, or None."""
     corners, ids, _ = opencv_detector(name).detectMarkers(image)
     side = np.linalg.norm(place - np.roll(place, 1, axis=0), axis=1).mean()
@@ -212,7 +213,7 @@ def _reads_at(image: np.ndarray, place: np.ndarray, name: str) -> int | None:
     return None
 
 
-def no_marker_reason(images: Sequence[np.ndarray], marker_map: MarkerMap) -> str:
+def no_marker_reason(images: Sequence[Pixels], marker_map: MarkerMap) -> str:
     """Why no marker of a rig was found in images [(height, width) uint8]: of another dictionary, mirrored. "" where
     nothing is told.
     """
@@ -245,10 +246,10 @@ def no_marker_reason(images: Sequence[np.ndarray], marker_map: MarkerMap) -> str
     return ""
 
 
-def _numbers(image: np.ndarray, name: str) -> list[int]:
+def _numbers(image: Pixels, name: str) -> list[int]:
     ids = opencv_detector(name).detectMarkers(image)[1]
     return [] if ids is None else [int(number) for number in ids.ravel()]
 
 
-def _count(image: np.ndarray, name: str, wanted: np.ndarray) -> int:
+def _count(image: Pixels, name: str, wanted: Integers) -> int:
     return int(np.isin(_numbers(image, name), wanted).sum())

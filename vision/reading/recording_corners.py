@@ -9,11 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats, Integers, Pixels
 from rig.compute.dask_cluster import path_on_workers
 from rig.errors import FileError
 from rig.model.design import Camera, Design
+from rig.recording.corner_and_pose_tables import Corners
 from rig.recording.exposures_and_images import read_image, undecodable_images, unusable_images_error
-from rig.recording.recording_folder import Corners, Recording
+from rig.recording.recording_folder import Recording
 from vision.corner_observations import corner_covariance_rows
 from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, EdgeSpread, empty_profile, learn_edge_spread
 from vision.corners.marker_detection import Detection, detect_markers, fit_read_markers, grey_images_for_reader_and_fit
@@ -51,10 +53,10 @@ class Collected:
     cameras : {camera: Camera} by whose lens the markers of most images were placed."""
 
     corners: Corners
-    correlation: np.ndarray | None
+    correlation: Floats | None
     left_out: list[Unplaced]
-    blur: dict[str, np.ndarray]
-    noise: dict[str, np.ndarray]
+    blur: dict[str, Floats]
+    noise: dict[str, Floats]
     spread: dict[str, EdgeSpread]
     cameras: dict[str, Camera]
 
@@ -64,12 +66,12 @@ class Collected:
         return _repeated(self.left_out)
 
 
-def image_reader(recording: Recording) -> Callable[[int, str], np.ndarray | None]:
+def image_reader(recording: Recording) -> Callable[[int, str], Floats | None]:
     """Reader of a recording's images: a function of (frame number, camera name) -> image, or None without one."""
     e = recording.exposures
     names = {(int(frame), camera): name for frame, camera, name in zip(e.frame, e.camera, e.image) if name}
 
-    def read(frame: int, camera: str) -> np.ndarray | None:
+    def read(frame: int, camera: str) -> Floats | None:
         name = names.get((int(frame), camera))
         return None if name is None else grey_images_for_reader_and_fit(read_image(recording.folder / name))[0]
 
@@ -107,7 +109,7 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
     stated = {camera.name: camera for _, camera, _ in work}
     taught = sorted({k for name in stated for k in _some([i for i, w in enumerate(work) if w[1].name == name])})
 
-    def searched(k: int) -> tuple[np.ndarray, ReadMarkers]:
+    def searched(k: int) -> tuple[Floats, ReadMarkers]:
         _, camera, name = work[k]
         eight, full = grey_images_for_reader_and_fit(_image(folder, camera, name))
         return full, read_markers(eight, marker_map)
@@ -174,7 +176,7 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
     )
 
 
-def _image(folder: Path, camera: Camera, name: str) -> np.ndarray:
+def _image(folder: Path, camera: Camera, name: str) -> Pixels:
     image = read_image(folder / name)
     if image.shape[:2] != (camera.height, camera.width):
         raise FileError(
@@ -227,13 +229,13 @@ def _repeated(left_out: Iterable[Unplaced]) -> list[int]:
 
 
 def learn_camera_edge_spread(
-    read_images: Sequence[tuple[np.ndarray, ReadMarkers]], camera: Camera, marker_map: MarkerMap
+    read_images: Sequence[tuple[Floats, ReadMarkers]], camera: Camera, marker_map: MarkerMap
 ) -> EdgeSpread:
     """Learn the edge spread of a camera from images that were read.
     read_images : (image (height, width) in 255ths of white, ReadMarkers of it) each
     """
 
-    def first(item: tuple[np.ndarray, ReadMarkers]) -> tuple[np.ndarray, Detection]:
+    def first(item: tuple[Floats, ReadMarkers]) -> tuple[Floats, Detection]:
         full, read = item
         return full, fit_read_markers(full, camera, marker_map, read)
 
@@ -241,7 +243,7 @@ def learn_camera_edge_spread(
     spread = PLAIN_EDGE_SPREAD
     for _ in range(ROUNDS if seen else 0):
 
-        def again(item: tuple[np.ndarray, ReadMarkers], spread: EdgeSpread = spread) -> tuple[Detection, np.ndarray]:
+        def again(item: tuple[Floats, ReadMarkers], spread: EdgeSpread = spread) -> tuple[Detection, Floats]:
             full, read = item
             profile = empty_profile()
             return fit_read_markers(full, camera, marker_map, read, spread, reach=0.0, profile=profile), profile
@@ -324,7 +326,7 @@ def search_missed_markers(
     )
 
 
-def corners_from_detections(found: Sequence[Found]) -> tuple[Corners, np.ndarray]:
+def corners_from_detections(found: Sequence[Found]) -> tuple[Corners, Floats]:
     """Corners of Detections, rows (frame, camera name, Detection), and their correlation (n, 2, 8)."""
     sizes = [len(d.marker) for *_, d in found]
     covariance = np.concatenate([d.covariance for *_, d in found] or [np.zeros((0, 8, 8))])
@@ -339,7 +341,7 @@ def corners_from_detections(found: Sequence[Found]) -> tuple[Corners, np.ndarray
     )
 
 
-def group_corners_by_image(corners: Corners) -> dict[tuple[int, str], tuple[np.ndarray, np.ndarray]]:
+def group_corners_by_image(corners: Corners) -> dict[tuple[int, str], tuple[Integers, Floats]]:
     """Corners grouped by image: {(frame number, camera name): (identities (m,), corners (m, 4, 2) px)}."""
     rows: dict[tuple[int, str], list[int]] = {}
     for k, image in enumerate(zip(corners.frame[::4].tolist(), corners.camera[::4])):
@@ -358,6 +360,6 @@ def _joined(a: Corners, b: Corners) -> Corners:
     )
 
 
-def _by_camera(rows: Sequence[Found], what: str) -> dict[str, np.ndarray]:
+def _by_camera(rows: Sequence[Found], what: str) -> dict[str, Floats]:
     names = list(dict.fromkeys(name for _, name, _ in rows))
     return {name: np.concatenate([getattr(d, what) for _, other, d in rows if other == name]) for name in names}

@@ -13,6 +13,7 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial import Delaunay as Triangulation
 
 from calib.correction.interpolation.field import Known, WeightedField, Weights, merge_repeats
+from rig.arrays import Floats, Integers
 from rig.compute.numba_kernels import njit
 from rig.errors import RigError
 
@@ -37,14 +38,14 @@ class Delaunay(WeightedField):
     Raises RigError for samples that span no simplex, or that are too many for their triangulation to be kept
     """
 
-    centre: np.ndarray
-    half: np.ndarray
-    samples: np.ndarray
-    values: np.ndarray
-    variances: np.ndarray
-    misfit: np.ndarray
+    centre: Floats
+    half: Floats
+    samples: Floats
+    values: Floats
+    variances: Floats
+    misfit: Floats
     _cut: Triangulation = field(init=False, repr=False)
-    _faces: np.ndarray = field(init=False, repr=False)
+    _faces: Floats = field(init=False, repr=False)
     kind: ClassVar[str] = "delaunay"
     exact: ClassVar[bool] = True
 
@@ -81,11 +82,11 @@ class Delaunay(WeightedField):
         )
         return replace(found, misfit=_misfit(found))
 
-    def outside(self, x: np.ndarray) -> np.ndarray:
+    def outside(self, x: Floats) -> Floats:
         scaled = (x - self.centre) / self.half
         return np.linalg.norm(scaled - self._shrunk(scaled)[0], axis=1)
 
-    def weights(self, x: np.ndarray) -> Weights:
+    def weights(self, x: Floats) -> Weights:
         shrunk, share, face = self._shrunk((x - self.centre) / self.half)
         cut = self._cut
         simplex, weight = _walk(
@@ -106,7 +107,7 @@ class Delaunay(WeightedField):
         )
         return Weights(cut.simplices[simplex], weight, slope / self.half)
 
-    def _shrunk(self, scaled: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _shrunk(self, scaled: Floats) -> tuple[Floats, Floats, Floats]:
         """(places drawn in to the hull (n, axes), by which share (n,), across which face (n,)) of scaled places (n,
         axes).
         """
@@ -123,7 +124,7 @@ class Delaunay(WeightedField):
 
 
 @njit(cache=True, error_model="numpy")
-def _walk(x: np.ndarray, transform: np.ndarray, neighbors: np.ndarray, start: int) -> tuple[np.ndarray, np.ndarray]:
+def _walk(x: Floats, transform: Floats, neighbors: Floats, start: int) -> tuple[Integers, Floats]:
     """(simplex (n,), barycentric weight (n, axes + 1)) of places x (n, axes) within the hull: across faces, each from
     where the last ended.
 
@@ -168,7 +169,7 @@ def _walk(x: np.ndarray, transform: np.ndarray, neighbors: np.ndarray, start: in
     return found, weight
 
 
-def _misfit(found: Delaunay) -> np.ndarray:
+def _misfit(found: Delaunay) -> Floats:
     """(outputs,) what lies between samples: a quarter of what each is off the plane through its nearest others, the
     noise taken out.
     """

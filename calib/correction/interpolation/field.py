@@ -5,6 +5,8 @@ from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
+from rig.arrays import Booleans, Floats, Integers
+
 
 class Field(Protocol):
     """KSF_KR, the summand function all over a space of `axes` numbers, each of `outputs` values. Beyond its samples it
@@ -18,21 +20,21 @@ class Field(Protocol):
     kind: ClassVar[str]
     exact: ClassVar[bool]
 
-    def value(self, x: np.ndarray) -> np.ndarray:
+    def value(self, x: Floats) -> Floats:
         """(..., outputs) m or rad at x (..., axes)."""
         ...
 
-    def gradient(self, x: np.ndarray) -> np.ndarray:
+    def gradient(self, x: Floats) -> Floats:
         """(..., outputs, axes) change of the values with x (..., axes); at a kink that of one side."""
         ...
 
-    def error(self, x: np.ndarray) -> np.ndarray:
+    def error(self, x: Floats) -> Floats:
         """(..., outputs) m or rad, standard error of the values at x (..., axes): the samples' noise, and what lies
         between them or beyond.
         """
         ...
 
-    def inside(self, x: np.ndarray) -> np.ndarray:
+    def inside(self, x: Floats) -> Booleans:
         """(...) bool, whether x (..., axes) lies among the samples; elsewhere the values are extrapolated."""
         ...
 
@@ -46,10 +48,10 @@ class Known:
     Source: configuration-space patent, [0128] to [0130]
     """
 
-    configurations: np.ndarray
-    values: np.ndarray
-    variances: np.ndarray
-    strokes: np.ndarray
+    configurations: Floats
+    values: Floats
+    variances: Floats
+    strokes: Floats
 
     def __post_init__(self) -> None:
         n, axes = np.shape(self.configurations)
@@ -64,7 +66,7 @@ class Known:
                 f"{np.shape(self.strokes)}"
             )
 
-    def take(self, index: np.ndarray) -> "Known":
+    def take(self, index: Booleans) -> "Known":
         """The samples of an index or mask (n,)."""
         return Known(self.configurations[index], self.values[index], self.variances[index], self.strokes)
 
@@ -82,7 +84,7 @@ def merge_repeats(samples: Known, tolerance: float = 1e-5) -> Known:
     return Known(where / np.bincount(at)[:, None], *average_samples(samples, at), samples.strokes)
 
 
-def average_samples(samples: Known, group_indices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def average_samples(samples: Known, group_indices: Integers) -> tuple[Floats, Floats]:
     """Averages (values, variances), each (count, outputs), of samples grouped by index, weighted by variance."""
     weight = 1 / np.maximum(samples.variances, 1e-300)
     shape = int(group_indices.max()) + 1, weight.shape[1]
@@ -100,9 +102,9 @@ class Weights(NamedTuple):
     with the place.
     """
 
-    samples: np.ndarray
-    weight: np.ndarray
-    slope: np.ndarray
+    samples: Floats
+    weight: Floats
+    slope: Floats
 
 
 class WeightedField:
@@ -110,31 +112,31 @@ class WeightedField:
     the standard deviation of what it leaves midway between samples, 0 at a sample."""
 
     __slots__ = ()
-    values: np.ndarray
-    variances: np.ndarray
-    misfit: np.ndarray
+    values: Floats
+    variances: Floats
+    misfit: Floats
 
-    def weights(self, x: np.ndarray) -> Weights:
+    def weights(self, x: Floats) -> Weights:
         """Weights at places x (n, axes)."""
         raise NotImplementedError
 
-    def outside(self, x: np.ndarray) -> np.ndarray:
+    def outside(self, x: Floats) -> Floats:
         """(n,) how far places x (n, axes) lie beyond the samples, as a share of half their extent; 0 among them."""
         raise NotImplementedError
 
-    def value(self, x: np.ndarray) -> np.ndarray:
+    def value(self, x: Floats) -> Floats:
         x = np.asarray(x, float)
         found = self.weights(x.reshape(-1, x.shape[-1]))
         return np.einsum("nk,nkm->nm", found.weight, self.values[found.samples]).reshape(*x.shape[:-1], -1)
 
-    def gradient(self, x: np.ndarray) -> np.ndarray:
+    def gradient(self, x: Floats) -> Floats:
         x = np.asarray(x, float)
         found = self.weights(x.reshape(-1, x.shape[-1]))
         return np.einsum("nkd,nkm->nmd", found.slope, self.values[found.samples]).reshape(
             *x.shape[:-1], -1, x.shape[-1]
         )
 
-    def error(self, x: np.ndarray) -> np.ndarray:
+    def error(self, x: Floats) -> Floats:
         x = np.asarray(x, float)
         flat = x.reshape(-1, x.shape[-1])
         found = self.weights(flat)
@@ -147,6 +149,6 @@ class WeightedField:
         )  # as far as the values differ over half their extent, so far they may go on
         return np.sqrt(noise + between[:, None] * self.misfit**2 + beyond**2).reshape(*x.shape[:-1], -1)
 
-    def inside(self, x: np.ndarray) -> np.ndarray:
+    def inside(self, x: Floats) -> Booleans:
         x = np.asarray(x, float)
         return (self.outside(x.reshape(-1, x.shape[-1])) <= ON).reshape(x.shape[:-1])

@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from calib.correction.interpolation.field import Field
+from rig.arrays import Booleans, Floats
 
 FADES, HALF = (
     0.1,
@@ -24,8 +25,8 @@ class SpacePart:
     are the wrong way round.
     """
 
-    low: np.ndarray
-    high: np.ndarray
+    low: Floats
+    high: Floats
 
     def __post_init__(self) -> None:
         if np.shape(self.low) != np.shape(self.high) or not (np.asarray(self.low) < np.asarray(self.high)).all():
@@ -37,16 +38,16 @@ class SpacePart:
             raise ValueError("a part is bounded on one side at the least")
 
     @property
-    def fade(self) -> np.ndarray:
+    def fade(self) -> Floats:
         """(axes,) m or rad over which a map fades."""
         extent = self.high - self.low
         return np.where(np.isfinite(extent), FADES * extent, HALF)
 
-    def holds(self, x: np.ndarray) -> np.ndarray:
+    def holds(self, x: Floats) -> Booleans:
         """(...) bool, whether places x (..., axes) lie within."""
         return np.asarray(((x >= self.low) & (x <= self.high)).all(axis=-1))
 
-    def weight(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def weight(self, x: Floats) -> tuple[Floats, Floats]:
         """(weight (...), 1 within and 0 far from it, its slope (..., axes)) at places x (..., axes), continuous
         both.
         """
@@ -67,22 +68,22 @@ class RestrictedMap:
     kind: ClassVar[str] = "within"
     exact: ClassVar[bool] = False
 
-    def value(self, x: np.ndarray) -> np.ndarray:
+    def value(self, x: Floats) -> Floats:
         x = np.asarray(x, float)
         return np.asarray(self.part.weight(x)[0][..., None] * self.field.value(x))
 
-    def gradient(self, x: np.ndarray) -> np.ndarray:
+    def gradient(self, x: Floats) -> Floats:
         x = np.asarray(x, float)
         weight, slope = self.part.weight(x)
         return np.asarray(
             weight[..., None, None] * self.field.gradient(x) + self.field.value(x)[..., None] * slope[..., None, :]
         )
 
-    def error(self, x: np.ndarray) -> np.ndarray:
+    def error(self, x: Floats) -> Floats:
         x = np.asarray(x, float)
         return np.asarray(self.part.weight(x)[0][..., None] * self.field.error(x))
 
-    def inside(self, x: np.ndarray) -> np.ndarray:
+    def inside(self, x: Floats) -> Booleans:
         x = np.asarray(x, float)
         return np.asarray(self.part.holds(x) & self.field.inside(x))
 
@@ -95,13 +96,13 @@ class SummedPasses:
     kind: ClassVar[str] = "passes"
     exact: ClassVar[bool] = False
 
-    def value(self, x: np.ndarray) -> np.ndarray:
+    def value(self, x: Floats) -> Floats:
         return np.asarray(sum(field.value(x) for field in self.fields))
 
-    def gradient(self, x: np.ndarray) -> np.ndarray:
+    def gradient(self, x: Floats) -> Floats:
         return np.asarray(sum(field.gradient(x) for field in self.fields))
 
-    def error(self, x: np.ndarray) -> np.ndarray:
+    def error(self, x: Floats) -> Floats:
         """Of the last pass that holds at x: it was measured on what the others left, whose errors are in its
         samples.
         """
@@ -112,7 +113,7 @@ class SummedPasses:
             square = weight * own + (1 - weight) * square
         return np.asarray(np.sqrt(square))
 
-    def inside(self, x: np.ndarray) -> np.ndarray:
+    def inside(self, x: Floats) -> Booleans:
         inside = self.fields[0].inside(x)
         for field in self.fields[1:]:
             inside = (

@@ -19,6 +19,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dpotrf, dpotri
 
 from calib.correction.interpolation.field import Known, merge_repeats
+from rig.arrays import Booleans, Floats
 from rig.compute.numba_kernels import njit
 
 
@@ -29,14 +30,14 @@ class Likelihood:
     x : (n, axes) places; y : (n,) values; v : (n,) their stated variances; axis : the one that the first function is of
     """
 
-    def __init__(self, x: np.ndarray, y: np.ndarray, v: np.ndarray, axis: int) -> None:
+    def __init__(self, x: Floats, y: Floats, v: Floats, axis: int) -> None:
         self.y, self.v, self.work = y, v, np.zeros((len(y), len(y)), order="F")
         j, i = np.triu_indices(len(y), 1)  # pairs below the diagonal column by column, as LAPACK has them in memory
         self.gap = (x[i, axis] - x[j, axis]) ** 2
         square = (x**2).sum(axis=1)
         self.square = np.maximum(square[:, None] + square - 2 * x @ x.T, 0)[i, j]
 
-    def __call__(self, p: np.ndarray) -> tuple[float, np.ndarray]:
+    def __call__(self, p: Floats) -> tuple[float, Floats]:
         """(value, gradient (5,)) at p (5,). Raises LinAlgError where the covariance is not positive definite."""
         size1, length1, size2, length2, noise = np.exp(p)
         own, whole = (
@@ -66,7 +67,7 @@ class Likelihood:
         return float(0.5 * self.y @ alpha + determinant), gradient
 
 
-def _noise_only(p: np.ndarray, y: np.ndarray, v: np.ndarray) -> tuple[float, np.ndarray]:
+def _noise_only(p: Floats, y: Floats, v: Floats) -> tuple[float, Floats]:
     """(value, gradient (1,)) of the same where noise alone is taken to be there, to its logarithm p (1,)."""
     total = v + np.exp(2 * p[0])
     value = 0.5 * np.sum(y**2 / total + np.log(total))
@@ -74,7 +75,7 @@ def _noise_only(p: np.ndarray, y: np.ndarray, v: np.ndarray) -> tuple[float, np.
 
 
 @njit(cache=True, nogil=True)
-def _fill(own: np.ndarray, whole: np.ndarray, diagonal: np.ndarray, K: np.ndarray) -> None:
+def _fill(own: Floats, whole: Floats, diagonal: Floats, K: Floats) -> None:
     """The lower triangle of K (n, n) from what its pairs below the diagonal (n (n - 1) / 2,) have, column by column,
     and its diagonal (n,).
     """
@@ -87,7 +88,7 @@ def _fill(own: np.ndarray, whole: np.ndarray, diagonal: np.ndarray, K: np.ndarra
 
 
 @njit(cache=True, nogil=True)
-def _times(K: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _times(K: Floats, y: Floats) -> Floats:
     """K y (n,) of the lower triangle of a symmetric K (n, n)."""
     out = np.zeros(len(y))
     for j in range(len(y)):
@@ -100,9 +101,7 @@ def _times(K: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True, nogil=True)
-def _sums(
-    inverse: np.ndarray, alpha: np.ndarray, own: np.ndarray, whole: np.ndarray, gap: np.ndarray, square: np.ndarray
-) -> np.ndarray:
+def _sums(inverse: Floats, alpha: Floats, own: Floats, whole: Floats, gap: Floats, square: Floats) -> Floats:
     """(5,) sums over the pairs below the diagonal of M = inverse - alpha alpha^T times own, own gap, whole, whole
     square; and the trace of M.
     """
@@ -133,17 +132,17 @@ class Radial:
         stated
     variances : (n,) m^2 of the samples as stated, None in files of before they were kept."""
 
-    centre: np.ndarray
-    half: np.ndarray
+    centre: Floats
+    half: Floats
     axis: int
-    inputs: np.ndarray
-    weights: np.ndarray
-    sizes: np.ndarray
-    lengths: np.ndarray
+    inputs: Floats
+    weights: Floats
+    sizes: Floats
+    lengths: Floats
     noise: float
-    variances: np.ndarray | None = None
+    variances: Floats | None = None
 
-    def __call__(self, configurations: np.ndarray) -> np.ndarray:
+    def __call__(self, configurations: Floats) -> Floats:
         """(...,) m, the summand at configurations (..., axes)."""
         scaled = (np.asarray(configurations, float) - self.centre) / self.half
         flat = scaled.reshape(-1, scaled.shape[-1])
@@ -151,7 +150,7 @@ class Radial:
         values = (self.sizes[0] ** 2 * own + self.sizes[1] ** 2 * whole) @ self.weights
         return values.reshape(scaled.shape[:-1])
 
-    def gradient(self, configurations: np.ndarray) -> np.ndarray:
+    def gradient(self, configurations: Floats) -> Floats:
         """(..., axes) change of the summand with configurations (..., axes)."""
         scaled = (np.asarray(configurations, float) - self.centre) / self.half
         flat = scaled.reshape(-1, scaled.shape[-1])
@@ -165,7 +164,7 @@ class Radial:
         ] ** 2
         return (out / self.half).reshape(scaled.shape)
 
-    def error(self, configurations: np.ndarray) -> np.ndarray:
+    def error(self, configurations: Floats) -> Floats:
         """(...,) m, standard error at configurations (..., axes): Rasmussen and Williams, eq. 2.26; the sizes alone
         where no variances are kept.
         """
@@ -179,7 +178,7 @@ class Radial:
             square = np.maximum(square - told.reshape(square.shape), 0)
         return np.sqrt(square)
 
-    def _covariance(self, scaled: np.ndarray) -> np.ndarray:
+    def _covariance(self, scaled: Floats) -> Floats:
         own, whole = _kernels(scaled, self.inputs, self.axis, self.lengths)
         return self.sizes[0] ** 2 * own + self.sizes[1] ** 2 * whole
 
@@ -192,8 +191,8 @@ class RadialMap:
     """
 
     parts: tuple[Radial | None, ...]
-    low: np.ndarray
-    high: np.ndarray
+    low: Floats
+    high: Floats
     inflation: float = 1.0
     kind: ClassVar[str] = "radial"
     exact: ClassVar[bool] = False
@@ -219,30 +218,30 @@ class RadialMap:
         )
         return cls(parts, x.min(axis=0), x.max(axis=0))
 
-    def value(self, x: np.ndarray) -> np.ndarray:
+    def value(self, x: Floats) -> Floats:
         x = np.asarray(x, float)
         return np.stack([np.zeros(x.shape[:-1]) if part is None else part(x) for part in self.parts], axis=-1)
 
-    def gradient(self, x: np.ndarray) -> np.ndarray:
+    def gradient(self, x: Floats) -> Floats:
         x = np.asarray(x, float)
         return np.stack([np.zeros(x.shape) if part is None else part.gradient(x) for part in self.parts], axis=-2)
 
-    def error(self, x: np.ndarray) -> np.ndarray:
+    def error(self, x: Floats) -> Floats:
         x = np.asarray(x, float)
         return self.inflation * np.stack(
             [np.zeros(x.shape[:-1]) if part is None else part.error(x) for part in self.parts], axis=-1
         )
 
-    def inside(self, x: np.ndarray) -> np.ndarray:
+    def inside(self, x: Floats) -> Booleans:
         return np.asarray(((x >= self.low) & (x <= self.high)).all(axis=-1))
 
 
 def fit_gaussian_process(
-    configurations: np.ndarray,
-    values: np.ndarray,
-    variances: np.ndarray,
+    configurations: Floats,
+    values: Floats,
+    variances: Floats,
     axis: int,
-    strokes: np.ndarray,
+    strokes: Floats,
     hyperparameters_from: Radial | None = None,
 ) -> Radial | None:
     """Gaussian process fitted to noisy summands, or None where noise alone explains them (BIC).
@@ -272,7 +271,7 @@ def fit_gaussian_process(
     return Radial(centre, half, axis, scaled, weights / unit, sizes * unit, lengths, float(noise * unit), variances)
 
 
-def _hyper(scaled: np.ndarray, y: np.ndarray, v: np.ndarray, axis: int) -> np.ndarray | None:
+def _hyper(scaled: Floats, y: Floats, v: Floats, axis: int) -> Floats | None:
     """(5,) size, length, size, length, noise of greatest likelihood, or None where noise alone is likelier for its
     simplicity.
     """
@@ -298,7 +297,7 @@ def _hyper(scaled: np.ndarray, y: np.ndarray, v: np.ndarray, axis: int) -> np.nd
     )  # four more parameters at log(n)/2 each
 
 
-def _kernels(a: np.ndarray, b: np.ndarray, axis: int, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _kernels(a: Floats, b: Floats, axis: int, lengths: Floats) -> tuple[Floats, Floats]:
     own = np.exp(-0.5 * ((a[:, None, axis] - b[None, :, axis]) / lengths[0]) ** 2)
     square = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2 * a @ b.T
     return own, np.exp(-0.5 * np.maximum(square, 0) / lengths[1] ** 2)

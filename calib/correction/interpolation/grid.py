@@ -18,6 +18,7 @@ import numpy as np
 
 from calib.correction.interpolation.field import Known, WeightedField, Weights, average_samples
 from calib.correction.interpolation.grid_kernels import Tables, compiled_simplex_kernels, n_linear_interpolation_kernel
+from rig.arrays import Floats, Integers
 from rig.errors import RigError
 from rig.model.mechanisms.hexapod_kernels import EACH, run_in_threads
 
@@ -29,11 +30,11 @@ class Lattice(NamedTuple):
     one off the grid.
     """
 
-    levels: tuple[np.ndarray, ...]
-    vertex: np.ndarray
+    levels: tuple[Floats, ...]
+    vertex: Integers
 
 
-def grid_lattice_of_configurations(configurations: np.ndarray, strokes: np.ndarray) -> Lattice | None:
+def grid_lattice_of_configurations(configurations: Floats, strokes: Floats) -> Lattice | None:
     """Grid lattice that configurations (n, axes) fill, each vertex at least once; None where they fill none.
 
     strokes : (axes, 2), the scale by which levels are told apart
@@ -59,7 +60,7 @@ def grid_lattice_of_configurations(configurations: np.ndarray, strokes: np.ndarr
     return Lattice(levels, vertex) if len(np.unique(vertex[on])) == np.prod(shape) else None
 
 
-def _levels(values: np.ndarray, tolerance: float, fewest: int) -> np.ndarray:
+def _levels(values: Floats, tolerance: float, fewest: int) -> Floats:
     """The middle of each of those groups of values, no further than the tolerance from each other, that have at least
     so many.
     """
@@ -75,10 +76,10 @@ class Grid(WeightedField):
     Raises ValueError where these do not fit each other
     """
 
-    levels: tuple[np.ndarray, ...]
-    values: np.ndarray
-    variances: np.ndarray
-    misfit: np.ndarray
+    levels: tuple[Floats, ...]
+    values: Floats
+    variances: Floats
+    misfit: Floats
     tables: Tables = field(init=False, repr=False)  # as kernels take it
 
     def __post_init__(self) -> None:
@@ -123,12 +124,12 @@ class Grid(WeightedField):
         """Levels an axis."""
         return tuple(len(level) for level in self.levels)
 
-    def outside(self, x: np.ndarray) -> np.ndarray:
+    def outside(self, x: Floats) -> Floats:
         low, high = (np.array([level[k] for level in self.levels]) for k in (0, -1))
         beyond = np.maximum(low - x, 0) + np.maximum(x - high, 0)
         return np.linalg.norm(beyond / ((high - low) / 2), axis=1)
 
-    def cells(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def cells(self, x: Floats) -> tuple[Floats, Floats, Floats]:
         """(cell (n, axes), place in it 0..1 (n, axes), its change with x (n, axes)): places beyond the grid at its
         nearest faces.
         """
@@ -141,12 +142,12 @@ class Grid(WeightedField):
             slope[:, i] = (inner == x[:, i]) / width
         return cell, t, slope
 
-    def strides(self) -> np.ndarray:
+    def strides(self) -> Integers:
         """(axes,) by how much a vertex' number grows along each axis."""
         return np.cumprod((1, *self.shape[:0:-1]))[::-1]
 
 
-def _misfit(grid: Grid) -> np.ndarray:
+def _misfit(grid: Grid) -> Floats:
     """(outputs,) what a piecewise linear field leaves in the middle of cells, from second differences along each axis.
 
     f'' h^2 / 8 an axis in the middle, a quarter of what a vertex is off the mean of its neighbours. Two levels show no
@@ -190,13 +191,13 @@ class Linear(Grid):
     kind: ClassVar[str] = "linear"
     exact: ClassVar[bool] = True
 
-    def value(self, x: np.ndarray) -> np.ndarray:
+    def value(self, x: Floats) -> Floats:
         x = np.ascontiguousarray(x, float)
         out = np.empty((x.size // x.shape[-1], self.values.shape[1]))
         n_linear_interpolation_kernel(x.reshape(-1, x.shape[-1]), *self.tables, out)
         return out.reshape(*x.shape[:-1], -1)
 
-    def weights(self, x: np.ndarray) -> Weights:
+    def weights(self, x: Floats) -> Weights:
         cell, t, slope = self.cells(x)
         corners = np.array(list(product((0, 1), repeat=x.shape[1])))
         index = (cell @ self.strides())[:, None] + corners @ self.strides()
@@ -216,7 +217,7 @@ class Simplex(Grid):
     kind: ClassVar[str] = "simplex"
     exact: ClassVar[bool] = True
 
-    def value(self, x: np.ndarray) -> np.ndarray:
+    def value(self, x: Floats) -> Floats:
         x = np.ascontiguousarray(x, float)
         flat, out = x.reshape(-1, x.shape[-1]), np.empty((x.size // x.shape[-1], self.values.shape[1]))
         kernel = compiled_simplex_kernels(x.shape[-1]).values
@@ -226,7 +227,7 @@ class Simplex(Grid):
             run_in_threads(lambda part: kernel(flat[part], *self.tables, out[part]), len(flat))
         return out.reshape(*x.shape[:-1], -1)
 
-    def fixed_points(self, goal: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    def fixed_points(self, goal: Floats, tolerance: float) -> tuple[Floats, Floats]:
         """(commands (n, axes), what their last step changed (n,)): commands = goal + value(commands), for goals (n,
         axes).
         """
@@ -235,7 +236,7 @@ class Simplex(Grid):
         run_in_threads(lambda part: kernel(goal[part], self.tables, tolerance, commands[part], change[part]), len(goal))
         return commands, change
 
-    def weights(self, x: np.ndarray) -> Weights:
+    def weights(self, x: Floats) -> Weights:
         cell, t, slope = self.cells(x)
         n, axes = x.shape
         strides = self.strides()

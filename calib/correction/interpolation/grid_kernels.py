@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.compute.numba_kernels import njit
 
 STEPS = 100  # of a fixed point
@@ -16,11 +17,11 @@ class Tables(NamedTuple):
     cells' widths;
     cells : (axes,) how many; strides : (axes,); values : (vertices, outputs)."""
 
-    levels: np.ndarray
-    inverse: np.ndarray
-    cells: np.ndarray
-    strides: np.ndarray
-    values: np.ndarray
+    levels: Floats
+    inverse: Floats
+    cells: Floats
+    strides: Floats
+    values: Floats
 
 
 class SimplexKernels(NamedTuple):
@@ -37,14 +38,14 @@ def compiled_simplex_kernels(axes: int) -> SimplexKernels:
 
     @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
     def at(
-        x: np.ndarray,
-        levels: np.ndarray,
-        inverse: np.ndarray,
-        cells: np.ndarray,
-        strides: np.ndarray,
-        values: np.ndarray,
-        scratch: tuple[np.ndarray, np.ndarray, np.ndarray],
-        out: np.ndarray,
+        x: Floats,
+        levels: Floats,
+        inverse: Floats,
+        cells: Floats,
+        strides: Floats,
+        values: Floats,
+        scratch: tuple[Floats, Floats, Floats],
+        out: Floats,
     ) -> None:
         t, ranked, steps = scratch
         vertex = 0
@@ -72,22 +73,14 @@ def compiled_simplex_kernels(axes: int) -> SimplexKernels:
 
     @njit(cache=True, nogil=True, error_model="numpy")
     def simplex(
-        x: np.ndarray,
-        levels: np.ndarray,
-        inverse: np.ndarray,
-        cells: np.ndarray,
-        strides: np.ndarray,
-        values: np.ndarray,
-        out: np.ndarray,
+        x: Floats, levels: Floats, inverse: Floats, cells: Floats, strides: Floats, values: Floats, out: Floats
     ) -> None:
         scratch = np.empty(axes), np.zeros(axes + 1), np.empty(axes, np.int64)
         for q in range(x.shape[0]):
             at(x[q], levels, inverse, cells, strides, values, scratch, out[q])
 
     @njit(cache=True, nogil=True, error_model="numpy")
-    def fixed_points(
-        goal: np.ndarray, tables: Tables, tolerance: float, commands: np.ndarray, change: np.ndarray
-    ) -> None:
+    def fixed_points(goal: Floats, tables: Tables, tolerance: float, commands: Floats, change: Floats) -> None:
         levels, inverse, cells, strides, values = tables
         scratch, found = (np.empty(axes), np.zeros(axes + 1), np.empty(axes, np.int64)), np.empty(values.shape[1])
         for q in range(goal.shape[0]):
@@ -107,13 +100,7 @@ def compiled_simplex_kernels(axes: int) -> SimplexKernels:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def n_linear_interpolation_kernel(
-    x: np.ndarray,
-    levels: np.ndarray,
-    inverse: np.ndarray,
-    cells: np.ndarray,
-    strides: np.ndarray,
-    values: np.ndarray,
-    out: np.ndarray,
+    x: Floats, levels: Floats, inverse: Floats, cells: Floats, strides: Floats, values: Floats, out: Floats
 ) -> None:
     """Kernel of n-linear interpolation: values into out (n, outputs) at x (n, axes)."""
     axes, outputs = x.shape[1], values.shape[1]

@@ -12,6 +12,7 @@ from calib.correction.interpolation.field_combinations import RestrictedMap, Spa
 from calib.correction.interpolation.gaussian_process import Radial, RadialMap
 from calib.correction.interpolation.grid import Linear, Simplex
 from calib.correction.interpolation.regression_fields import AxisFunctions, Polynomial
+from rig.arrays import Floats
 from rig.errors import RigError
 from rig.formats.checked_entries import Entries
 
@@ -54,7 +55,7 @@ def field_to_dict(field: Field) -> dict[str, Any]:
     return {"kind": field.kind} | {part.name: _plain(getattr(field, part.name)) for part in parts if part.init}
 
 
-def _bounds(values: np.ndarray) -> list[float | None]:
+def _bounds(values: Floats) -> list[float | None]:
     """Bounds of a part; null where there is none."""
     return [float(value) if np.isfinite(value) else None for value in values]
 
@@ -126,13 +127,13 @@ def gaussian_process_from_entries(table: Entries, axes: int) -> Radial:
     )
 
 
-def _array(table: Entries, name: str, shape: str, sizes: dict[str, int]) -> np.ndarray:
+def _array(table: Entries, name: str, shape: str, sizes: dict[str, int]) -> Floats:
     found = table.array(name, tuple(sizes.get(letter) for letter in shape))
     sizes.update(zip(shape, found.shape))
     return found
 
 
-def _levels(table: Entries, axes: int) -> tuple[np.ndarray, ...]:
+def _levels(table: Entries, axes: int) -> tuple[Floats, ...]:
     listed = _ragged(table, "levels")
     if len(listed) != axes:
         table.fail(f"{table.name('levels')} must list {axes} axes, got {len(listed)}", "levels")

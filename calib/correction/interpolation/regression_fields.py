@@ -16,6 +16,7 @@ from typing import ClassVar, Self, TypeVar
 import numpy as np
 
 from calib.correction.interpolation.field import Known, merge_repeats
+from rig.arrays import Booleans, Floats, Integers
 
 EMPTY = np.zeros(0)
 RANK = 1e-10  # of the largest singular value; directions below are not told by the samples and left at zero
@@ -28,33 +29,33 @@ class RegressionField:
     misfit (outputs,), that part of it which is the field's."""
 
     __slots__ = ()
-    low: np.ndarray
-    high: np.ndarray
-    coefficients: np.ndarray
-    root: np.ndarray
-    noise: np.ndarray
-    misfit: np.ndarray
+    low: Floats
+    high: Floats
+    coefficients: Floats
+    root: Floats
+    noise: Floats
+    misfit: Floats
 
-    def functions(self, x: np.ndarray) -> np.ndarray:
+    def functions(self, x: Floats) -> Floats:
         """(n, functions) at places x (n, axes) of the box."""
         raise NotImplementedError
 
-    def slopes(self, x: np.ndarray) -> np.ndarray:
+    def slopes(self, x: Floats) -> Floats:
         """(n, functions, axes) their change with x (n, axes)."""
         raise NotImplementedError
 
-    def value(self, x: np.ndarray) -> np.ndarray:
+    def value(self, x: Floats) -> Floats:
         x = np.asarray(x, float)
         inner = np.clip(x, self.low, self.high).reshape(-1, x.shape[-1])
         return (self.functions(inner) @ self.coefficients).reshape(*x.shape[:-1], -1)
 
-    def gradient(self, x: np.ndarray) -> np.ndarray:
+    def gradient(self, x: Floats) -> Floats:
         x = np.asarray(x, float)
         inner = np.clip(x, self.low, self.high)
         out = np.einsum("nfd,fm->nmd", self.slopes(inner.reshape(-1, x.shape[-1])), self.coefficients)
         return out.reshape(*x.shape[:-1], -1, x.shape[-1]) * (inner == x)[..., None, :]
 
-    def error(self, x: np.ndarray) -> np.ndarray:
+    def error(self, x: Floats) -> Floats:
         x = np.asarray(x, float)
         inner = np.clip(x, self.low, self.high).reshape(-1, x.shape[-1])
         told = ((self.functions(inner) @ self.root) ** 2).sum(axis=1)
@@ -66,7 +67,7 @@ class RegressionField:
         square = told[:, None] * self.noise**2 + self.misfit**2 + (beyond[:, None] * size) ** 2
         return np.sqrt(square).reshape(*x.shape[:-1], -1)
 
-    def inside(self, x: np.ndarray) -> np.ndarray:
+    def inside(self, x: Floats) -> Booleans:
         return np.asarray(((x >= self.low) & (x <= self.high)).all(axis=-1))
 
 
@@ -87,7 +88,7 @@ def _most_likely_field(blanks: Iterable[R], known: Known) -> R:
     return best
 
 
-def _shares(functions: np.ndarray, known: Known) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
+def _shares(functions: Floats, known: Known) -> tuple[Floats, Floats, Floats, Floats, float]:
     """(coefficients, root, noise, misfit, Bayesian information criterion) of functions (n, f) fitted to the values of n
     samples.
     """
@@ -118,21 +119,21 @@ class AxisFunctions(RegressionField):
     as Regressed has it.
     """
 
-    knots: np.ndarray
-    coefficients: np.ndarray
-    root: np.ndarray
-    noise: np.ndarray
-    misfit: np.ndarray
+    knots: Floats
+    coefficients: Floats
+    root: Floats
+    noise: Floats
+    misfit: Floats
     kind: ClassVar[str] = "axes"
     exact: ClassVar[bool] = False
 
     @property
-    def low(self) -> np.ndarray:  # type: ignore[override]
+    def low(self) -> Floats:  # type: ignore[override]
         """(axes,) first knots."""
         return self.knots[:, 0]
 
     @property
-    def high(self) -> np.ndarray:  # type: ignore[override]
+    def high(self) -> Floats:  # type: ignore[override]
         """(axes,) last knots."""
         return self.knots[:, -1]
 
@@ -155,21 +156,21 @@ class AxisFunctions(RegressionField):
             each,
         )
 
-    def functions(self, x: np.ndarray) -> np.ndarray:
+    def functions(self, x: Floats) -> Floats:
         out = np.zeros((len(x), *self.knots.shape))
         for i, (cell, t, _) in enumerate(self._cells(x)):
             out[np.arange(len(x)), i, cell], out[np.arange(len(x)), i, cell + 1] = 1 - t, t
         return out.reshape(len(x), -1)
 
-    def slopes(self, x: np.ndarray) -> np.ndarray:
+    def slopes(self, x: Floats) -> Floats:
         out = np.zeros((len(x), *self.knots.shape, x.shape[1]))
         for i, (cell, _, width) in enumerate(self._cells(x)):
             out[np.arange(len(x)), i, cell, i], out[np.arange(len(x)), i, cell + 1, i] = -1 / width, 1 / width
         return out.reshape(len(x), -1, x.shape[1])
 
-    def _cells(self, x: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    def _cells(self, x: Floats) -> list[tuple[Integers, Floats, Floats]]:
         """Per axis (cell (n,), place in it 0..1 (n,), its width (n,))."""
-        out = []
+        out: list[tuple[Integers, Floats, Floats]] = []
         for i, knots in enumerate(self.knots):
             cell = np.clip(np.searchsorted(knots, x[:, i], side="right") - 1, 0, len(knots) - 2)
             width = np.diff(knots)[cell]
@@ -177,7 +178,7 @@ class AxisFunctions(RegressionField):
         return out
 
 
-def _knots(values: np.ndarray, count: int, stroke: np.ndarray) -> np.ndarray:
+def _knots(values: Floats, count: int, stroke: Floats) -> Floats:
     """(count,) ascending, from the least to the greatest sample: half even, half where samples are, so that none
     coincide.
     """
@@ -202,13 +203,13 @@ class Polynomial(RegressionField):
     Regressed has it.
     """
 
-    low: np.ndarray
-    high: np.ndarray
-    powers: np.ndarray
-    coefficients: np.ndarray
-    root: np.ndarray
-    noise: np.ndarray
-    misfit: np.ndarray
+    low: Floats
+    high: Floats
+    powers: Floats
+    coefficients: Floats
+    root: Floats
+    noise: Floats
+    misfit: Floats
     kind: ClassVar[str] = "polynomial"
     exact: ClassVar[bool] = False
 
@@ -224,11 +225,11 @@ class Polynomial(RegressionField):
         ]
         return _most_likely_field((cls(low, high, _powers(axes, degree), *[EMPTY] * 4) for degree in degrees), each)
 
-    def functions(self, x: np.ndarray) -> np.ndarray:
+    def functions(self, x: Floats) -> Floats:
         u = self._scaled(x)
         return np.prod(u[:, None] ** self.powers, axis=2)
 
-    def slopes(self, x: np.ndarray) -> np.ndarray:
+    def slopes(self, x: Floats) -> Floats:
         u, out = self._scaled(x), np.empty((len(x), *self.powers.shape))
         for i in range(x.shape[1]):
             lower = self.powers.copy()
@@ -236,11 +237,11 @@ class Polynomial(RegressionField):
             out[..., i] = self.powers[:, i] * np.prod(u[:, None] ** lower, axis=2)
         return out * 2 / (self.high - self.low)
 
-    def _scaled(self, x: np.ndarray) -> np.ndarray:
+    def _scaled(self, x: Floats) -> Floats:
         return (2 * x - self.low - self.high) / (self.high - self.low)
 
 
-def _powers(axes: int, degree: int) -> np.ndarray:
+def _powers(axes: int, degree: int) -> Floats:
     """(terms, axes) of all monomials up to a total degree."""
     terms = [chosen for total in range(degree + 1) for chosen in combinations_with_replacement(range(axes), total)]
     return np.array([[chosen.count(i) for i in range(axes)] for chosen in terms]).reshape(len(terms), axes)

@@ -10,6 +10,7 @@ from calib.diagnosis.engine.chance_probability import residual_dispersion, scan_
 from calib.diagnosis.engine.frame_inner_products import FrameProducts, Solved, normal_of_weighted_directions
 from calib.diagnosis.engine.linear_model import LinearModel
 from calib.diagnosis.engine.selection_inputs import C, Node, Role, UsualRange
+from rig.arrays import Floats
 
 BEYOND = 0.3  # standard deviation of the logarithm of a parameter above what rigs show
 WRONG_SIGN = 12.0  # minus twice the logarithm of the chance that a parameter has the sign that rigs do not show
@@ -28,13 +29,13 @@ class Score(Generic[C]):
 
     candidate: C
     node: Node
-    coefficients: np.ndarray
+    coefficients: Floats
     delta_chi2: float
     p_value: float
     freedom: int
     dispersion: float
     seen: float
-    curve: np.ndarray
+    curve: Floats
     values: dict[str, float] = field(default_factory=dict)
 
     def delta_bic(self, size: int) -> float:
@@ -99,7 +100,7 @@ def best_node_score(
     candidate: C,
     solved: Solved,
     products: FrameProducts,
-    weights_at: Callable[[int], np.ndarray],
+    weights_at: Callable[[int], Floats],
     least: float = -np.inf,
 ) -> Score[C]:
     """Score of the best node of a candidate's grid.
@@ -135,7 +136,7 @@ def score_at_node(
     node: Node,
     solved: Solved,
     products: FrameProducts,
-    weights: np.ndarray,
+    weights: Floats,
     cluster: int = 1,
 ) -> Score[C]:
     """Score of one node, the `best` of those solved. weights : (F, a, q) there"""

@@ -15,6 +15,7 @@ from scipy.special import gammaln
 
 from calib.diagnosis.engine.frame_inner_products import SWALLOWED, FrameProducts
 from calib.diagnosis.engine.linear_model import LinearModel
+from rig.arrays import Floats
 
 Z95 = 1.959964  # normal quantile of a 95 % interval
 # degrees of freedom below which clusters show nothing of how they differ: what lies in one or two is judged frame by
@@ -31,7 +32,7 @@ class Dispersion(NamedTuple):
     freedom: float
 
 
-def scan_p_value(deltas: np.ndarray, rank: float, freedom: float) -> float:
+def scan_p_value(deltas: Floats, rank: float, freedom: float) -> float:
     """p-value of the greatest delta chi-square of deltas (k,), scanned in order with `rank` linear parameters; Fisher's
     F stands for chi-square where the degrees of freedom of what deltas were divided by are few."""
     top = max(float(deltas.max()), 1e-12)
@@ -51,7 +52,7 @@ def scan_p_value(deltas: np.ndarray, rank: float, freedom: float) -> float:
 
 
 def residual_dispersion(
-    model: LinearModel, products: FrameProducts, weights: np.ndarray, coefficients: np.ndarray, cluster: int = 1
+    model: LinearModel, products: FrameProducts, weights: Floats, coefficients: Floats, cluster: int = 1
 ) -> Dispersion:
     """Dispersion of a candidate of weights (F, a, q) and coefficients (q,); cluster : frames in a row that are taken
     together.
@@ -87,7 +88,7 @@ def residual_dispersion(
     return Dispersion(max(1.0, ratio), max(1.0, freedom))
 
 
-def _seen(before: np.ndarray, K: np.ndarray) -> np.ndarray:
+def _seen(before: Floats, K: Floats) -> Floats:
     """(q, r) combinations of a candidate's directions that are orthonormal, nuisances taken out, of those that these
     leave visible.
     before : (q, q) products of the directions with nuisances in; K : (q, p) with the nuisances' orthonormal basis"""
@@ -97,7 +98,7 @@ def _seen(before: np.ndarray, K: np.ndarray) -> np.ndarray:
     return vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
 
 
-def _expected(shares: np.ndarray) -> tuple[float, float]:
+def _expected(shares: Floats) -> tuple[float, float]:
     """(mean, degrees of freedom by Satterthwaite) of contributions squared whose covariances are as stated, the
     candidate fitted: r - r / F and r (F - 1) where F frames say as much of r directions each; less of both where a few
     frames say most.

@@ -9,6 +9,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from calib.diagnosis.engine.linear_model import LinearModel
 from calib.samples.pose_samples import time_block_folds
+from rig.arrays import Booleans, Floats, Integers
 
 FOLDS = 5
 STRETCHES = 30  # over which a gain is judged
@@ -37,16 +38,16 @@ class HeldOut(NamedTuple):
     block, the rest.
     """
 
-    frames: tuple[np.ndarray, ...]
-    beforehand: tuple[np.ndarray, ...]
+    frames: tuple[Floats, ...]
+    beforehand: tuple[Floats, ...]
 
 
-def time_stretch_folds(count: int, folds: int) -> np.ndarray:
+def time_stretch_folds(count: int, folds: int) -> Integers:
     """(count,) fold of each frame: whole stretches in time, never too short to tell anything."""
     return time_block_folds(count, min(folds, max(count // FEWEST, 2)))
 
 
-def frame_folds(frames: int, sudden: bool, sides: Sequence[np.ndarray] = ()) -> np.ndarray:
+def frame_folds(frames: int, sudden: bool, sides: Sequence[Booleans] = ()) -> Integers:
     """(F,) fold of each frame: a stretch of time; with sudden effects, several stretches spread over both sides.
     sides : each (F,) bool, what is
     before such a moment or after it; of one that is within a single stretch, the later half is held out with the
@@ -63,7 +64,7 @@ def frame_folds(frames: int, sudden: bool, sides: Sequence[np.ndarray] = ()) -> 
 
 
 def held_out_residuals(
-    model: LinearModel, residuals: tuple[np.ndarray, ...], fold: np.ndarray, only: int | None = None
+    model: LinearModel, residuals: tuple[Floats, ...], fold: Integers, only: int | None = None
 ) -> HeldOut:
     """HeldOut of residuals (one (m,) for each block, as they are with the nuisances at the model's values): nuisances
     fitted on other folds.
@@ -93,8 +94,8 @@ def held_out_residuals(
 
 
 def sizes_without_columns(
-    grams: Sequence[np.ndarray], rights: Sequence[np.ndarray], information: np.ndarray
-) -> Callable[[np.ndarray], list[np.ndarray]]:
+    grams: Sequence[Floats], rights: Sequence[Floats], information: Floats
+) -> Callable[[Integers], list[Floats]]:
     """A function: indices of omitted columns -> for each fold, the fitted sizes (p,) of all columns.
 
     grams, rights : for each fold, (p, p) its whitened columns' products with each other and (p,) with the residual
@@ -107,7 +108,7 @@ def sizes_without_columns(
         inverses.append(cho_solve(cho_factor(H), np.eye(p)))
     whole = [P @ (sum(rights) - right) for P, right in zip(inverses, rights)]
 
-    def sizes(gone: np.ndarray) -> list[np.ndarray]:
+    def sizes(gone: Integers) -> list[Floats]:
         return [
             size - P[:, gone] @ np.linalg.solve(P[np.ix_(gone, gone)], size[gone]) for P, size in zip(inverses, whole)
         ]
@@ -115,7 +116,7 @@ def sizes_without_columns(
     return sizes
 
 
-def signed_rank_gain_in_standard_errors(square_reductions: np.ndarray) -> float:
+def signed_rank_gain_in_standard_errors(square_reductions: Floats) -> float:
     """Gain of held-out stretches in standard errors, by Wilcoxon's signed ranks of square reductions (n,)."""
     by = np.bincount(time_stretch_folds(len(square_reductions), STRETCHES), weights=square_reductions)
     by = by[by != 0]
@@ -127,7 +128,7 @@ def signed_rank_gain_in_standard_errors(square_reductions: np.ndarray) -> float:
     return float(ranks @ np.sign(by) / np.sqrt(n * (n + 1) * (2 * n + 1) / 6))
 
 
-def summed_gain_in_standard_errors(square_reductions: np.ndarray, beforehand: float = 0.0) -> float:
+def summed_gain_in_standard_errors(square_reductions: Floats, beforehand: float = 0.0) -> float:
     """Gain of held-out stretches in standard errors, by the sum of square reductions (n,).
 
     beforehand : what squares fall by that belong to no frame: a misfit that the prior on a nuisance alone shows is no

@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rig.arrays import Floats, Integers
+
 MOST_POWER = 3
 FINE = 0.25  # of a turn over a quantity's range, between frequencies that are tried
 SLOWEST = 0.75  # turns over its range: less is a power
@@ -22,7 +24,7 @@ class Quantity:
     powers : the greatest; turns : the most over its range that frames resolve, 0 for what has no sinusoid"""
 
     name: str
-    values: np.ndarray
+    values: Floats
     powers: int = MOST_POWER
     turns: float = 0.0
 
@@ -37,7 +39,7 @@ class Quantity:
         return float(np.ptp(self.values))
 
     @property
-    def frequencies(self) -> np.ndarray:
+    def frequencies(self) -> Floats:
         """(k,) rad per unit, to be tried."""
         turns = np.arange(SLOWEST, self.turns, FINE)
         return 2 * np.pi * turns / max(self.range, 1e-300)
@@ -92,7 +94,7 @@ class Library:
         waves = dict.fromkeys(a.wave for a in atoms if a.wave is not None)
         return [Atom(powers, w) for w in waves for powers in [(), *(((i, 1),) for i in range(len(self.quantities)))]]
 
-    def column(self, atom: Atom, rows: np.ndarray) -> np.ndarray:
+    def column(self, atom: Atom, rows: Integers) -> Floats:
         """(f, a or 1, q) values of an atom at frames rows (f,), in units of its quantities' scales; q = 2 for a
         sinusoid, else 1.
         """
@@ -109,7 +111,7 @@ class Library:
         """What a coefficient of an atom's column is divided by for the quantities in their own units."""
         return float(np.prod([self.quantities[i].scale ** power for i, power in atom.powers]))
 
-    def weights(self, atom: Atom, rows: np.ndarray) -> np.ndarray:
+    def weights(self, atom: Atom, rows: Integers) -> Floats:
         """(f, a, q) by which an atom moves frames rows (f,) in all directions."""
         column = self.column(atom, rows)
         if atom.direction is None:

@@ -8,12 +8,14 @@ few quantities is shorter.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import scipy
 
 from calib.diagnosis.engine.formula_library import FINE, Atom, Library, Wave
 from calib.diagnosis.engine.reduced_least_squares import Reduced, Stack
+from rig.arrays import Floats
 
 MOST = 4  # atoms
 CLASSES = 5  # of atoms: a quantity, a higher power, a product, a sinusoid, one that another quantity swells
@@ -28,7 +30,7 @@ class Formula:
     which the description is shorter than without; cost : what its numbers and their choice take of the description"""
 
     atoms: tuple[Atom, ...]
-    coefficients: np.ndarray
+    coefficients: Floats
     length: float
     cost: float
 
@@ -47,7 +49,7 @@ class Search:
     library: Library
     data: Reduced
     floor: float = 1.0
-    _known: dict[tuple, tuple[list[Atom], Stack]] = field(default_factory=dict, init=False)
+    _known: dict[tuple[Any, ...], tuple[list[Atom], Stack]] = field(default_factory=dict, init=False)
 
     def best(self) -> Formula | None:
         """The Formula of the shortest description; None where none is worth it."""
@@ -89,11 +91,11 @@ class Search:
         turned = sum(size + 2 * np.log(max(library.quantities[wave.quantity].turns, 1.0)) for wave in waves)
         return float(each + turned + 2 * np.log(len(library.quantities)) * len(quantities))
 
-    def _costs(self, atoms: tuple[Atom, ...], group: list[Atom]) -> np.ndarray:
+    def _costs(self, atoms: tuple[Atom, ...], group: list[Atom]) -> Floats:
         """(k,) costs of atoms with each of a group besides: those that look at the same and are of one kind cost the
         same.
         """
-        known: dict[tuple, float] = {}
+        known: dict[tuple[Any, ...], float] = {}
         out = []
         for atom in group:
             key = (
@@ -140,7 +142,7 @@ class Search:
             np.stack([self.data.whitened(self.library.weights(atom, self.data.rows)) for atom in atoms], axis=1)
         )
 
-    def _columns(self, atoms: tuple[Atom, ...]) -> np.ndarray:
+    def _columns(self, atoms: tuple[Atom, ...]) -> Floats:
         return np.concatenate(
             [self.data.whitened(self.library.weights(atom, self.data.rows)) for atom in atoms], axis=1
         )

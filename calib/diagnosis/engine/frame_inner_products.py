@@ -16,6 +16,8 @@ import numpy as np
 from scipy.fft import next_fast_len
 from scipy.sparse import csr_array
 
+from rig.arrays import Booleans, Floats
+
 SWALLOWED = 1e-7  # share of a direction's square that the nuisances must leave for it to count as seen
 
 
@@ -26,12 +28,12 @@ class FrameProducts:
     kappa : (F, a, p) with columns that span the nuisances; half : (p, r), columns @ half orthonormal, None where they
         are so already."""
 
-    beta: np.ndarray
-    gamma: np.ndarray
-    kappa: np.ndarray
-    half: np.ndarray | None = None
+    beta: Floats
+    gamma: Floats
+    kappa: Floats
+    half: Floats | None = None
 
-    def confined(self, directions: np.ndarray) -> "FrameProducts":
+    def confined(self, directions: Booleans) -> "FrameProducts":
         """The same of some of the directions: (a,) bool."""
         if directions.all():
             return self
@@ -39,11 +41,11 @@ class FrameProducts:
             self.beta[:, directions], self.gamma[:, directions][:, :, directions], self.kappa[:, directions], self.half
         )
 
-    def onto(self, products: np.ndarray) -> np.ndarray:
+    def onto(self, products: Floats) -> Floats:
         """Products with the columns (.., p) -> with the orthonormal basis (.., r)."""
         return products if self.half is None else products @ self.half
 
-    def of_columns(self, sizes: np.ndarray) -> np.ndarray:
+    def of_columns(self, sizes: Floats) -> Floats:
         """Sizes (r, ..) on the orthonormal basis -> on the columns (p, ..)."""
         return sizes if self.half is None else self.half @ sizes
 
@@ -53,9 +55,9 @@ class Normal(NamedTuple):
     taken out;
     raw : (k, q) squares before they were"""
 
-    b: np.ndarray
-    G: np.ndarray
-    raw: np.ndarray
+    b: Floats
+    G: Floats
+    raw: Floats
 
 
 class Solved(NamedTuple):
@@ -63,10 +65,10 @@ class Solved(NamedTuple):
     determine
     seen : (k,) share of the candidate's own size that nuisances leave, 0..1"""
 
-    delta_chi2: np.ndarray
-    coefficients: list[np.ndarray]
-    rank: np.ndarray
-    seen: np.ndarray
+    delta_chi2: Floats
+    coefficients: list[Floats]
+    rank: Floats
+    seen: Floats
 
     @staticmethod
     def of(parts: list["Solved"]) -> "Solved":
@@ -79,7 +81,7 @@ class Solved(NamedTuple):
         )
 
 
-def normal_of_weighted_directions(products: FrameProducts, weights: np.ndarray) -> Normal:
+def normal_of_weighted_directions(products: FrameProducts, weights: Floats) -> Normal:
     """Normal of candidates whose columns weigh the directions by weights (k, F, a, q)."""
     k, F, a, q = weights.shape
     rows = np.swapaxes(weights.reshape(k, F * a, q), 1, 2)
@@ -90,7 +92,7 @@ def normal_of_weighted_directions(products: FrameProducts, weights: np.ndarray) 
     return Normal(b, G - K @ np.swapaxes(K, 1, 2), np.einsum("kqq->kq", G).copy())
 
 
-def normal_of_common_weights(products: FrameProducts, w: np.ndarray) -> Normal:
+def normal_of_common_weights(products: FrameProducts, w: Floats) -> Normal:
     """Normal of candidates that weigh all directions (a) alike by w (k, F), one column for each direction."""
     b = w @ products.beta
     K = products.onto(np.tensordot(w, products.kappa, 1))
@@ -111,7 +113,7 @@ def solve_normal_equations(normal: Normal) -> Solved:
     return Solved(delta, list(coefficients), kept.sum(axis=1), np.clip(values, 0, 1).max(axis=1))
 
 
-def solve_with_prior(normal: Normal, prior: np.ndarray | float) -> Solved:
+def solve_with_prior(normal: Normal, prior: Floats | float) -> Solved:
     """Solved normal equations with a normal prior, standard deviations (q,), on the coefficients."""
     b, G, raw = normal
     size = np.linalg.solve(G + np.eye(b.shape[1]) / np.square(prior), np.concatenate([b[..., None], G], axis=2))
@@ -133,7 +135,7 @@ SHAPE = 2.30 * WIDTH
 NODES = 60  # of the quadrature for the kernel's transform
 
 
-def sinusoid_sums(q: np.ndarray, values: np.ndarray, step: float, first: int, count: int) -> np.ndarray:
+def sinusoid_sums(q: Floats, values: Floats, step: float, first: int, count: int) -> Floats:
     """(count, p) complex: sum over poses of values * exp(1j * order * q) at orders step * (first, first + 1, ..).
 
     q : (m,) rad, its span times step below 2 pi; values : (m, p); step : cycles per radian times 2 pi, between orders;
@@ -154,13 +156,13 @@ def sinusoid_sums(q: np.ndarray, values: np.ndarray, step: float, first: int, co
     return grid * (np.exp(1j * order * step * centre) / _transform(size, first, count))[:, None]
 
 
-def _kernel(z: np.ndarray) -> np.ndarray:
+def _kernel(z: Floats) -> Floats:
     """The kernel at z in -1..1 (half its width is 1)."""
     return np.exp(SHAPE * (np.sqrt(np.maximum(1 - z**2, 0)) - 1))
 
 
 @lru_cache(maxsize=64)
-def _transform(size: int, first: int, count: int) -> np.ndarray:
+def _transform(size: int, first: int, count: int) -> Floats:
     """(count,) transform of the kernel, in grid steps, at orders first, first + 1, .. of a grid of a size."""
     z, weight = np.polynomial.legendre.leggauss(NODES)
     frequency = np.arange(first, first + count) / size

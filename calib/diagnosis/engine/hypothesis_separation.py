@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig.arrays import Floats
+
 
 @dataclass(frozen=True, slots=True)
 class Separation:
@@ -19,7 +21,7 @@ class Separation:
 
 
 def _signal_separation(
-    text: str, frames: int, parts: tuple[np.ndarray, np.ndarray], freedoms: np.ndarray, prior: np.ndarray
+    text: str, frames: int, parts: tuple[Floats, Floats], freedoms: Floats, prior: Floats
 ) -> Separation:
     """Separation of two sensitivities (n,), whitened, by freedoms (n, p), whitened, each of which a prior (p,)
     holds.

@@ -16,6 +16,7 @@ from calib.diagnosis.engine.frame_inner_products import (
     solve_with_prior,
 )
 from calib.diagnosis.engine.linear_model import LinearModel
+from rig.arrays import Floats
 
 ALPHA = 1e-4  # chance of calling anything unknown where there is nothing, over all tests
 LIKELY = 1e-3  # chance above which no dispersion is asked, since that only makes it likelier
@@ -32,7 +33,7 @@ class Test:
     place: str
     unit: str
     depends_on: tuple[str, ...]
-    weights: np.ndarray
+    weights: Floats
     information: float
     prior: float | None = None
 
@@ -181,7 +182,7 @@ class Covariate:
 
 
 def explained_share(
-    model: LinearModel, block: int, parts: list[tuple[FrameProducts, np.ndarray]], cluster: int = 1
+    model: LinearModel, block: int, parts: list[tuple[FrameProducts, Floats]], cluster: int = 1
 ) -> Share:
     """Share of a block's squares that functions explain. parts : [(FrameProducts, (F, a, q) weights)] fitted one beside
     the other

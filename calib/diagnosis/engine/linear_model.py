@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.sparse.linalg import LinearOperator
 
+from rig.arrays import Floats, Integers
+
 RANK = 1e-11  # of the greatest eigenvalue; nuisances below are none
 
 
@@ -22,8 +24,8 @@ class Block:
 
     name: str
     unit: str
-    residual: np.ndarray
-    edges: np.ndarray
+    residual: Floats
+    edges: Integers
 
     @property
     def frames_rows(self) -> slice:
@@ -35,7 +37,7 @@ class Block:
         """The rows of what was known beforehand."""
         return slice(int(self.edges[-1]), None)
 
-    def rows_of(self, some: np.ndarray) -> list[slice]:
+    def rows_of(self, some: Floats) -> list[slice]:
         """The rows of some frames (F,) bool, those of frames that follow each other in one."""
         ends = np.flatnonzero(np.diff(np.r_[False, some, False]))
         return [slice(int(self.edges[a]), int(self.edges[b])) for a, b in ends.reshape(-1, 2)]
@@ -47,10 +49,10 @@ class Column:
     nothing
     inner : (F, L, k) coordinates in each frame's own freedoms, None for nothing"""
 
-    parts: tuple[np.ndarray | LinearOperator | None, ...]
-    inner: np.ndarray | None = None
+    parts: tuple[Floats | LinearOperator | None, ...]
+    inner: Floats | None = None
 
-    def __matmul__(self, sizes: np.ndarray) -> "Column":
+    def __matmul__(self, sizes: Floats) -> "Column":
         """The directions (k, r) combined by sizes (k, r)."""
         return Column(
             tuple(None if part is None else part @ sizes for part in self.parts),
@@ -86,9 +88,9 @@ class Projection:
     k), nuisances out.
     """
 
-    onto: np.ndarray
-    right: np.ndarray
-    gram: np.ndarray
+    onto: Floats
+    right: Floats
+    gram: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,16 +104,16 @@ class LinearModel:
 
     blocks: tuple[Block, ...]
     columns: Column
-    half: np.ndarray | None
+    half: Floats | None
     size: int
-    _by_frames: list[tuple[np.ndarray, np.ndarray]] = field(init=False, default_factory=list)
+    _by_frames: list[tuple[Floats, Floats]] = field(init=False, default_factory=list)
 
     @property
     def frames(self) -> int:
         """How many frames there are."""
         return len(self.blocks[0].edges) - 1
 
-    def by_frames(self) -> tuple[np.ndarray, np.ndarray]:
+    def by_frames(self) -> tuple[Floats, Floats]:
         """((F, p) of each frame's residuals on an explicit basis, (F, p, p) of its rows on themselves), made once.
 
         Raises ValueError for a model whose basis is not explicit.
@@ -128,7 +130,7 @@ class LinearModel:
             self._by_frames.append((rho, gram))
         return self._by_frames[0]
 
-    def gram(self, some: np.ndarray) -> np.ndarray:
+    def gram(self, some: Floats) -> Floats:
         """(p, p) of an explicit basis' rows of some frames (F,) bool on themselves."""
         out = np.zeros((self.columns.count, self.columns.count))
         for block, part in zip(self.blocks, self.columns.whole):
@@ -136,7 +138,7 @@ class LinearModel:
                 out += part[rows].T @ part[rows]
         return out
 
-    def right(self, some: np.ndarray, residuals: Sequence[np.ndarray]) -> np.ndarray:
+    def right(self, some: Floats, residuals: Sequence[Floats]) -> Floats:
         """(p,) products of an explicit basis with residuals (one (m,) for each block) of some frames (F,) bool."""
         out = np.zeros(self.columns.count)
         for block, part, y in zip(self.blocks, self.columns.whole, residuals):
@@ -144,7 +146,7 @@ class LinearModel:
                 out += part[rows].T @ y[rows]
         return out
 
-    def onto(self, products: np.ndarray) -> np.ndarray:
+    def onto(self, products: Floats) -> Floats:
         """Inner products with the columns (.., p) -> with the orthonormal basis (.., r)."""
         return products if self.half is None else products @ self.half
 
@@ -183,7 +185,7 @@ class LinearModel:
             int(block.edges[-1]) for block in self.blocks
         )
 
-    def leakage(self, reach: np.ndarray, onto: np.ndarray) -> np.ndarray:
+    def leakage(self, reach: Floats, onto: Floats) -> Floats:
         """(F, q): per frame, the product of Q onto^T with the residual plus Q reach. reach : (r,); onto : (q, r)"""
         if self._few():
             projections, grams = self.by_frames()
@@ -197,7 +199,7 @@ class LinearModel:
             out += np.add.reduceat(pushed, block.edges[:-1], axis=0) * (np.diff(block.edges) > 0)[:, None]
         return out
 
-    def carried(self, onto: np.ndarray) -> np.ndarray:
+    def carried(self, onto: Floats) -> Floats:
         """(F, q, q): per frame, the products of Q onto^T with itself. onto : (q, r)"""
         if self._few():
             return onto @ (self.by_frames()[1] @ onto.T)
@@ -219,7 +221,7 @@ class LinearModel:
         return float(sum(block.residual @ block.residual for block in reversed(self.blocks)))
 
 
-def orthonormal_combinations(gram: np.ndarray) -> np.ndarray:
+def orthonormal_combinations(gram: Floats) -> Integers:
     """(p, r) combinations of columns with a Gram matrix (p, p) that are orthonormal: the columns' span, what is null
     left out.
     """
@@ -235,7 +237,7 @@ def join_columns(columns: list[Column]) -> Column:
     """
     if not columns:
         raise ValueError("there is nothing to join")
-    parts: list[np.ndarray | None] = []
+    parts: list[Floats | None] = []
     for n in range(len(columns[0].parts)):
         own = [c.parts[n] for c in columns]
         rows = next((part.shape[0] for part in own if part is not None), None)

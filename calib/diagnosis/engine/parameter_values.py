@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.recording.time_origin import Origin
 
 
@@ -17,7 +18,7 @@ class Value:
 
     value: Any
     unit: str
-    ci95: list | None = None
+    ci95: list[Any] | None = None
     at_bound: float | None = None
     open: str | None = None
 
@@ -37,7 +38,7 @@ def bounded_value(
     )
 
 
-def moment_value(t: np.ndarray, value: float, origin: Origin, likely: tuple[float, float] | None = None) -> Value:
+def moment_value(t: Floats, value: float, origin: Origin, likely: tuple[float, float] | None = None) -> Value:
     """A moment (s from the recording's start) by the owner's clock, and the frames, at t (n,) s, between which it lies.
 
     likely : (earliest, latest) s, where it may lie between other frames as well

@@ -1,12 +1,14 @@
 """Least squares reduced by whitening and nuisance elimination, to which columns are added one at a time."""
 
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
 from calib.diagnosis.engine.frame_inner_products import SWALLOWED, FrameProducts
 from calib.diagnosis.engine.linear_model import LinearModel, orthonormal_combinations
+from rig.arrays import Floats, Integers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -16,14 +18,14 @@ class Reduced:
     y : (f a,) residual; basis : (f a, r) of what is taken out, as far as these directions see it; size : numbers that
         the residual holds"""
 
-    rows: np.ndarray
-    root: np.ndarray
-    y: np.ndarray
-    basis: np.ndarray
+    rows: Integers
+    root: Floats
+    y: Floats
+    basis: Floats
     size: float
 
     @staticmethod
-    def of(products: FrameProducts, rows: np.ndarray, known: tuple[np.ndarray, np.ndarray] | None = None) -> "Reduced":
+    def of(products: FrameProducts, rows: Integers, known: tuple[Floats, Floats] | None = None) -> "Reduced":
         """Reduced of products of frames rows (f,). known : ((p, p) information of the nuisances on these frames with
         all that was known beforehand, (p,) the residual's products with their columns there), None where the model has
         them taken out already"""
@@ -43,7 +45,7 @@ class Reduced:
         return Reduced(rows, root, y, basis, float(seen.sum() - (basis**2).sum()))
 
     @staticmethod
-    def on(model: LinearModel, products: FrameProducts, train: np.ndarray) -> "Reduced":
+    def on(model: LinearModel, products: FrameProducts, train: Floats) -> "Reduced":
         """Reduced of the frames of a mask train (F,), the nuisances of a LinearModel with an explicit basis fitted to
         these alone.
         """
@@ -61,11 +63,11 @@ class Reduced:
         confined = FrameProducts(products.beta[rows], products.gamma[rows], products.kappa[rows], products.half)
         return Reduced.of(confined, rows, (information, right))
 
-    def whitened(self, weights: np.ndarray) -> np.ndarray:
+    def whitened(self, weights: Floats) -> Floats:
         """(f a, q) columns of weights (f, a, q)."""
         return (self.root @ weights).reshape(len(self.y), -1)
 
-    def beside(self, columns: np.ndarray) -> "Reduced | None":
+    def beside(self, columns: Floats) -> "Reduced | None":
         """The same with columns (f a, q) fitted and taken out; None where nuisances and columns swallow one another."""
         free = columns - self.basis @ (self.basis.T @ columns)
         gram = columns.T @ free
@@ -79,12 +81,12 @@ class Reduced:
         left = self.y - along @ solve_triangular(lower, columns.T @ self.y, lower=True)
         return replace(self, y=left, basis=np.concatenate([self.basis, along], axis=1))
 
-    def coefficients(self, columns: np.ndarray) -> np.ndarray:
+    def coefficients(self, columns: Floats) -> Floats:
         """(q,) of columns (f a, q) at their best."""
         free = columns - self.basis @ (self.basis.T @ columns)
-        return np.linalg.solve(columns.T @ free, columns.T @ self.y)
+        return cast(Floats, np.linalg.solve(columns.T @ free, columns.T @ self.y))
 
-    def stack(self, columns: np.ndarray) -> "Stack":
+    def stack(self, columns: Floats) -> "Stack":
         """Stack of columns (f a, k, q) beside what is taken out now."""
         raw = _grams(columns)
         return Stack(
@@ -94,11 +96,11 @@ class Reduced:
             self.basis.shape[1],
         )
 
-    def drops(self, stack: "Stack") -> np.ndarray:
+    def drops(self, stack: "Stack") -> Floats:
         """(k,) by which the squares fall with each of a Stack's columns, or pairs, by themselves, beside what was taken
         out since it was made.
         """
-        b = (self.y @ stack.columns.reshape(len(self.y), -1)).reshape(stack.own.shape)
+        b: Floats = (self.y @ stack.columns.reshape(len(self.y), -1)).reshape(stack.own.shape)
         since = self.basis[:, stack.beside :]
         gram = stack.gram if not since.shape[1] else stack.gram - _grams(_onto(since, stack.columns))
         if b.shape[1] == 1:
@@ -116,18 +118,18 @@ class Stack:
     taken out first left out
     own : (k, q) squares before; beside : how many columns were taken out first"""
 
-    columns: np.ndarray
-    gram: np.ndarray
-    own: np.ndarray
+    columns: Floats
+    gram: Floats
+    own: Floats
     beside: int
 
 
-def _onto(basis: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def _onto(basis: Floats, columns: Floats) -> Floats:
     """(m, k, q) products of a basis (n, m) with columns (n, k, q)."""
     return (basis.T @ columns.reshape(len(columns), -1)).reshape(-1, *columns.shape[1:])
 
 
-def _grams(columns: np.ndarray) -> np.ndarray:
+def _grams(columns: Floats) -> Floats:
     """(k, q, q) products of the q columns (n, k, q) of each with each other."""
     q = columns.shape[2]
     out = np.empty((columns.shape[1], q, q))

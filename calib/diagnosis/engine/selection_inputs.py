@@ -2,11 +2,13 @@
 
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
-Node = dict  # {parameter: value} of the nonlinear parameters, one node of a candidate's grid
+from rig.arrays import Floats
+
+Node = dict[str, Any]  # {parameter: value} of the nonlinear parameters, one node of a candidate's grid
 
 
 class Role(Enum):
@@ -50,11 +52,11 @@ class Candidate:
     extra: int = 0
     tied: int = 0
     usual: tuple[UsualRange, ...] | None = None
-    bounds: tuple[np.ndarray, np.ndarray] | None = None
+    bounds: tuple[Floats, Floats] | None = None
     searched: bool = False
     vector: bool = False
 
-    def allowed(self, coefficients: np.ndarray) -> np.ndarray:
+    def allowed(self, coefficients: Floats) -> Floats:
         """Coefficients (q,) within the bounds, those beyond at them."""
         return coefficients if self.bounds is None or not len(coefficients) else np.clip(coefficients, *self.bounds)
 

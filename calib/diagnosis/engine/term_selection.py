@@ -117,7 +117,7 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None)
     """The Fit with terms admitted step by step; after each step, those that others have made needless go again. None
     where tolerances explain more than any name."""
     policy, count = problem.policy, len(problem.candidates)
-    taken: set[tuple] = set()
+    taken: set[tuple[Any, ...]] = set()
     refused: list[C] = []
     while len(problem.terms(fit)) < policy.most:
         model, size, admitted = problem.residual(fit), problem.size(fit), len(problem.terms(fit))
@@ -164,7 +164,7 @@ def _hidden(problem: Problem[Fit, Model, C], fit: Fit, model: Model, scores: lis
     return sorted(found, key=lambda s: -s.delta_bic(linear.size))
 
 
-def _hypothesis_key(score: Score[C]) -> tuple:
+def _hypothesis_key(score: Score[C]) -> tuple[Any, ...]:
     """What a hypothesis is known by: its name, place and node."""
     node = tuple(
         sorted(
@@ -215,7 +215,12 @@ def _exchanged(
 
 
 def _companions(
-    problem: Problem[Fit, Model, C], fit: Fit, best: Score[C], promising: list[Score[C]], taken: set[tuple], size: int
+    problem: Problem[Fit, Model, C],
+    fit: Fit,
+    best: Score[C],
+    promising: list[Score[C]],
+    taken: set[tuple[Any, ...]],
+    size: int,
 ) -> Fit:
     """The Fit with what other places show nearly as strongly, each asked again with the ones before it admitted."""
     policy, places = problem.policy, {best.candidate.place}

@@ -1,6 +1,7 @@
 """Suggestion of a formula for an unexplained deviation: its library, its text, its held-out error."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ class Suggestion:
     place: str
     written: Written
     effect: Effect
-    intervals: dict[str, tuple]
+    intervals: dict[str, tuple[Any, ...]]
     before: float
     after: float
     noise: float

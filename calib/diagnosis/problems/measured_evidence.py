@@ -3,9 +3,7 @@ capabilities that some have, each a protocol of its own.
 """
 
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple, Protocol, runtime_checkable
-
-import numpy as np
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 from calib.diagnosis.engine.cross_validation import CrossValidation
 from calib.diagnosis.engine.excluded_outliers import Outliers
@@ -16,6 +14,7 @@ from calib.diagnosis.engine.problem_interface import Fit, Problem, Progress
 from calib.diagnosis.engine.selection_inputs import C, NotAsked
 from calib.diagnosis.engine.term_selection import Selection
 from calib.diagnosis.problems.formula_suggestion import Suggestion
+from rig.arrays import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.model.design import Design
 from rig.recording.time_origin import Origin
@@ -76,11 +75,11 @@ class HeldOutPoses:
     stretches : how many there were; names : per part, what was chosen on the others
     far : (n,) rad, how far the joint that is farthest stood from any angle that it was fitted at"""
 
-    before: np.ndarray
-    after: np.ndarray
+    before: Floats
+    after: Floats
     stretches: int
     names: tuple[tuple[str, ...], ...]
-    far: np.ndarray
+    far: Floats
 
 
 class Remark(NamedTuple):
@@ -109,7 +108,7 @@ class Tolerable:
     reason)]; remarks : [Remark] of tolerances themselves; reason : in words that follow "no more than".
     """
 
-    findings: list[tuple[Finding, str]] = field(default_factory=list)
+    findings: list[tuple[Finding[Any], str]] = field(default_factory=list)
     left: list[tuple[LackOfFit, str]] = field(default_factory=list)
     remarks: list[Remark] = field(default_factory=list)
 
@@ -130,7 +129,7 @@ class Evidence(Protocol[Fit, C]):
     def gross_outliers(self) -> Outliers:
         """Outliers that show before anything is admitted."""
 
-    def problem(self, outliers: Outliers) -> tuple[Problem, list[NotAsked]]:
+    def problem(self, outliers: Outliers) -> tuple[Problem[Any, Any, Any], list[NotAsked]]:
         """(Problem without outliers, what its recording cannot be asked for, and why). Raises RigError where what is
         assumed cannot be.
         """
@@ -252,7 +251,7 @@ class WeighedPoses(Protocol[Fit, C]):
 class PoseContributions(Protocol[Fit, C]):
     """Capability: what each finding does to each pose is known."""
 
-    def contributions(self, selection: Selection[Fit, C]) -> tuple[np.ndarray, list[str], np.ndarray]:
+    def contributions(self, selection: Selection[Fit, C]) -> tuple[Integers, list[str], Floats]:
         """(frames (n,), ("effect place" .., "what remains"), (n, findings + 1) m) by how much each finding displaces
         the target in each pose, alone, and what they leave; in the order of the diagnosis.
         """

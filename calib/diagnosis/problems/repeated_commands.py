@@ -7,20 +7,19 @@ import scipy
 from scipy.spatial import cKDTree
 
 from calib.diagnosis.problems.measured_evidence import Repeats
+from rig.arrays import Floats
 
 SAME = {"rad": 1e-3, "m": 1e-5}  # commands nearer than this in every axis are one command
 FEWEST = 12  # pairs
 
 
-def repeated_pairs(commands: np.ndarray, units: Sequence[str]) -> np.ndarray:
+def repeated_pairs(commands: Floats, units: Sequence[str]) -> Floats:
     """(p, 2) rows of commands (n, axes), in units "m" or "rad", that are one command."""
     apart_by = np.array([SAME[unit] for unit in units])
     return np.array(sorted(cKDTree(commands / apart_by).query_pairs(1.0, p=np.inf)), int).reshape(-1, 2)
 
 
-def repeats_of_pairs(
-    pairs: np.ndarray, moved: tuple[np.ndarray, np.ndarray], left: tuple[np.ndarray, np.ndarray]
-) -> Repeats | None:
+def repeats_of_pairs(pairs: Floats, moved: tuple[Floats, Floats], left: tuple[Floats, Floats]) -> Repeats | None:
     """Repeats of (p, 2) pairs of rows, or None where there are too few.
 
     moved : two (p, 6 or 3) m and rad, measured poses of each pair, both less the same; left : two (p, k) what a model

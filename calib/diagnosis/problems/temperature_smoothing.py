@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
+from rig.arrays import Floats
 from rig.recording.recording_folder import Sensors
 
 DEGREES = (
@@ -18,7 +19,7 @@ ALIKE = 3.0  # standard errors by which what is taken for noise may follow its n
 FAR = 8.0  # times its middle size that noise may reach
 
 
-def smooth_temperatures(sensors: Sensors | None) -> tuple[Sensors | None, dict[str, np.ndarray]]:
+def smooth_temperatures(sensors: Sensors | None) -> tuple[Sensors | None, dict[str, Floats]]:
     """(Sensors with smoothed temperatures, {channel: (n, q) K error of each smoothing coefficient}).
 
     A log that is not smooth with white noise on it stays as it is, and so do all other channels. sensors : Sensors or
@@ -47,9 +48,7 @@ def smooth_temperatures(sensors: Sensors | None) -> tuple[Sensors | None, dict[s
     return replace(sensors, channels=channels), {name: errors for name, (_, errors) in courses.items()}
 
 
-def _joined(
-    values: np.ndarray, parts: list[slice], found: list[tuple[np.ndarray, np.ndarray] | None]
-) -> tuple[np.ndarray, np.ndarray]:
+def _joined(values: Floats, parts: list[slice], found: list[tuple[Floats, Floats] | None]) -> tuple[Floats, Floats]:
     """(curve (n,), errors (n, q)) of a log (n,) in parts, each by itself; a part that is not smoothed stands as it
     is.
     """
@@ -63,7 +62,7 @@ def _joined(
     return curve, np.concatenate(errors, axis=1)
 
 
-def _smooth(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+def _smooth(t: Floats, values: Floats) -> tuple[Floats, Floats] | None:
     """(curve (n,), errors (n, q)) of a log (n,), or None where there is no saying what of it is noise."""
     courses = _courses(t)
     if len(courses) < 2 or (np.diff(t) <= 0).any() or np.ptp(values) == 0:
@@ -86,7 +85,7 @@ def _price(rows: int, numbers: int) -> float:
     return rows * np.log(rows) * numbers / (rows - numbers - 2)
 
 
-def _courses(t: np.ndarray) -> list[np.ndarray]:
+def _courses(t: Floats) -> list[Floats]:
     """Orthonormal bases (n, q) of the courses that a log at times (n,) s bears, the plainest first."""
     plain = [
         np.vander((t - t[0]) / max(np.ptp(t), 1e-300), degree + 1) for degree in DEGREES if degree + 1 + ROWS <= len(t)

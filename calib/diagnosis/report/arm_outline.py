@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.model import mechanisms
-from rig.model.design import Arm, Chain
+from rig.model.mechanism_geometry import Arm, Chain
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import chain as chains
 from rig.report.pages.html_elements import list_html
@@ -19,7 +20,7 @@ VIEWS = (((0, 2), "from the side"), ((0, 1), "from above"))
 ARM_FIGURE_HEIGHT, ARM_MARGIN = 260.0, 24.0  # of a view, units of a figure
 
 
-def arm_outline_figures(arm: Arm | Chain, q: np.ndarray, marked_joints: dict[int, dict[str, float]]) -> str:
+def arm_outline_figures(arm: Arm | Chain, q: Floats, marked_joints: dict[int, dict[str, float]]) -> str:
     """Figures of an Arm, or a Chain, over its configurations q (n, joints) rad or m.
 
     marked_joints : {joint: {effect: RMS in rad or, of what slides, m}} of what was found
@@ -53,7 +54,7 @@ class Mark(NamedTuple):
     said: str
 
 
-def _view(title: str, ghosts: np.ndarray, points: np.ndarray, joints: np.ndarray, marks: list[Mark]) -> str:
+def _view(title: str, ghosts: Floats, points: Floats, joints: Floats, marks: list[Mark]) -> str:
     """One view. ghosts : (g, k, 2) m; points : (k, 2) m of the configuration drawn in full; joints : (joints, 2) m of
     it
     """
@@ -64,7 +65,7 @@ def _view(title: str, ghosts: np.ndarray, points: np.ndarray, joints: np.ndarray
         (ARM_FIGURE_HEIGHT - 2 * ARM_MARGIN) / max(high[1] - low[1], 1e-9),
     )
 
-    def placed(way: np.ndarray) -> list[list[float]]:
+    def placed(way: Floats) -> list[list[float]]:
         return np.stack(
             [
                 ARM_MARGIN + scale * (way[:, 0] - low[0]),
@@ -73,7 +74,7 @@ def _view(title: str, ghosts: np.ndarray, points: np.ndarray, joints: np.ndarray
             axis=1,
         ).tolist()
 
-    def drawn(way: np.ndarray, style: str) -> str:
+    def drawn(way: Floats, style: str) -> str:
         return f'<path class="{style}" d="M' + "L".join(f"{x:.1f} {y:.1f}" for x, y in placed(way)) + '"/>'
 
     parts = [svg_text(4, 14, title, style="name"), *(drawn(ghost, "tick") for ghost in ghosts), drawn(points, "link")]
@@ -91,15 +92,15 @@ def _view(title: str, ghosts: np.ndarray, points: np.ndarray, joints: np.ndarray
     )
 
 
-def _points(q: np.ndarray, arm: Arm | Chain) -> tuple[np.ndarray, np.ndarray]:
+def _points(q: Floats, arm: Arm | Chain) -> tuple[Floats, Floats]:
     """((n, k, 3) m points of the outline, (n, joints, 3) m where the joints are), seen in the machine's own base,
     whatever stands where.
     """
     if isinstance(arm, Arm):
         at = (mechanism.frames(q, arm)[..., :3, 3] - arm.base.translation) @ arm.base.rotation.as_matrix()
         return at, at[:, : len(arm.joints)]
-    outline: list[np.ndarray] = []
-    joints: list[np.ndarray] = []
+    outline: list[Floats] = []
+    joints: list[Floats] = []
     below = np.broadcast_to(np.eye(4), (len(q), 4, 4))
     for (stage, own), T in zip(chains.stages_and_values(q, arm), chains.stage_transforms(q, arm)):
         if isinstance(stage, Arm):
@@ -113,6 +114,6 @@ def _points(q: np.ndarray, arm: Arm | Chain) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(outline, axis=1), np.concatenate(joints, axis=1)
 
 
-def _in(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+def _in(matrix: Floats, points: Floats) -> Floats:
     """Points (n, k, 3) of a body that stands at (n, 4, 4), in the base."""
     return points @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3]

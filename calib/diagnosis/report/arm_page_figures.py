@@ -16,7 +16,7 @@ from calib.diagnosis.report.residual_figures import residual_scatter_figure
 from calib.report.pose_figures import mechanism_scene
 from calib.samples.effect_playback import FACTORS
 from rig.model import mechanisms
-from rig.model.design import Arm, Chain
+from rig.model.mechanism_geometry import Arm, Chain
 from rig.report.pages.html_elements import heading, paragraph, table
 from rig.report.pages.plots import Series, plot_panel
 from rig.report.pages.view_3d import Effect, view_3d_html

@@ -1,6 +1,7 @@
 """Contribution of each finding to each pose's error: a table of all, a figure of the worst."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ def write_contributions(path: Path, diagnosis: Diagnosis) -> None:
     )
 
 
-def contribution_figure(evidence: PoseContributions, selection: Selection) -> str:
+def contribution_figure(evidence: PoseContributions[Any, Any], selection: Selection[Any, Any]) -> str:
     """Figure of contributions at the worst poses, a stacked bar for each."""
     frames, names, sizes = evidence.contributions(selection)
     worst = np.argsort(-sizes[:, :-1].sum(axis=1))[:WORST]

@@ -15,6 +15,7 @@ from calib.diagnosis.problems.measured_evidence import (
     WeighedPoses,
 )
 from calib.diagnosis.recording_diagnosis import Diagnosis
+from rig.arrays import Floats
 from rig.model import mechanisms
 from rig.report.pages.html_elements import note, table
 
@@ -81,7 +82,7 @@ def held_out_region_gains(d: Diagnosis) -> list[dict[str, Any]]:
     ]
 
 
-def residual_statistics(left: np.ndarray) -> dict[str, float]:
+def residual_statistics(left: Floats) -> dict[str, float]:
     """{mean_m, rms_m, p95_m, max_m, n} of position errors in m and, where measured, the mean rotation error in rad."""
     size = np.linalg.norm(left[:, :3], axis=1)
     out = {

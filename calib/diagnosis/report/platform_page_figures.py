@@ -20,6 +20,7 @@ from calib.diagnosis.report.residual_plots import (
 from calib.diagnosis.report.rig_outline import rig_outline_figure
 from calib.report.pose_figures import rig_scene
 from calib.samples.effect_playback import effect_displacements
+from rig.arrays import Floats
 from rig.effects.framework.place import Place
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_elements import heading
@@ -101,7 +102,7 @@ class PlatformView:
         ]
 
 
-def _levels(d: Diagnosis, struts: np.ndarray) -> str:
+def _levels(d: Diagnosis, struts: Floats) -> str:
     """Figures of what is left of each strut and camera, with nothing admitted, with all, and the noise."""
     refined, before = d.selection.fit.refined, d.selection.before.refined
     k, rows = refined.point, []
@@ -130,9 +131,7 @@ def _levels(d: Diagnosis, struts: np.ndarray) -> str:
     )
 
 
-def _camera_levels(
-    model: LinearisedModel, before: LinearisedModel
-) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray, str]:
+def _camera_levels(model: LinearisedModel, before: LinearisedModel) -> tuple[list[str], Floats, Floats, Floats, str]:
     k = model.point
     o, sigma = k.observed.observations, model.corner_noise()
     present = np.unique(o.camera)
@@ -141,5 +140,5 @@ def _camera_levels(
     return [k.design.cameras[i].name for i in present], first, last, np.full(len(present), sigma), "px"
 
 
-def _rms(values: np.ndarray) -> np.ndarray:
+def _rms(values: Floats) -> Floats:
     return np.sqrt((values**2).mean(axis=0))

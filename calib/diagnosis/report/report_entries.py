@@ -5,6 +5,7 @@ the recording anew as it was found.
 import json
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from calib.diagnosis.engine.cross_validation import CrossValidation
 from calib.diagnosis.engine.finding_confirmation import Finding
@@ -74,7 +75,7 @@ def _measured(one: MeasuredFinding) -> FindingEntry:
     return FindingEntry(one.kind.name, one.place, one.parameters, action=one.kind.action_at(one.place))
 
 
-def _finding(d: Diagnosis, finding: Finding, proof: CrossValidation) -> FindingEntry:
+def _finding(d: Diagnosis, finding: Finding[Any], proof: CrossValidation) -> FindingEntry:
     problem, fit, score = d.selection.problem, d.selection.fit, finding.score
     candidate = problem.terms(fit)[finding.number]
     kind, place = candidate.kind, candidate.place

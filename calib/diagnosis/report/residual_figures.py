@@ -2,13 +2,14 @@
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.report.pages.plots import Series, panel_row, plot_panel
 
 BINS = 14  # of the covariate, with as many residuals each
 BEFORE, AFTER, GREY = 3, 0, -1  # colours of a figure
 
 
-def residual_scatter_figure(x: np.ndarray, label: str, both: list[np.ndarray], y: str) -> str:
+def residual_scatter_figure(x: Floats, label: str, both: list[Floats], y: str) -> str:
     """Residuals before and after (m,) against a covariate x (m,), and those before against what the effect explains."""
     limit = 1.15 * max(float(np.quantile(np.abs(v), 0.995)) for v in both) + 1e-12
     explained = both[0] - both[1]
@@ -39,7 +40,7 @@ def residual_scatter_figure(x: np.ndarray, label: str, both: list[np.ndarray], y
     )
 
 
-def _means(x: np.ndarray, values: np.ndarray, colour: int) -> Series:
+def _means(x: Floats, values: Floats, colour: int) -> Series:
     """Means of values (m,) over bins of x (m,) with their 95 % intervals."""
     inside = _bins(x)
     return Series(
@@ -52,14 +53,14 @@ def _means(x: np.ndarray, values: np.ndarray, colour: int) -> Series:
     )
 
 
-def _bins(x: np.ndarray) -> list[np.ndarray]:
+def _bins(x: Floats) -> list[Floats]:
     """[(m,) bool] of BINS bins with as many of x (m,) each; fewer where x repeats itself."""
     edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
     place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
     return [place == b for b in np.unique(place)]
 
 
-def residuals_in_time_figure(title: str, t: np.ndarray, values: np.ndarray, y: str) -> str:
+def residuals_in_time_figure(title: str, t: Floats, values: Floats, y: str) -> str:
     """What is left (n,) at times t (n,) s, its running mean drawn in."""
     order, width = np.argsort(t), max(len(t) // 25, 1)
     ones = np.ones(width) / width

@@ -1,5 +1,7 @@
 """What an effect looks like: residuals against the covariate that gives it away, without the effect and with it."""
 
+from typing import cast
+
 import numpy as np
 
 from calib.diagnosis.problems.platform.effect_candidates import affects_images_only
@@ -9,6 +11,7 @@ from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, COR
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refined
 from calib.diagnosis.report.residual_figures import AFTER, BEFORE, residual_scatter_figure
+from rig.arrays import Floats, Integers
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
 from rig.report.pages.image_plane_figures import Arrows, image_plane_figure, patch_means
 from rig.report.pages.plots import bar_chart, panel_row
@@ -16,7 +19,7 @@ from rig.report.pages.plots import bar_chart, panel_row
 CELLS = 14  # of a residual map, across the image
 
 
-def residuals_without_effects(refined: Refined, without: tuple[int, ...] = ()) -> tuple[np.ndarray, np.ndarray]:
+def residuals_without_effects(refined: Refined, without: tuple[int, ...] = ()) -> tuple[Floats, Floats]:
     """(closures (F, axes) m, corners (n, 2) px) residuals without some admitted effects."""
     model, k = refined.model, refined.point
     kept = [e for i, e in enumerate(k.effects) if i not in set(without)]
@@ -25,7 +28,7 @@ def residuals_without_effects(refined: Refined, without: tuple[int, ...] = ()) -
     done = residual_change_column(model, kept)
     taken = model.linear.project(done).onto
     grown = [
-        (0 if part is None else part[:, 0]) - (basis @ taken)[:, 0]
+        (0 if part is None else part[:, 0]) - (cast(Floats, basis) @ taken)[:, 0]
         for part, basis in zip(done.parts, model.linear.columns.parts)
     ]
     return closures_in_metres(model, model.closure_residual + grown[CLOSURES]), _in_pixels(
@@ -33,12 +36,12 @@ def residuals_without_effects(refined: Refined, without: tuple[int, ...] = ()) -
     )
 
 
-def model_residuals(model: LinearisedModel) -> tuple[np.ndarray, np.ndarray]:
+def model_residuals(model: LinearisedModel) -> tuple[Floats, Floats]:
     """(closures (F, axes) m, corners (n, 2) px) residuals of a model as it is."""
     return closure_residuals(model), _in_pixels(model, model.corner_residual)
 
 
-def _in_pixels(model: LinearisedModel, image: np.ndarray) -> np.ndarray:
+def _in_pixels(model: LinearisedModel, image: Floats) -> Floats:
     c = model.corners
     out = np.zeros((len(c.order), 2))
     if len(c.order):
@@ -77,7 +80,7 @@ def effect_residual_figures(refined: Refined, number: int) -> str:
     )
 
 
-def _along_time(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.ndarray) -> str:
+def _along_time(k: OperatingPoint, own: Integers, before: Floats, after: Floats) -> str:
     """Mean residuals of each picture along the way that the effect moves it most."""
     frame = k.observed.observations.frame[own]
     along = _mean(frame, before[own] - after[own])
@@ -91,9 +94,7 @@ def _along_time(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: n
     )
 
 
-def _strut_view(
-    effect: Effect, k: OperatingPoint, before: np.ndarray, after: np.ndarray
-) -> tuple[np.ndarray, str, list[np.ndarray]]:
+def _strut_view(effect: Effect, k: OperatingPoint, before: Floats, after: Floats) -> tuple[Floats, str, list[Floats]]:
     """(covariate (m,), its label, [residuals (m,) before, after]) of an effect of the struts."""
     motion = k.motion(tuple(e for e in k.effects if e is not effect))
     covariate, direction = effect.covariate(motion), effect.direction(motion)
@@ -111,7 +112,7 @@ def _strut_view(
     return x[:, at].ravel(), covariate.label, [before[:, at].ravel(), after[:, at].ravel()]
 
 
-def _own(effect: Effect, k: OperatingPoint) -> np.ndarray:
+def _own(effect: Effect, k: OperatingPoint) -> Integers:
     """Indices of the corners at an effect's place."""
     o, place = k.observed.observations, effect.site
     if place.kind == "camera":
@@ -123,7 +124,7 @@ def _own(effect: Effect, k: OperatingPoint) -> np.ndarray:
     return np.arange(len(o))
 
 
-def _mean(key: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _mean(key: Integers, values: Floats) -> Floats:
     """Means of values (n, ...) by key (n,), in the order of the keys."""
     _, index, count = np.unique(key, return_inverse=True, return_counts=True)
     out = np.zeros((len(count), *values.shape[1:]))
@@ -131,7 +132,7 @@ def _mean(key: np.ndarray, values: np.ndarray) -> np.ndarray:
     return out / count.reshape(-1, *[1] * (values.ndim - 1))
 
 
-def _focal(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.ndarray) -> str:
+def _focal(k: OperatingPoint, own: Integers, before: Floats, after: Floats) -> str:
     """Scale of each picture about its centre against temperature."""
     o = k.observed.observations
     matrix = np.stack([c.matrix[:2, 2] for c in k.design.cameras])
@@ -150,7 +151,7 @@ def _focal(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.nda
     )
 
 
-def _outward(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.ndarray) -> str:
+def _outward(k: OperatingPoint, own: Integers, before: Floats, after: Floats) -> str:
     """How far corners lie outward of their marker's middle against its size in the image."""
     o = k.observed.observations
     row = k.observed.row[own]
@@ -164,7 +165,7 @@ def _outward(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.n
     )
 
 
-def _bars(effect: Effect, k: OperatingPoint, before: np.ndarray, after: np.ndarray) -> str:
+def _bars(effect: Effect, k: OperatingPoint, before: Floats, after: Floats) -> str:
     """Residuals of every marker or target of the same body."""
     o = k.observed.observations
     by_target = effect.view == "targets"
@@ -180,10 +181,7 @@ def _bars(effect: Effect, k: OperatingPoint, before: np.ndarray, after: np.ndarr
 
 
 def image_residual_figures(
-    k: OperatingPoint,
-    own: np.ndarray,
-    both: tuple[np.ndarray, ...],
-    titles: tuple[str, ...] = ("without it", "with it"),
+    k: OperatingPoint, own: Integers, both: tuple[Floats, ...], titles: tuple[str, ...] = ("without it", "with it")
 ) -> str:
     """Figures of mean residuals over one camera's image, one for each of several residuals (n, 2) px."""
     o = k.observed.observations

@@ -8,8 +8,10 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from calib.report.pose_figures import closed_outline
+from rig.arrays import Floats
 from rig.effects.framework.place import Place
-from rig.model.design import Camera, Hexapod, Planar2
+from rig.model.design import Camera
+from rig.model.mechanism_geometry import Hexapod, Planar2
 from rig.model.pose import transform_points
 from rig.report.pages.svg_elements import WIDTH, svg_figure, svg_text, tooltip
 from vision.targets import marker_map
@@ -27,14 +29,14 @@ class Outline:
     """Lines, patches and words in space, gathered and then laid on a figure."""
 
     def __init__(self) -> None:
-        self._shapes: list[tuple[np.ndarray, str, int, str]] = []
-        self._words: list[tuple[np.ndarray, str, int]] = []
+        self._shapes: list[tuple[Floats, str, int, str]] = []
+        self._words: list[tuple[Floats, str, int]] = []
 
     def line(self, points: Any, colour: int, said: str = "") -> None:
         """A line through points (n, 3) m. colour : of a finding, or PLAIN; said : what it is"""
         self._shapes.append((_oblique_projection(np.asarray(points, float)), "outline", colour, said))
 
-    def patch(self, points: np.ndarray, style: str, colour: int = PLAIN) -> None:
+    def patch(self, points: Floats, style: str, colour: int = PLAIN) -> None:
         """A filled polygon of points (n, 3) m. style : plate or patch"""
         self._shapes.append((_oblique_projection(points), style, colour, ""))
 
@@ -49,7 +51,7 @@ class Outline:
         scale = min((WIDTH - 2 * MARGIN) / (high[0] - low[0]), HIGH / (high[1] - low[1]))
         tall = scale * (high[1] - low[1])
 
-        def placed(points: np.ndarray) -> np.ndarray:
+        def placed(points: Floats) -> Floats:
             across = WIDTH / 2 + scale * (points[..., 0] - (low[0] + high[0]) / 2)
             return np.stack([across, MARGIN + tall - scale * (points[..., 1] - low[1])], axis=-1)
 
@@ -101,7 +103,7 @@ def _part_colours(places: list[str]) -> Colour:
     return colour
 
 
-def _oblique_projection(points: np.ndarray) -> np.ndarray:
+def _oblique_projection(points: Floats) -> Floats:
     """(..., 2) m of points (..., 3) m seen from far away."""
     right = np.array([-np.sin(AZIMUTH), np.cos(AZIMUTH), 0])
     up = np.array([-np.sin(ELEVATION) * np.cos(AZIMUTH), -np.sin(ELEVATION) * np.sin(AZIMUTH), np.cos(ELEVATION)])
@@ -145,7 +147,7 @@ def _targets(drawn: Outline, k: OperatingPoint, T: RigidTransform, colour: Colou
         drawn.label(np.r_[mine.mean(axis=(0, 1))[:2], top[2]], target.name, colour(str(Place("target", target.name))))
 
 
-def _camera(drawn: Outline, camera: Camera, colour: int, middle: np.ndarray) -> None:
+def _camera(drawn: Outline, camera: Camera, colour: int, middle: Floats) -> None:
     half = np.array([camera.width / 2 / camera.matrix[0, 0], camera.height / 2 / camera.matrix[1, 1]])
     away = CAMERA_DISTANCE * (camera.pose.translation - middle)
     ends = (

@@ -53,10 +53,11 @@ from calib.models.arm.independent_parameters import PLAUSIBLE
 from calib.models.arm.instrument_observations import KINDS, Observations, sample_observations
 from calib.models.arm.instrument_placement import place_arm
 from calib.samples.pose_samples import Samples
-from rig.model.design import Arm, Instrument
+from rig.arrays import Booleans, Floats, Integers
+from rig.model.design import Instrument
+from rig.model.mechanism_geometry import Arm
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import sobol_configurations
-from rig.planning.plan import FILL
+from rig.planning.configuration_sets import FILL, sobol_configurations
 
 STRETCHES = 30  # in time; every third is held out at once, so a third of the samples, and each sample once
 PARTS = 3
@@ -79,7 +80,7 @@ class Certified:
 
     correction: ArmCorrection
     found: Identified
-    label: np.ndarray
+    label: Integers
     held_out: HeldOut | None
     scattered: HeldOut | None
     geometry: HeldOut | None
@@ -173,7 +174,7 @@ def certify_arm(
     )
 
 
-def _counted(found: Identified, samples: Samples) -> np.ndarray:
+def _counted(found: Identified, samples: Samples) -> Booleans:
     """(n,) bool, samples that count where they are held out: all but those that agree with no geometry and no
     neighbour, where these are few.
     """
@@ -184,7 +185,7 @@ def _counted(found: Identified, samples: Samples) -> np.ndarray:
     return ~wild if wild.mean() <= MOST else np.ones(len(samples), bool)
 
 
-def _shared_errors(samples: Samples, shared: np.ndarray) -> np.ndarray:
+def _shared_errors(samples: Samples, shared: Floats) -> Floats:
     """(n, 6) m and rad by which what all poses share moves each. shared : (j,) draw of it, as a fit has it"""
     return (
         np.einsum("nik,k->ni", samples.common, shared)
@@ -207,7 +208,7 @@ def _as_stated(found: Identified, measured: str) -> Identified:
     return replace(found, covariance=covariance, scatter=scatter)
 
 
-def _parts(label: np.ndarray) -> np.ndarray:
+def _parts(label: Integers) -> Integers:
     """(n,) part of each sample: every third stretch of the configurations (n,) at once; of few configurations, one by
     one or a tenth.
     """
@@ -221,7 +222,7 @@ def _enough_for_any(samples: Samples, nominal: Arm) -> None:
     require_enough_observations(len(samples), KINDS[kind], int(independent_arm_parameters(nominal, kind).sum()))
 
 
-def _enough(samples: Samples, found: Identified, label: np.ndarray, parts: np.ndarray) -> bool:
+def _enough(samples: Samples, found: Identified, label: Integers, parts: Integers) -> bool:
     """Whether there are LEAST configurations, and more equations than parameters without the largest part."""
     left = len(samples) - np.bincount(parts).max()
     return label.max() + 1 >= LEAST and left * found.residuals.shape[1] > found.rank.asked
@@ -287,7 +288,7 @@ def placed_nominal_arm(observations: Observations, nominal: Arm, instrument: Ins
     return identify_arm(observations, replace(nominal, base=start.base, tool=start.tool), free, np.inf).arm
 
 
-def arm_pose_covariance(calibration: Calibration, commands: np.ndarray) -> np.ndarray:
+def arm_pose_covariance(calibration: Calibration, commands: Floats) -> Floats:
     """Covariance (m, 6, 6) of the corrected arm's pose at commands (m, joints) rad.
 
     docs/mathematics.md (21)
@@ -310,10 +311,10 @@ def _held_out(
     known: tuple[Samples, JointFit | None],
     nominal: Arm,
     instrument: Instrument | None,
-    plan: tuple[np.ndarray, Arm],
+    plan: tuple[Integers, Arm],
     ways: list[_Way],
     said: Progress,
-) -> list[tuple[np.ndarray, np.ndarray]]:
+) -> list[tuple[Floats, Floats]]:
     """(before, after), (n, 6) each, of parts held out in turn, in each of the ways asked for."""
     (samples, physics), (part, start) = known, plan
     out = [(np.empty((len(samples), 6)), np.empty((len(samples), 6))) for _ in ways]
@@ -337,7 +338,7 @@ def _held_out(
     return out
 
 
-def _spread(errors: np.ndarray) -> np.ndarray:
+def _spread(errors: Floats) -> Floats:
     """(6,) a robust scale of positions and of rotations, for comparing two fits."""
     return np.repeat([np.median(np.abs(errors[:, part])) for part in (slice(0, 3), slice(3, 6))], 3) + 1e-15
 

@@ -14,11 +14,13 @@ from scipy.spatial.transform import RigidTransform
 from calib.models.arm import error_model, instrument_placement
 from calib.models.arm.instrument_observations import Observations, position_observations
 from calib.models.arm.instrument_placement import nearest_rotation, rigid_transform, solve_rotation_placement
+from rig.arrays import Floats, Integers
 from rig.checks.mistake_report import Mistake, sort_mistakes
 from rig.checks.platform_commands_and_poses import LIKELY, written_pose_columns
 from rig.checks.units_and_conventions import poses_in_other_conventions
 from rig.errors import RigError
-from rig.model.design import Arm, Instrument
+from rig.model.design import Instrument
+from rig.model.mechanism_geometry import Arm
 from rig.model.mechanism_kinds import has_links
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_to_vector
@@ -28,7 +30,7 @@ ROUNDS = 60
 STILL = 1e-5  # m
 
 
-def _place_arm_roughly(q: np.ndarray, T: RigidTransform, positions_only: bool, arm: Arm, base: bool, tool: bool) -> Arm:
+def _place_arm_roughly(q: Floats, T: RigidTransform, positions_only: bool, arm: Arm, base: bool, tool: bool) -> Arm:
     """The Arm with its base and tool where poses T (m,) at angles q (m, n) rad put them. positions_only : of the poses
     positions alone are known.
     """
@@ -48,7 +50,7 @@ def _place_arm_roughly(q: np.ndarray, T: RigidTransform, positions_only: bool, a
     return replace(arm, tool=rigid_transform(Z, t[:3]), base=rigid_transform(X, t[3:]))
 
 
-def _from_positions(p: np.ndarray, links: RigidTransform, arm: Arm, base: bool, tool: bool) -> Arm:
+def _from_positions(p: Floats, links: RigidTransform, arm: Arm, base: bool, tool: bool) -> Arm:
     F, f = links.rotation.as_matrix(), links.translation
     z, X, t = arm.tool.translation, arm.base.rotation.as_matrix(), arm.base.translation
     for _ in range(ROUNDS if tool and base else 1):
@@ -85,9 +87,9 @@ class ReachedPoses:
 
     arm: Arm
     instrument: Instrument | None
-    q: np.ndarray
-    index: np.ndarray
-    v: np.ndarray
+    q: Floats
+    index: Integers
+    v: Floats
     alone: bool
     T: RigidTransform
 
@@ -274,7 +276,7 @@ def _links(reached: ReachedPoses) -> Iterator[tuple[str, str, ReachedPoses]]:
     """Denavit-Hartenberg rows written another way."""
     rows = reached.arm.rows
 
-    def put(what: str, do: str, other: np.ndarray) -> tuple[str, str, ReachedPoses]:
+    def put(what: str, do: str, other: Floats) -> tuple[str, str, ReachedPoses]:
         return f"rig.toml: mechanism.joints: {what}", do, replace(reached, arm=replace(reached.arm, joints=other))
 
     write = "Write rows of theta, d, a, alpha: distal Denavit-Hartenberg, m and rad"

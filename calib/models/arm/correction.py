@@ -11,6 +11,7 @@ hand is brought as near as it comes, see rig.model.mechanisms.deficient_arm, and
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -18,8 +19,9 @@ from scipy.spatial.transform import RigidTransform
 from calib.correction.correction import Correction, Responses
 from calib.models.arm import error_model
 from calib.models.arm.joint_profiles import Profile
+from rig.arrays import Floats
 from rig.errors import Unreachable
-from rig.model.design import Arm
+from rig.model.mechanism_geometry import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import numerical_arm_inverse as deficient
 from rig.model.pose import exp, pose_difference
@@ -30,7 +32,7 @@ REPEATS = 2  # corrections of the joints at each
 DAMPING = 0.03  # m or rad, against singular values of a Jacobian
 
 
-def _solution_from_start(T_base_platform: RigidTransform, arm: Arm, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _solution_from_start(T_base_platform: RigidTransform, arm: Arm, start: Floats) -> tuple[Floats, Floats]:
     """(q (m, n) rad or m, left (m,) m or rad): joint values of poses (m,) to which the joints come from starts (m, n);
     left as `arm.solve`.
     """
@@ -73,14 +75,14 @@ class ArmCorrection(Correction[Arm, Profile]):
     visited : (n, joints) rad, configurations it was fitted to: a wanted pose is taken as they took it, elbow and wrist
         alike."""
 
-    visited: np.ndarray
+    visited: Floats
 
     @property
     def deficient(self) -> bool:
         """Whether the arm has too few joints to take any pose."""
         return len(self.nominal.joints) < deficient.WHOLE
 
-    def summand(self, commands: np.ndarray) -> np.ndarray:
+    def summand(self, commands: Floats) -> Floats:
         """KSF (..., joints) rad or m at commands: commanded less what the owner's model says for the pose that it
         gives.
 
@@ -104,12 +106,12 @@ class ArmCorrection(Correction[Arm, Profile]):
             )
         return mechanism.joint_difference(flat, found, self.nominal).reshape(commands.shape)
 
-    def missed(self, T_base_platform: RigidTransform, commands: np.ndarray) -> np.ndarray:
+    def missed(self, T_base_platform: RigidTransform, commands: Floats) -> Floats:
         """(n, joints) rad or m by which commands (n, joints) differ from those nearest to them that give wanted poses
         (n,), whole turns aside; NaN where none is found."""
         return mechanism.joint_difference(commands, self.near(T_base_platform, commands), self.nominal)
 
-    def uncorrected(self, T_base_platform: RigidTransform) -> np.ndarray:
+    def uncorrected(self, T_base_platform: RigidTransform) -> Floats:
         """Commands (..., joints) rad or m that the owner's model gives for wanted poses (m,), as the nearest visited
         ones took them.
         """
@@ -119,39 +121,41 @@ class ArmCorrection(Correction[Arm, Profile]):
             T_base_platform, self.nominal, self._found_from(T_base_platform, self._near(T_base_platform))[0]
         )
 
-    def reached_poses(self, T_base_platform: RigidTransform, commands: np.ndarray) -> RigidTransform:
+    def reached_poses(self, T_base_platform: RigidTransform, commands: Floats) -> RigidTransform:
         """The poses (n,) that commands (n, joints) found for wanted poses (n,) give: with too few joints those nearest
         to them.
         """
         return self.predict(commands) if self.deficient else T_base_platform
 
-    def goal(self, T_base_platform: RigidTransform, near: np.ndarray) -> np.ndarray:
+    def goal(self, T_base_platform: RigidTransform, near: Floats) -> Floats:
         """(n, joints) rad or m that the fitted arm has to get for poses (n,), nearest to commands (n, joints). Raises
         Unreachable as `inverse`
         """
         commands = self.inverse_without_physics(T_base_platform, near)
         return commands - self.rho(commands)
 
-    def responses(self, T_base_platform: RigidTransform, effective: np.ndarray) -> Responses:
+    def responses(self, T_base_platform: RigidTransform, effective: Floats) -> Responses:
         """Responses of the arm at what its joints get, effective (n, joints) rad or m."""
         axes = error_model.joint_jacobian(effective, self.fitted)
         return Responses(
-            axes, np.linalg.pinv(axes, rcond=NEAR_SINGULAR), error_model.parameter_jacobian(effective, self.fitted)
+            axes,
+            cast(Floats, np.linalg.pinv(axes, rcond=NEAR_SINGULAR)),
+            error_model.parameter_jacobian(effective, self.fitted),
         )
 
-    def scattering(self, scatter: np.ndarray, responses: Responses) -> np.ndarray:
+    def scattering(self, scatter: Floats, responses: Responses) -> Floats:
         """(n, 6, 6) m and rad, factor of the covariance by which poses scatter. scatter : (6,) of poses, (3,) of
         positions alone
         """
         return np.broadcast_to(np.diag(np.r_[scatter, np.zeros(6 - len(scatter))]), (len(responses.axes), 6, 6))
 
-    def rest(self, T_base_platform: RigidTransform, commands: np.ndarray) -> np.ndarray:
+    def rest(self, T_base_platform: RigidTransform, commands: Floats) -> Floats:
         """(..., 6) m and rad that commands (..., joints) leave to wanted poses (...), in the hand: what too few joints
         cannot make up for.
         """
         return pose_difference(self.predict(commands), T_base_platform)
 
-    def inverse(self, T_base_platform: RigidTransform, guess: np.ndarray | None = None) -> np.ndarray:
+    def inverse(self, T_base_platform: RigidTransform, guess: Floats | None = None) -> Floats:
         """Commands (..., joints) rad or m that give wanted poses (...), or come nearest to them; limits are for
         `reachable` to check.
 
@@ -164,7 +168,7 @@ class ArmCorrection(Correction[Arm, Profile]):
         self._refuse_physics()
         return self.inverse_without_physics(T_base_platform, guess)
 
-    def inverse_without_physics(self, T_base_platform: RigidTransform, guess: np.ndarray | None = None) -> np.ndarray:
+    def inverse_without_physics(self, T_base_platform: RigidTransform, guess: Floats | None = None) -> Floats:
         """The commands (..., joints) of `inverse` by the configuration alone, whatever else a calibration knows. Raises
         Unreachable as `inverse`
         """
@@ -184,7 +188,7 @@ class ArmCorrection(Correction[Arm, Profile]):
             )
         return commands.reshape(*shape, n)
 
-    def _found_from(self, T: RigidTransform, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _found_from(self, T: RigidTransform, starts: Floats) -> tuple[Floats, Floats]:
         """(commands (m, joints), left (m,) m or rad) for poses T (m,), from starts (m, k, joints) in turn, then from
         anywhere.
         """
@@ -204,7 +208,7 @@ class ArmCorrection(Correction[Arm, Profile]):
             commands[todo[better]], left[todo[better]] = q[better], reached[better]
         return commands, left
 
-    def near(self, T_base_platform: RigidTransform, guess: np.ndarray) -> np.ndarray:
+    def near(self, T_base_platform: RigidTransform, guess: Floats) -> Floats:
         """Commands (n, joints) rad or m that give poses (n,), sought from the guess (n, joints) alone; NaN where it
         leads to none.
         """
@@ -215,9 +219,7 @@ class ArmCorrection(Correction[Arm, Profile]):
         commands, left = self._compensate(T_base_platform, np.where((reached < NEAR)[:, None], q, guess))
         return np.where((left <= TOLERANCE)[:, None], commands, np.nan)
 
-    def _nearest(
-        self, T: RigidTransform, starts: np.ndarray, arm: Arm, rho: Callable[[np.ndarray], np.ndarray] | None
-    ) -> np.ndarray:
+    def _nearest(self, T: RigidTransform, starts: Floats, arm: Arm, rho: Callable[[Floats], Floats] | None) -> Floats:
         """Commands (m, joints) of an arm of few joints, nearest to poses T (m,): of starts (m, k, joints) the first
         that leads about as near as any.
 
@@ -245,8 +247,8 @@ class ArmCorrection(Correction[Arm, Profile]):
         return np.take_along_axis(q, pick[None, :, None], axis=0)[0]
 
     def _led(
-        self, T: RigidTransform, start: np.ndarray, arm: Arm, rho: Callable[[np.ndarray], np.ndarray] | None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        self, T: RigidTransform, start: Floats, arm: Arm, rho: Callable[[Floats], Floats] | None
+    ) -> tuple[Floats, Floats, Floats]:
         """(commands (m, joints), good (m,) bool, rest (m, 6)) of an arm of few joints led to poses T (m,) from starts
         (m, joints), as `_nearest`.
         """
@@ -258,7 +260,7 @@ class ArmCorrection(Correction[Arm, Profile]):
         good = settled & (place <= (MET if count.position == 3 else FAR)) & (turn <= FAR)
         return mechanism.nearest_equivalent_angles(q, self.nominal, q), good, rest
 
-    def _compensate(self, T: RigidTransform, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _compensate(self, T: RigidTransform, q: Floats) -> tuple[Floats, Floats]:
         """(commands, left): from joint solutions q (m, n) of the fitted arm, by differential error transforms."""
         left = np.full(len(q), np.inf)
         best, going = q.copy(), np.arange(len(q))
@@ -279,7 +281,7 @@ class ArmCorrection(Correction[Arm, Profile]):
             q = q + step / np.maximum(1, np.abs(step).max(axis=1, keepdims=True) / STEP)
         return mechanism.nearest_equivalent_angles(best, self.nominal, best), left
 
-    def _near(self, T: RigidTransform) -> np.ndarray:
+    def _near(self, T: RigidTransform) -> Floats:
         """(m, STARTS, joints) visited configurations whose poses are nearest to T (m,), nearest first."""
         at = self.predict(self.visited)
         vectors, matrices = at.translation, at.rotation.as_matrix()

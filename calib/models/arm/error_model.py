@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import Arm
+from rig.arrays import Floats, Integers
+from rig.model.mechanism_geometry import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import exp, pose_difference, skew
 
@@ -21,12 +22,12 @@ ROW = ("theta", "d", "a", "alpha", "beta")
 TANGENT = ("x", "y", "z", "rx", "ry", "rz")
 
 
-def joint_zeros(arm: Arm) -> np.ndarray:
+def joint_zeros(arm: Arm) -> Floats:
     """Joint zeros (n,) rad, m for slides: the offset of each joint's value in its row, theta or d."""
     return np.where(arm.slides, arm.rows[:, 1], arm.rows[:, 0])
 
 
-def joint_zero_indices(arm: Arm) -> np.ndarray:
+def joint_zero_indices(arm: Arm) -> Integers:
     """Index (n,) of each joint's zero among the parameters."""
     return 6 + 5 * np.arange(len(arm.joints)) + arm.slides
 
@@ -45,28 +46,28 @@ def parameter_units(arm: Arm) -> tuple[str, ...]:
     return tuple(ends + ["rad", "m", "m", "rad", "rad"] * len(arm.joints) + ends)
 
 
-def arm_with_parameter_step(arm: Arm, step: np.ndarray) -> Arm:
+def arm_with_parameter_step(arm: Arm, step: Floats) -> Arm:
     """Arm with its parameters changed by a step (12 + 5 n,)."""
     rows = arm.rows + np.reshape(step[6:-6], (-1, 5))
     return replace(arm, base=arm.base * exp(step[:6]), joints=rows, tool=arm.tool * exp(step[-6:]))
 
 
-def predicted_target_poses(q: np.ndarray, arm: Arm) -> RigidTransform:
+def predicted_target_poses(q: Floats, arm: Arm) -> RigidTransform:
     """Predicted poses (...) of the instrument's target in the instrument's frame, at joint values q (..., n)."""
     return mechanism.forward(q, arm)
 
 
-def pose_residuals(q: np.ndarray, T_measured: RigidTransform, arm: Arm) -> np.ndarray:
+def pose_residuals(q: Floats, T_measured: RigidTransform, arm: Arm) -> Floats:
     """Pose residuals (..., 6) m, rad: measured against predicted, in the predicted target frame."""
     return pose_difference(predicted_target_poses(q, arm), T_measured)
 
 
-def joint_jacobian(q: np.ndarray, arm: Arm) -> np.ndarray:
+def joint_jacobian(q: Floats, arm: Arm) -> Floats:
     """Joint Jacobian (..., 6, n): change of the target's pose (m, rad) with joint values q (..., n)."""
     return mechanism.jacobian(q, arm)
 
 
-def parameter_jacobian(q: np.ndarray, arm: Arm) -> np.ndarray:
+def parameter_jacobian(q: Floats, arm: Arm) -> Floats:
     """Parameter Jacobian (..., 6, 12 + 5 n): change of the target's pose (m, rad) with the parameters.
 
     q : (..., n) rad or m. At the tool the columns are the identity; all others are axis x lever over axis, seen in the
@@ -98,7 +99,7 @@ def parameter_jacobian(q: np.ndarray, arm: Arm) -> np.ndarray:
     return np.swapaxes(out, -1, -2)
 
 
-def _at_base(R: np.ndarray, lever: np.ndarray) -> np.ndarray:
+def _at_base(R: Floats, lever: Floats) -> Floats:
     """(..., 6, 6), one parameter a row: the base's tangent on its right, seen in the frame of poses; lever (..., 3)
     m.
     """

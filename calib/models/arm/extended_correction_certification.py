@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.certification.distinct_configurations import (
+    LEAST,
     axis_ranges,
     configuration_folds,
     configuration_numbers,
@@ -28,7 +29,6 @@ from calib.certification.held_out_error_statistics import draw_common_error_squa
 from calib.certification.platform_certification import FOLDS, Progress, silent_progress
 from calib.certification.workspace_claim import (
     DRAWS,
-    LEAST,
     Claim,
     ConfigurationInformation,
     Workspace,
@@ -50,8 +50,10 @@ from calib.models.arm.identification import Identified, identify_arm, independen
 from calib.models.arm.independent_parameters import PLAUSIBLE, Rank
 from calib.models.arm.instrument_observations import sample_observations
 from calib.samples.pose_samples import Samples
+from rig.arrays import Floats
 from rig.errors import RigError
-from rig.model.design import Arm, Instrument
+from rig.model.design import Instrument
+from rig.model.mechanism_geometry import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
 from rig.planning.configuration_sets import FILL, sobol_configurations
@@ -65,7 +67,7 @@ PLACES = 256  # at which a single step is held against the fixed point, and what
 Geometry = Callable[[Samples], tuple[ArmCorrection, Identified]]  # what an extension stands on, by some samples
 
 
-def joint_space_summands(samples: Samples, arm: Arm, shared: np.ndarray) -> Known:
+def joint_space_summands(samples: Samples, arm: Arm, shared: Floats) -> Known:
     """Joint-space summands of samples, rad or m, common errors removed. shared : (j,) draw of these"""
     found = joint_summands(samples, arm, shared)
     return Known(samples.commanded, found.values, np.einsum("mii->mi", found.covariance), mechanism.travel(arm))
@@ -79,7 +81,7 @@ def stated_model_summands(samples: Samples, placed: Arm) -> Summands:
     return joint_summands(whole, placed, np.zeros(0))
 
 
-def joint_summands(samples: Samples, arm: Arm, shared: np.ndarray) -> Summands:
+def joint_summands(samples: Samples, arm: Arm, shared: Floats) -> Summands:
     """Joint summands (KSF_PM): joint values less the nearest ones that give the measured pose, rad or m.
 
     arm : the model; shared : (j,) draw of the poses' common errors, taken out
@@ -265,7 +267,7 @@ def single_step_errors(correction: ArmCorrection) -> tuple[float, float]:
     return float(np.sqrt(np.nanmean(off**2))), float(np.nanmax(np.abs(off)))
 
 
-def _summand(correction: ArmCorrection, q: np.ndarray) -> np.ndarray:
+def _summand(correction: ArmCorrection, q: Floats) -> Floats:
     """KSF (m, joints) of the correction at commands q (m, joints); NaN where no way from them leads to the pose by the
     owner's model: of a stretched arm it lies beyond its reach by micrometres, or on another branch."""
     if correction.deficient:
@@ -274,7 +276,7 @@ def _summand(correction: ArmCorrection, q: np.ndarray) -> np.ndarray:
     return np.where((rest <= mechanism.GOOD)[:, None], mechanism.joint_difference(q, found, correction.nominal), np.nan)
 
 
-def _places(correction: ArmCorrection) -> np.ndarray:
+def _places(correction: ArmCorrection) -> Floats:
     """(m, joints) rad or m, evenly over the middle of the values visited."""
     seen = np.stack([correction.visited.min(axis=0), correction.visited.max(axis=0)], axis=1)
     return sobol_configurations(seen, PLACES, FILL)

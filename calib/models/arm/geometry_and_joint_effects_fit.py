@@ -5,6 +5,7 @@ effect and a length explain alike goes to the length. A held-out figure is of ef
 """
 
 from dataclasses import dataclass, field, replace
+from typing import cast
 
 import numpy as np
 
@@ -14,11 +15,13 @@ from calib.models.arm import error_model
 from calib.models.arm.identification import Identified, identify_arm, independent_arm_parameters
 from calib.models.arm.instrument_observations import observation_jacobian, sample_observations
 from calib.samples.pose_samples import Samples
+from rig.arrays import Booleans, Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_validity import check_effect
 from rig.effects.framework.fit_coordinates import Coordinate, constrained_sums, coordinates_of_effects
 from rig.model import motion_simulation
-from rig.model.design import Arm, Design
+from rig.model.design import Design
+from rig.model.mechanism_geometry import Arm
 from rig.model.mechanism_kinds import require_arm
 from rig.recording.recording_folder import Commands, Sensors
 
@@ -50,7 +53,7 @@ class History:
             observations, start, independent_arm_parameters(require_arm(self.design.mechanism), observations.kind)
         )
 
-    def moved(self, samples: Samples, effects: tuple[Effect, ...], arm: Arm) -> tuple[np.ndarray, np.ndarray]:
+    def moved(self, samples: Samples, effects: tuple[Effect, ...], arm: Arm) -> tuple[Floats, Floats]:
         """(joints (n, joints), hand (n, 6)) that commands become under effects, as `machine.reached`."""
         return motion_simulation.effective_commands_and_sway(
             replace(self.design, mechanism=arm),
@@ -66,8 +69,8 @@ class History:
 class Prior:
     """What another recording told of c coordinates. values, sigma : (c,)"""
 
-    values: np.ndarray
-    sigma: np.ndarray
+    values: Floats
+    sigma: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,10 +79,10 @@ class Columns:
     these.
     """
 
-    joints: np.ndarray
-    hand: np.ndarray
+    joints: Floats
+    hand: Floats
 
-    def take(self, index: np.ndarray) -> "Columns":
+    def take(self, index: Booleans) -> "Columns":
         """Of an index or mask (n,)."""
         return Columns(self.joints[index], self.hand[index])
 
@@ -94,7 +97,7 @@ class JointFit:
     history: History
     effects: tuple[Effect, ...]
     arm: Arm
-    own: np.ndarray
+    own: Floats
     columns: Columns
     before: Prior | None
     samples: Samples = field(init=False)
@@ -102,7 +105,7 @@ class JointFit:
     def __post_init__(self) -> None:
         object.__setattr__(self, "samples", self.history.told(self.measured, self.effects, self.arm))
 
-    def without(self, held: np.ndarray) -> Samples:
+    def without(self, held: Booleans) -> Samples:
         """All samples, with what effects of this structure do to their commands, fitted to those alone that are not
         held (n,) bool.
         """
@@ -111,7 +114,7 @@ class JointFit:
         )
         return self.history.told(self.measured, rest.effects, rest.arm)
 
-    def response(self, found: Identified) -> np.ndarray:
+    def response(self, found: Identified) -> Floats:
         """(p, c) by which the geometry's parameters follow the effects' coordinates, of an arm identified on these
         samples.
         """
@@ -143,13 +146,13 @@ class _Seen:
     nuisances : (m k + j, p + j) whitened columns of the free parameters and of the j shared draws; basis : orthonormal,
         of the same span."""
 
-    W: np.ndarray
-    inliers: np.ndarray
-    q: np.ndarray
+    W: Floats
+    inliers: Booleans
+    q: Floats
     kind: str
     arm: Arm
-    nuisances: np.ndarray
-    basis: np.ndarray
+    nuisances: Floats
+    basis: Floats
 
     @staticmethod
     def of(samples: Samples, found: Identified) -> "_Seen":
@@ -167,20 +170,20 @@ class _Seen:
             np.linalg.qr(stacked / np.linalg.norm(stacked, axis=0))[0],
         )
 
-    def whitened(self, columns: Columns) -> np.ndarray:
+    def whitened(self, columns: Columns) -> Floats:
         """(m k + j, c) of Columns (n, ..)."""
         moved = error_model.joint_jacobian(self.q, self.arm) @ columns.joints + columns.hand
         seen = self.W @ observation_jacobian(self.kind, moved, self.q, self.arm)[self.inliers]
         return self._padded(seen.reshape(seen.shape[0] * seen.shape[1], seen.shape[2]))
 
-    def left(self, samples: Samples) -> np.ndarray:
+    def left(self, samples: Samples) -> Floats:
         """(m k + j,) whitened residuals of samples, all that the nuisances explain taken out."""
         r = self._padded(
             (self.W @ sample_observations(samples).residuals(self.arm)[self.inliers][..., None]).reshape(-1, 1)
         )[:, 0]
         return r - self.basis @ (self.basis.T @ r)
 
-    def _padded(self, seen: np.ndarray) -> np.ndarray:
+    def _padded(self, seen: Floats) -> Floats:
         return np.concatenate([seen, np.zeros((len(self.nuisances) - len(seen), seen.shape[1]))])
 
 
@@ -190,10 +193,10 @@ class _Prior:
     kept : (k, c) sums that stay.
     """
 
-    values: np.ndarray
-    weight: np.ndarray
-    ends: np.ndarray
-    kept: np.ndarray
+    values: Floats
+    weight: Floats
+    ends: Floats
+    kept: Floats
 
     @staticmethod
     def of(coordinates: list[Coordinate], effects: tuple[Effect, ...], before: Prior | None) -> "_Prior":
@@ -207,7 +210,7 @@ class _Prior:
             constrained_sums(coordinates, effects),
         )
 
-    def cost(self, values: np.ndarray) -> float:
+    def cost(self, values: Floats) -> float:
         return float((self.weight * (values - self.values) ** 2).sum())
 
 
@@ -238,18 +241,18 @@ def _refined(
             if gain >= 0:
                 effects, values, left = tried, new, after
                 break
-        if gain < SETTLED * max(cost / len(left), 1.0):
+        if gain < SETTLED * max(cast(float, cost / len(left)), 1.0):
             break
         columns = _columns(measured, history, effects, arm, columns)
     found = history.identified(history.told(measured, effects, arm), arm)
     return JointFit(measured, history, effects, found.arm, own, columns, before)
 
 
-def _values(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> np.ndarray:
+def _values(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> Floats:
     return np.array([c.read(effects[c.effect]) for c in coordinates])
 
 
-def _written(coordinates: list[Coordinate], effects: tuple[Effect, ...], values: np.ndarray) -> tuple[Effect, ...]:
+def _written(coordinates: list[Coordinate], effects: tuple[Effect, ...], values: Floats) -> tuple[Effect, ...]:
     out = list(effects)
     for c, value in zip(coordinates, values.tolist()):
         out[c.effect] = c.written(out[c.effect], value)

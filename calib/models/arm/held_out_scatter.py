@@ -15,12 +15,13 @@ from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.identification import Identified
 from calib.models.arm.instrument_observations import sample_observations
 from calib.samples.pose_samples import Samples
+from rig.arrays import Floats, Integers
 
 UNSTATED = 1.2  # times what is stated, from which a scatter is unexplained
 
 
 def held_out_geometry_errors(
-    identified: Identified, correction: ArmCorrection, fitted_samples: Samples, label: np.ndarray
+    identified: Identified, correction: ArmCorrection, fitted_samples: Samples, label: Integers
 ) -> HeldErrors:
     """Held-out errors (HeldErrors) of an arm's geometry at each configuration. label : (m,) configuration of each
     fitted_samples : Samples that it was fitted to; label : (m,) configuration of each
@@ -32,15 +33,15 @@ def held_out_geometry_errors(
 
 
 def held_out_arm_parameter_error_squares(
-    identified: Identified, correction: ArmCorrection, fitted_samples: Samples, folds: np.ndarray
-) -> np.ndarray:
+    identified: Identified, correction: ArmCorrection, fitted_samples: Samples, folds: Integers
+) -> Floats:
     """Mean squares (2,) of held-out errors caused by the parameters, m^2 and rad^2.
     folds : (m,) which are held out together
     """
     return held_out_parameter_error_squares(*_fitted(identified, correction, fitted_samples), folds)
 
 
-def _fitted(found: Identified, correction: ArmCorrection, agreed: Samples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _fitted(found: Identified, correction: ArmCorrection, agreed: Samples) -> tuple[Floats, Floats, Floats]:
     """(jacobian (m, 6, p), covariance (p, p), noise (m, 6, 6)) of a fit."""
     J = error_model.parameter_jacobian(agreed.commanded, correction.fitted)
     return J, found.covariance, sample_observations(agreed).covariance + np.diag(found.scatter**2)
@@ -57,7 +58,7 @@ def identification_with_held_out_scatter(
     )
 
 
-def unexplained_scatter_sentences(scatter: np.ndarray, covariance: np.ndarray) -> tuple[str, ...]:
+def unexplained_scatter_sentences(scatter: Floats, covariance: Floats) -> tuple[str, ...]:
     """Sentences on scatter unexplained by the instrument's statement, one for positions and one for rotations.
 
     scatter : (k,) m and rad beyond; covariance : (n, k, k) as stated

@@ -16,8 +16,9 @@ from calib.models.arm import error_model, independent_parameters
 from calib.models.arm.independent_parameters import Rank
 from calib.models.arm.independent_parameters import parameter_rank as independent
 from calib.models.arm.instrument_observations import Observations
+from rig.arrays import Booleans, Floats
 from rig.errors import NotEnoughData, RigError
-from rig.model.design import Arm
+from rig.model.mechanism_geometry import Arm
 
 MAX_ITERATIONS = 60
 CONVERGED = 1e-10  # m and rad; largest step
@@ -39,17 +40,17 @@ class Identified:
     """
 
     arm: Arm
-    covariance: np.ndarray
-    free: np.ndarray
+    covariance: Floats
+    free: Booleans
     rank: Rank
-    shared: np.ndarray
-    residuals: np.ndarray
-    scatter: np.ndarray
-    inliers: np.ndarray
+    shared: Floats
+    residuals: Floats
+    scatter: Floats
+    inliers: Booleans
     iterations: int
 
 
-def independent_arm_parameters(arm: Arm, kind: str) -> np.ndarray:
+def independent_arm_parameters(arm: Arm, kind: str) -> Booleans:
     """(p,) bool: the independent parameters of an arm's structure, 4 n + 6 for poses, 4 n + 3 for positions, 4 n for
     distances, 2 n + 3 for orientations; a slide, of which the direction counts and not the place, has two fewer (see
     calib.models.arm.independent_parameters).
@@ -77,7 +78,7 @@ def independent_arm_parameters(arm: Arm, kind: str) -> np.ndarray:
 
 
 def identify_arm(
-    observations: Observations, nominal: Arm, free: np.ndarray | None = None, farthest: float = FARTHEST
+    observations: Observations, nominal: Arm, free: Booleans | None = None, farthest: float = FARTHEST
 ) -> Identified:
     """Identified arm: the parameters that explain the observations.
 
@@ -131,10 +132,10 @@ def require_enough_observations(count: int, numbers_each: int, parameter_count: 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    step: np.ndarray
-    shared: np.ndarray
-    covariance: np.ndarray
-    left: np.ndarray
+    step: Floats
+    shared: Floats
+    covariance: Floats
+    left: Floats
 
 
 class _Settled(NamedTuple):
@@ -146,9 +147,7 @@ class _Settled(NamedTuple):
     iterations: int
 
 
-def _settle(
-    observations: Observations, arm: Arm, free: np.ndarray, inliers: np.ndarray, scatter: np.ndarray
-) -> _Settled:
+def _settle(observations: Observations, arm: Arm, free: Booleans, inliers: Booleans, scatter: Floats) -> _Settled:
     """Gauss-Newton for given weights."""
     W = np.linalg.inv(np.linalg.cholesky(observations.covariance + np.diag(scatter**2)))[inliers]
     J = observations.jacobian(arm)
@@ -170,7 +169,7 @@ def _settle(
     )
 
 
-def _solve(r: np.ndarray, J: np.ndarray, common: np.ndarray, W: np.ndarray, inliers: np.ndarray) -> _Fit:
+def _solve(r: Floats, J: Floats, common: Floats, W: Floats, inliers: Booleans) -> _Fit:
     """One weighted least squares, the common errors solved for with the parameters."""
     count = common.shape[2]
     M = (W @ np.concatenate([J, common], axis=2)[inliers]).reshape(-1, J.shape[2] + count)
@@ -187,14 +186,14 @@ def _solve(r: np.ndarray, J: np.ndarray, common: np.ndarray, W: np.ndarray, inli
     return _Fit(solution[: J.shape[2]], shared, (half @ half.T)[: J.shape[2], : J.shape[2]], left)
 
 
-def _scatter(left: np.ndarray, observations: Observations, inliers: np.ndarray, fitted: int) -> np.ndarray:
+def _scatter(left: Floats, observations: Observations, inliers: Booleans, fitted: int) -> Floats:
     """(k,) scatter beyond the instrument's own: one figure for the three positions, one for the three rotations."""
     return excess_scatter(
         left[inliers], observations.covariance[inliers], min(fitted / (inliers.sum() * left.shape[1]), 0.9)
     )
 
 
-def _inliers(left: np.ndarray, observations: Observations, scatter: np.ndarray) -> np.ndarray:
+def _inliers(left: Floats, observations: Observations, scatter: Floats) -> Floats:
     sigma = np.sqrt(np.einsum("mkk->mk", observations.covariance) + scatter**2)
     scale = np.maximum(1.0, 1.4826 * np.median(np.abs(left / sigma), axis=0))
     return (np.abs(left) < GATE * scale * sigma).all(axis=1)

@@ -13,7 +13,8 @@ from scipy.linalg import qr
 
 from calib.models.arm import error_model
 from calib.models.arm.instrument_observations import observation_jacobian
-from rig.model.design import Arm
+from rig.arrays import Booleans, Floats
+from rig.model.mechanism_geometry import Arm
 from rig.model.pose import pose
 
 PLAUSIBLE = {
@@ -28,7 +29,7 @@ class Rank:
     """free : (p,) bool, parameters fitted; dependent : pairs (held parameter, those it cannot be told from)
     condition : of the columns that were fitted, scaled by what is plausible; asked : parameters asked for."""
 
-    free: np.ndarray
+    free: Booleans
     dependent: tuple[tuple[str, tuple[str, ...]], ...]
     condition: float
     asked: int
@@ -47,7 +48,7 @@ class Rank:
         return lines
 
 
-def parameter_rank(B: np.ndarray, free: np.ndarray, names: tuple[str, ...], units: tuple[str, ...]) -> Rank:
+def parameter_rank(B: Floats, free: Booleans, names: tuple[str, ...], units: tuple[str, ...]) -> Rank:
     """Rank of the parameter columns B (rows, p), whitened, of the requested parameters: free (p,) bool.
 
     A column is dependent where, those before it given, the data leave its parameter less certain than PLAUSIBLE: a
@@ -78,7 +79,7 @@ INDEPENDENT = 1e-7  # of a column's own length, m and rad alike, that must be le
 PARALLEL = float(np.cos(np.radians(5)))  # neighbouring axes nearer to parallel than this take beta for d
 
 
-def generally_independent_parameters(arm: Arm, kind: str) -> np.ndarray:
+def generally_independent_parameters(arm: Arm, kind: str) -> Booleans:
     """Parameters (p,) bool of an Arm that a kind of observation determines independently in general.
 
     kind : as of Observations. "In general": at configurations all over the limits, with the arm's own rows, and
@@ -103,7 +104,7 @@ def generally_independent_parameters(arm: Arm, kind: str) -> np.ndarray:
     return free
 
 
-def near_parallel_axis_rows(arm: Arm) -> np.ndarray:
+def near_parallel_axis_rows(arm: Arm) -> Booleans:
     """Rows (n,) bool whose two axes are near parallel, so that beta replaces d."""
     return np.asarray(np.abs(np.cos(arm.rows[:, 3]) * np.cos(arm.rows[:, 4])) > PARALLEL)
 

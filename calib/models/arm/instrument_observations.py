@@ -7,7 +7,8 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.models.arm import error_model
 from calib.samples.pose_samples import Samples
-from rig.model.design import Arm
+from rig.arrays import Floats, Integers
+from rig.model.mechanism_geometry import Arm
 
 KINDS = {"pose": 6, "position": 3, "orientation": 3, "distance": 1}  # rows that one observation gives
 
@@ -28,10 +29,10 @@ class Observations:
     """
 
     kind: str
-    q: np.ndarray
-    value: RigidTransform | np.ndarray
-    covariance: np.ndarray
-    common: np.ndarray
+    q: Floats
+    value: RigidTransform | Floats
+    covariance: Floats
+    common: Floats
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -46,11 +47,11 @@ class Observations:
     def __len__(self) -> int:
         return len(self.q)
 
-    def take(self, index: np.ndarray | slice) -> "Observations":
+    def take(self, index: Integers | slice) -> "Observations":
         """The observations of an index or mask (m,)."""
         return Observations(self.kind, self.q[index], self.value[index], self.covariance[index], self.common[index])
 
-    def residuals(self, arm: Arm) -> np.ndarray:
+    def residuals(self, arm: Arm) -> Floats:
         """(m, k): observed less predicted."""
         if self.kind in ("pose", "orientation"):
             left = error_model.pose_residuals(self.q, self.value, arm)
@@ -60,16 +61,16 @@ class Observations:
             return self.value - position
         return (self.value - np.linalg.norm(position, axis=-1))[:, None]
 
-    def jacobian(self, arm: Arm) -> np.ndarray:
+    def jacobian(self, arm: Arm) -> Floats:
         """(m, k, 12 + 5 n) change of what is predicted with the parameters."""
         return observation_jacobian(self.kind, error_model.parameter_jacobian(self.q, arm), self.q, arm)
 
-    def joint_jacobian(self, arm: Arm) -> np.ndarray:
+    def joint_jacobian(self, arm: Arm) -> Floats:
         """(m, k, n) change of what is predicted with the joint angles."""
         return observation_jacobian(self.kind, error_model.joint_jacobian(self.q, arm), self.q, arm)
 
 
-def observation_jacobian(kind: str, pose_jacobian: np.ndarray, q: np.ndarray, arm: Arm) -> np.ndarray:
+def observation_jacobian(kind: str, pose_jacobian: Floats, q: Floats, arm: Arm) -> Floats:
     """Jacobian (m, k, p) of observations of a kind, from that of the target's pose (m, 6, p)."""
     if kind == "pose":
         return pose_jacobian
@@ -105,7 +106,7 @@ def pose_observations(samples: Samples) -> Observations:
     return Observations("pose", samples.effective, samples.T_base_platform, samples.covariance, samples.common)
 
 
-def position_observations(q: np.ndarray, positions: np.ndarray, sigma: float | np.ndarray) -> Observations:
+def position_observations(q: Floats, positions: Floats, sigma: float | Floats) -> Observations:
     """Position observations: the target's positions (m, 3) m at joint angles q (m, n)."""
     variance = np.broadcast_to(np.square(sigma), len(q))[:, None, None]
     return Observations(
@@ -113,7 +114,7 @@ def position_observations(q: np.ndarray, positions: np.ndarray, sigma: float | n
     )
 
 
-def orientation_observations(q: np.ndarray, orientations: RigidTransform, sigma: float | np.ndarray) -> Observations:
+def orientation_observations(q: Floats, orientations: RigidTransform, sigma: float | Floats) -> Observations:
     """Orientation observations: rotations (m,) of the target at joint angles q (m, n); sigma (rad) about each axis."""
     variance = np.broadcast_to(np.square(sigma), len(q))[:, None, None]
     return Observations(
@@ -121,7 +122,7 @@ def orientation_observations(q: np.ndarray, orientations: RigidTransform, sigma:
     )
 
 
-def distance_observations(q: np.ndarray, distances: np.ndarray, sigma: float | np.ndarray) -> Observations:
+def distance_observations(q: Floats, distances: Floats, sigma: float | Floats) -> Observations:
     """Distance observations: a drawn wire's lengths (m,) m at joint angles q (m, n)."""
     variance = np.broadcast_to(np.square(sigma), len(q))[:, None, None]
     return Observations(

@@ -11,14 +11,16 @@ Source: Shah, J. Mechanisms Robotics 5, 2013 (robot-world and hand-eye); Alexa, 
 """
 
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.models.arm import error_model
 from calib.models.arm.instrument_observations import Observations
+from rig.arrays import Floats
 from rig.errors import NotEnoughData, RigError
-from rig.model.design import Arm
+from rig.model.mechanism_geometry import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import log
 
@@ -123,7 +125,7 @@ def _starts(observations: Observations, arm: Arm, base: bool, tool: bool) -> lis
         A, f = (F if tool else np.zeros((len(F), 3, 0))).reshape(3 * len(F), -1), f + X[0].T @ arm.base.translation
     orthonormal = _span(A)
 
-    def left(columns: np.ndarray) -> np.ndarray:
+    def left(columns: Floats) -> Floats:
         return columns - orthonormal @ (orthonormal.T @ columns)
 
     # (X'p) of all observations is linear in X: columns for its nine entries
@@ -144,14 +146,7 @@ def _starts(observations: Observations, arm: Arm, base: bool, tool: bool) -> lis
 
 
 def _placed_about(
-    X: np.ndarray,
-    F: np.ndarray,
-    f: np.ndarray,
-    p: np.ndarray,
-    M: np.ndarray | None,
-    A: np.ndarray,
-    arm: Arm,
-    unknown: tuple[bool, bool],
+    X: Floats, F: Floats, f: Floats, p: Floats, M: Floats | None, A: Floats, arm: Arm, unknown: tuple[bool, bool]
 ) -> Arm:
     """Arm with a rotation of the base (3, 3), and what then follows for the rest."""
     base, tool = unknown
@@ -162,10 +157,10 @@ def _placed_about(
     Z = arm.tool.rotation.as_matrix()
     if tool and M is not None:
         Z = nearest_rotation(np.einsum("mji,kj,mkl->il", F, X, M))
-    return replace(arm, base=rigid_transform(X, t), tool=rigid_transform(Z, z))
+    return replace(arm, base=rigid_transform(X, t), tool=rigid_transform(Z, cast(Floats, z)))
 
 
-def _apart(X: np.ndarray, cost: np.ndarray) -> list[int]:
+def _apart(X: Floats, cost: Floats) -> list[int]:
     """Indices of the rotations of least cost, each APART from those before."""
     chosen: list[int] = []
     cosine = 1 + 2 * np.cos(APART)
@@ -182,9 +177,7 @@ def _spread(observations: Observations, count: int) -> Observations:
     return observations.take(np.unique(np.linspace(0, len(observations) - 1, count).astype(int)))
 
 
-def _refined(
-    observations: Observations, arm: Arm, rows: np.ndarray, unknown: tuple[bool, bool], steps: int
-) -> Placement:
+def _refined(observations: Observations, arm: Arm, rows: Floats, unknown: tuple[bool, bool], steps: int) -> Placement:
     """Placement by damped, robust least squares over base, tool and the joints' zeros, which a prior holds near the
     maker's rows (n, 5).
     """
@@ -221,7 +214,7 @@ def _refined(
     return Placement(arm, float(np.median(np.linalg.norm(left, axis=1))))
 
 
-def _sigma(posed: bool) -> np.ndarray:
+def _sigma(posed: bool) -> Floats:
     return np.repeat(FINE, 3)[: 6 if posed else 3]
 
 
@@ -231,14 +224,14 @@ class _Misfit:
     began
     scale : of the residuals, at least 1; weight : (m,) of each observation."""
 
-    residual: np.ndarray
-    moved: np.ndarray
+    residual: Floats
+    moved: Floats
     scale: float
-    weight: np.ndarray
+    weight: Floats
 
     @classmethod
     def of(
-        cls, observations: Observations, arm: Arm, start: Arm, rows: np.ndarray, prior: np.ndarray, posed: bool
+        cls, observations: Observations, arm: Arm, start: Arm, rows: Floats, prior: Floats, posed: bool
     ) -> "_Misfit":
         r = observations.residuals(arm) / _sigma(posed)
         size = np.linalg.norm(r, axis=1)
@@ -262,7 +255,7 @@ def _same(a: Arm, b: Arm) -> bool:
     return bool((a.base.inv() * b.base).rotation.magnitude() < SAME)
 
 
-def _covering(count: int) -> np.ndarray:
+def _covering(count: int) -> Floats:
     """(count, 3, 3) rotations that cover SO(3) evenly. Source: Alexa, CVPR 2022 (super-Fibonacci spirals)"""
     phi, psi = np.sqrt(2), 1.533751168755204288118041
     s = np.arange(count) + 0.5
@@ -273,7 +266,7 @@ def _covering(count: int) -> np.ndarray:
     ).as_matrix()
 
 
-def _span(A: np.ndarray) -> np.ndarray:
+def _span(A: Floats) -> Floats:
     """Orthonormal columns that span what A tells of sizes up to AWAY."""
     if not A.shape[1]:
         return A
@@ -308,7 +301,7 @@ def _from_orientations(observations: Observations, arm: Arm, base: bool, tool: b
     return replace(arm, base=rigid_transform(X, arm.base.translation), tool=rigid_transform(Z, arm.tool.translation))
 
 
-def solve_rotation_placement(M: np.ndarray, F: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+def solve_rotation_placement(M: Floats, F: Floats) -> tuple[Floats, Floats, float]:
     """Solution (X, Z, how well determined) of M = X F Z, rotations M and F (m, 3, 3).
 
     The third is the second least eigenvalue over the greatest, 0 where a family of answers fits. Source: Shah, J.
@@ -331,7 +324,7 @@ def solve_rotation_placement(M: np.ndarray, F: np.ndarray) -> tuple[np.ndarray, 
     )
 
 
-def _from_distances(lengths: np.ndarray, target: RigidTransform, arm: Arm) -> Arm:
+def _from_distances(lengths: Floats, target: RigidTransform, arm: Arm) -> Arm:
     """length^2 = |p|^2 - 2 p.w + |w|^2 is linear in the anchor w and its square; the base's rotation cannot be told and
     stays.
     """
@@ -342,12 +335,12 @@ def _from_distances(lengths: np.ndarray, target: RigidTransform, arm: Arm) -> Ar
     return replace(arm, base=rigid_transform(R, -R @ w))
 
 
-def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+def nearest_rotation(matrix: Floats) -> Floats:
     """The rotation nearest to a matrix (3, 3)."""
     U, _, V = np.linalg.svd(matrix)
     return U @ np.diag([1, 1, np.linalg.det(U @ V)]) @ V
 
 
-def rigid_transform(R: np.ndarray, t: np.ndarray) -> RigidTransform:
+def rigid_transform(R: Floats, t: Floats) -> RigidTransform:
     """Rigid transform of a rotation (3, 3) and a translation (3,) m."""
     return RigidTransform.from_components(t, Rotation.from_matrix(R))

@@ -10,12 +10,14 @@ Sources: configuration-space patent [0024]-[0031] (the summand); MacKay, Bayesia
 """
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 
 from calib.models.arm.identification import Identified
 from calib.models.arm.instrument_observations import Observations
+from rig.arrays import Floats, Integers
 
 FINEST = 45.0  # waves per turn of the joint; shorter ones are left out
 MARGIN = 1.15  # of the joint's travel, half the longest wave: so the ends need not meet
@@ -35,11 +37,11 @@ class Profile:
     others : (n, 2) rad, sine and cosine of every joint's angle (its own row is 0)."""
 
     axis: int
-    orders: np.ndarray
-    own: np.ndarray
-    others: np.ndarray
+    orders: Floats
+    own: Floats
+    others: Floats
 
-    def __call__(self, q: np.ndarray) -> np.ndarray:
+    def __call__(self, q: Floats) -> Floats:
         """(...,) rad at joint angles q (..., n) rad."""
         q = np.asarray(q, float)
         return (
@@ -80,18 +82,18 @@ def fit_joint_profiles(observations: Observations, identified: Identified) -> tu
     return tuple(parts)
 
 
-def _orders(angle: np.ndarray, most: float) -> np.ndarray:
+def _orders(angle: Floats, most: float) -> Floats:
     """(k,) waves per turn, evenly from the longest that the joint's travel tells, at most `most` features of them."""
     step = np.pi / (MARGIN * max(np.ptp(angle), np.pi / FINEST))
-    return step * np.arange(1, max(min(int(FINEST / step), int(most / 2)), 1) + 1)
+    return cast(Floats, step * np.arange(1, max(min(int(FINEST / step), int(most / 2)), 1) + 1))
 
 
-def _waves(angle: np.ndarray, orders: np.ndarray) -> np.ndarray:
+def _waves(angle: Floats, orders: Floats) -> Floats:
     turned = np.asarray(angle)[..., None] * orders
     return np.concatenate([np.sin(turned), np.cos(turned)], axis=-1)
 
 
-def _features(q: np.ndarray, axis: int, orders: np.ndarray) -> np.ndarray:
+def _features(q: Floats, axis: int, orders: Floats) -> Floats:
     """(m, 2 k + 2 (n - 1)) waves of the own angle, then sine and cosine of the other angles."""
     rest = np.delete(q, axis, axis=1)
     return np.concatenate(
@@ -99,7 +101,7 @@ def _features(q: np.ndarray, axis: int, orders: np.ndarray) -> np.ndarray:
     )
 
 
-def _solved(M: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _solved(M: Floats, right: Floats) -> tuple[Floats, Floats]:
     """(M^-1 right, diagonal of M^-1), both (k,), of a positive definite M (k, k). Raises LinAlgError where it is
     none.
     """
@@ -111,7 +113,7 @@ def _solved(M: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return w, np.diag(inverse)
 
 
-def _evidence(A: np.ndarray, y: np.ndarray, group: np.ndarray) -> np.ndarray:
+def _evidence(A: Floats, y: Floats, group: Integers) -> Floats:
     """(features,) weights of greatest evidence: each group's size set by the fixed point of its well-determined
     share.
     """

@@ -1,6 +1,7 @@
 """Certification of a chain's calibration: fit to all samples, errors from stretches held out in turn."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,8 @@ from calib.models.arm.held_out_scatter import unexplained_scatter_sentences
 from calib.models.chain import error_model
 from calib.models.chain.identification import Identified, identify_chain
 from calib.samples.pose_samples import Samples
-from rig.model.design import Chain
+from rig.arrays import Floats, Integers
+from rig.model.mechanism_geometry import Chain
 from rig.model.mechanisms import chain as mechanism
 from rig.model.pose import pose_difference
 from rig.planning.configuration_sets import FILL, sobol_configurations
@@ -36,9 +38,9 @@ class Certified:
     held_out : HeldOut, whole stretches of configurations in turn, and left : HeldErrors of it, or None for too few of
         them"""
 
-    correction: Correction
+    correction: Correction[Any, Any]
     found: Identified
-    label: np.ndarray
+    label: Integers
     held_out: HeldOut | None
     left: HeldErrors | None = None
 
@@ -81,12 +83,12 @@ def certify_chain(
     )
 
 
-def _corrected(nominal: Chain, found: Identified) -> Correction:
+def _corrected(nominal: Chain, found: Identified) -> Correction[Any, Any]:
     parts: tuple[None, ...] = (None,) * len(nominal.axes)
     return Correction(nominal, found.chain, parts)
 
 
-def chain_pose_covariance(calibration: Calibration, commands: np.ndarray) -> np.ndarray:
+def chain_pose_covariance(calibration: Calibration, commands: Floats) -> Floats:
     """Covariance (n, 6, 6) of the corrected chain's pose at commands (n, axes) m or rad."""
     J = error_model.parameter_jacobian(commands, calibration.correction.fitted)
     return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(calibration.scatter**2)

@@ -24,8 +24,8 @@ from calib.models.platform.identification import (
 )
 from calib.models.platform.parameter_accuracy import base_motion_columns
 from calib.samples.pose_samples import Samples
-from rig.model.design import Arm, Chain
-from rig.model.mechanism_geometry import Stage
+from rig.arrays import Booleans, Floats
+from rig.model.mechanism_geometry import Arm, Chain, Stage
 from rig.model.mechanisms import chain as mechanism
 from rig.model.pose import pose_difference
 
@@ -52,7 +52,7 @@ def parameter_units(chain: Chain) -> tuple[str, ...]:
     )
 
 
-def parameter_tolerances(chain: Chain) -> np.ndarray:
+def parameter_tolerances(chain: Chain) -> Floats:
     """Tolerances (p,) m and rad of the stated parameters; 0 for those that are not independent (Hayati)."""
     out = []
     for stage in chain.stages:
@@ -70,7 +70,7 @@ def stage_parameter_slices(chain: Chain) -> list[slice]:
     return [slice(int(end - size), int(end)) for size, end in zip(sizes, ends)]
 
 
-def chain_with_parameter_step(chain: Chain, step: np.ndarray) -> Chain:
+def chain_with_parameter_step(chain: Chain, step: Floats) -> Chain:
     """Chain with its parameters changed by a step (p,) m and rad."""
     return replace(
         chain,
@@ -78,7 +78,7 @@ def chain_with_parameter_step(chain: Chain, step: np.ndarray) -> Chain:
     )
 
 
-def _moved(stage: Stage, step: np.ndarray) -> Stage:
+def _moved(stage: Stage, step: Floats) -> Stage:
     return (
         arms.arm_with_parameter_step(stage, step)
         if isinstance(stage, Arm)
@@ -86,12 +86,12 @@ def _moved(stage: Stage, step: np.ndarray) -> Stage:
     )
 
 
-def stage_base_motion_columns(stage: Stage) -> np.ndarray:
+def stage_base_motion_columns(stage: Stage) -> Floats:
     """Columns (p, 6 or 3) of a stage's base motion: change of its parameters with its base frame."""
     return np.eye(len(_stage_parameter_names(stage)), 6) if isinstance(stage, Arm) else base_motion_columns(stage)
 
 
-def parameter_jacobian(values: np.ndarray, chain: Chain, last_stage: int | None = None) -> np.ndarray:
+def parameter_jacobian(values: Floats, chain: Chain, last_stage: int | None = None) -> Floats:
     """Parameter Jacobian (n, 6, p): change of the last platform's pose (m, rad) at values (n, axes).
 
     last_stage : number (from 1) of the stage whose platform is meant in the place of the last; what is above it does
@@ -110,7 +110,7 @@ def parameter_jacobian(values: np.ndarray, chain: Chain, last_stage: int | None 
     return np.pad(own, ((0, 0), (0, 0), (0, len(parameter_names(chain)) - own.shape[-1])))
 
 
-def _own(values: np.ndarray, T: RigidTransform, stage: Stage) -> np.ndarray:
+def _own(values: Floats, T: RigidTransform, stage: Stage) -> Floats:
     return arms.parameter_jacobian(values, stage) if isinstance(stage, Arm) else pose_parameter_jacobian(T, stage)
 
 
@@ -124,20 +124,20 @@ class MeasuredStage:
     stage : None for the last.
     """
 
-    values: np.ndarray
+    values: Floats
     T: RigidTransform
-    covariance: np.ndarray
-    common: np.ndarray
+    covariance: Floats
+    common: Floats
     stage: int | None
 
-    def linear(self, chain: Chain, white: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def linear(self, chain: Chain, white: Floats, free: Booleans) -> tuple[Floats, Floats, Floats]:
         """(residual, jacobian, common) as in Linear, at a chain. white : (m, 6, 6); free : (p,) bool"""
         stands = mechanism.stage_poses(self.values, chain)[-1 if self.stage is None else self.stage - 1]
         left = pose_difference(stands, self.T)
         J = parameter_jacobian(self.values, chain, self.stage)[..., free]
         return (white @ left[..., None])[..., 0], white @ J, white @ self.common
 
-    def scatter(self, white: np.ndarray, residual: np.ndarray, inliers: np.ndarray, hat: np.ndarray) -> np.ndarray:
+    def scatter(self, white: Floats, residual: Floats, inliers: Booleans, hat: Floats) -> Floats:
         """(6,) m and rad of its scatter beyond the instrument's own. residual : (m, 6) whitened; hat : (m, 6, 6) of the
         fit, whitened
         """
@@ -165,7 +165,7 @@ def measured_stages(samples: Samples) -> list[MeasuredStage]:
     ]
 
 
-def noise_leverage(linear: Linear, inliers: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+def noise_leverage(linear: Linear, inliers: Booleans, sigma: Floats) -> Floats:
     """Leverage (n, 6, 6) of each pose's noise: the share of it that a fit follows.
 
     sigma : (k,) the prior of the parameters

@@ -15,8 +15,9 @@ from calib.identify.robust_fit import robust_fit
 from calib.models.chain import error_model
 from calib.models.chain.error_model import measured_stages, noise_leverage
 from calib.samples.pose_samples import Samples
+from rig.arrays import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
-from rig.model.design import Chain
+from rig.model.mechanism_geometry import Chain
 
 ROUNDS = 4  # of weighing anew by what scatters beyond the instrument's own
 SETTLED = 1e-3  # share by which the scatter may still change
@@ -61,12 +62,12 @@ class Identified:
     """
 
     chain: Chain
-    step: np.ndarray
-    covariance: np.ndarray
+    step: Floats
+    covariance: Floats
     determined_by_stage: tuple[tuple[int, int], ...]
     undetermined: tuple[UndeterminedParameters, ...]
-    scatter: np.ndarray
-    inliers: np.ndarray
+    scatter: Floats
+    inliers: Booleans
     below: tuple[tuple[int, int, int], ...] = ()
 
     def report(self) -> list[str]:
@@ -103,7 +104,7 @@ def identify_chain(samples: Samples, nominal: Chain) -> Identified:
             f"{len(samples)} poses say nothing of a chain; it takes 3 at the least, better {int(free.sum())}"
         )
     measured = measured_stages(samples)
-    rows = np.split(
+    rows: list[Integers] = np.split(
         np.arange(sum(len(one.values) for one in measured)), np.cumsum([len(one.values) for one in measured])[:-1]
     )
     scatter = np.zeros((len(measured), 6))
@@ -112,7 +113,7 @@ def identify_chain(samples: Samples, nominal: Chain) -> Identified:
             np.linalg.inv(np.linalg.cholesky(one.covariance + np.diag(own**2))) for one, own in zip(measured, scatter)
         ]
 
-        def linearise(p: np.ndarray, white: list[np.ndarray] = white) -> Linear:
+        def linearise(p: Floats, white: list[Floats] = white) -> Linear:
             step = np.zeros(len(sigma))
             step[free] = p
             parts = [
@@ -158,7 +159,7 @@ def identify_chain(samples: Samples, nominal: Chain) -> Identified:
     )
 
 
-def _agreeing(linear: Linear, rows: list[np.ndarray]) -> np.ndarray:
+def _agreeing(linear: Linear, rows: list[Integers]) -> Booleans:
     """(n,) bool, poses that a robust fit of all parameters, linear about the owner's figures, does not find far off,
     from which a fit may start; all where poses are too few for that, or too many are far off. rows : of each body"""
     near = np.ones(len(linear.residual), bool)
@@ -172,7 +173,7 @@ def _agreeing(linear: Linear, rows: list[np.ndarray]) -> np.ndarray:
     return near
 
 
-def _told(covariance: np.ndarray, sigma: np.ndarray, chain: Chain) -> tuple[tuple[int, int], ...]:
+def _told(covariance: Floats, sigma: Floats, chain: Chain) -> tuple[tuple[int, int], ...]:
     """(told, asked) combinations of each stage: those left with less than half of what is plausible."""
     out = []
     for part in error_model.stage_parameter_slices(chain):
@@ -182,7 +183,7 @@ def _told(covariance: np.ndarray, sigma: np.ndarray, chain: Chain) -> tuple[tupl
     return tuple(out)
 
 
-def _untold(covariance: np.ndarray, sigma: np.ndarray, chain: Chain) -> tuple[UndeterminedParameters, ...]:
+def _untold(covariance: Floats, sigma: Floats, chain: Chain) -> tuple[UndeterminedParameters, ...]:
     """The combinations of all parameters that keep more than half of what is plausible, the least told first."""
     free = np.flatnonzero(sigma > 0)
     values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free]))
@@ -206,7 +207,7 @@ def _untold(covariance: np.ndarray, sigma: np.ndarray, chain: Chain) -> tuple[Un
     return tuple(out)
 
 
-def _stands(direction: np.ndarray, sigma: np.ndarray, chain: Chain, spans: tuple[int, ...]) -> tuple[int, int] | None:
+def _stands(direction: Floats, sigma: Floats, chain: Chain, spans: tuple[int, ...]) -> tuple[int, int] | None:
     """(upper, lower) where a direction (p,) in plausible sizes moves the upper stage's base as a whole, and something
     below it; None elsewhere.
     """

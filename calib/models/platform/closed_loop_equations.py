@@ -17,9 +17,10 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.identify.least_squares import Linear
 from calib.samples.pose_samples import Samples
+from rig.arrays import Floats
 from rig.compute.numba_kernels import njit
 from rig.errors import NotConverged, RigError
-from rig.model.design import Planar2
+from rig.model.mechanism_geometry import Planar2
 from rig.model.mechanisms import two_strut_plane
 from rig.model.rotation_increment import rotate_increment
 
@@ -33,13 +34,13 @@ class Measured(NamedTuple):
     the right.
     """
 
-    R: np.ndarray
-    t: np.ndarray
-    covariance: np.ndarray
+    R: Floats
+    t: Floats
+    covariance: Floats
 
 
 @njit(cache=True)
-def _solve_in_place(A: np.ndarray, B: np.ndarray) -> bool:
+def _solve_in_place(A: Floats, B: Floats) -> bool:
     """Gaussian elimination with row pivots: B (n, k) becomes A^-1 B, A (n, n) is used up. Returns whether A is
     regular.
     """
@@ -71,7 +72,7 @@ def _solve_in_place(A: np.ndarray, B: np.ndarray) -> bool:
 
 
 @njit(cache=True)
-def _cholesky_in_place(C: np.ndarray) -> bool:
+def _cholesky_in_place(C: Floats) -> bool:
     """Lower triangle L of C = L L^T (n, n), in C's own. Returns whether C is positive definite."""
     n = C.shape[0]
     for j in range(n):
@@ -89,7 +90,7 @@ def _cholesky_in_place(C: np.ndarray) -> bool:
 
 
 @njit(cache=True)
-def _forward_in_place(L: np.ndarray, B: np.ndarray) -> None:
+def _forward_in_place(L: Floats, B: Floats) -> None:
     """B (n, k) becomes L^-1 B, with the lower triangle of L (n, n)."""
     n, width = L.shape[0], B.shape[1]
     for i in range(n):
@@ -101,9 +102,7 @@ def _forward_in_place(L: np.ndarray, B: np.ndarray) -> None:
 
 
 @njit(cache=True)
-def strut_lengths_and_directions(
-    R: np.ndarray, t: np.ndarray, p: np.ndarray, length: np.ndarray, u: np.ndarray, A: np.ndarray
-) -> None:
+def strut_lengths_and_directions(R: Floats, t: Floats, p: Floats, length: Floats, u: Floats, A: Floats) -> None:
     """Strut lengths into length (6,), directions into u (6, 3), A (6, 6), at pose R, t for parameters p (42,)."""
     for i in range(6):
         a = p[18 + 3 * i : 21 + 3 * i]
@@ -120,7 +119,7 @@ def strut_lengths_and_directions(
 
 
 @njit(cache=True)
-def forward_kinematics_kernel(command: np.ndarray, p: np.ndarray, R: np.ndarray, t: np.ndarray) -> bool:
+def forward_kinematics_kernel(command: Floats, p: Floats, R: Floats, t: Floats) -> bool:
     """Forward kinematics by Newton from pose R (3, 3), t (3,), in place. Returns whether it converged."""
     length, u, A, right = np.empty(6), np.empty((6, 3)), np.empty((6, 6)), np.empty((6, 1))
     reach = 0.3 * np.sqrt(t[0] ** 2 + t[1] ** 2 + t[2] ** 2) + 1e-3
@@ -147,9 +146,7 @@ def forward_kinematics_kernel(command: np.ndarray, p: np.ndarray, R: np.ndarray,
 
 
 @njit(cache=True)
-def pose_error_kernel(
-    R: np.ndarray, t: np.ndarray, R_measured: np.ndarray, t_measured: np.ndarray, e: np.ndarray
-) -> None:
+def pose_error_kernel(R: Floats, t: Floats, R_measured: Floats, t_measured: Floats, e: Floats) -> None:
     """Pose error into e (6,): position (m) and rotation vector (rad) of the measured pose in the predicted one."""
     M = np.empty((3, 3))
     for i in range(3):
@@ -165,14 +162,8 @@ def pose_error_kernel(
 
 @njit(cache=True)
 def whitened_pose_row(
-    R: np.ndarray,
-    t: np.ndarray,
-    p: np.ndarray,
-    measured: Measured,
-    scatter: np.ndarray,
-    right: np.ndarray,
-    J: np.ndarray,
-) -> tuple[bool, np.ndarray]:
+    R: Floats, t: Floats, p: Floats, measured: Measured, scatter: Floats, right: Floats, J: Floats
+) -> tuple[bool, Floats]:
     """Whitened row of one pose, docs/mathematics.md (7), in place: error, pose and parameter columns.
     .
 
@@ -209,14 +200,7 @@ def whitened_pose_row(
 
 @njit(cache=True)
 def whitened_pose_rows(
-    commands: np.ndarray,
-    R: np.ndarray,
-    t: np.ndarray,
-    p: np.ndarray,
-    measured: Measured,
-    scatter: np.ndarray,
-    right: np.ndarray,
-    J: np.ndarray,
+    commands: Floats, R: Floats, t: Floats, p: Floats, measured: Measured, scatter: Floats, right: Floats, J: Floats
 ) -> int:
     """Whitened rows of all poses, as `whitened_pose_row` has them: right (n, 6, 1 + k), J (n, 6, 42).
 
@@ -233,7 +217,7 @@ def whitened_pose_rows(
     return -1
 
 
-def two_strut_loop_jacobian(T_base_platform: RigidTransform, mechanism: Planar2) -> np.ndarray:
+def two_strut_loop_jacobian(T_base_platform: RigidTransform, mechanism: Planar2) -> Floats:
     """Loop Jacobian (..., 2, 6) of two struts: change of zero - length with base joints and zeros (m/m)."""
     struts = T_base_platform.translation[..., None, :2] - mechanism.base_joints
     u = struts / np.linalg.norm(struts, axis=-1, keepdims=True)
@@ -244,9 +228,7 @@ def two_strut_loop_jacobian(T_base_platform: RigidTransform, mechanism: Planar2)
     return out
 
 
-def linearised_hinge_equations(
-    samples: Samples, lengths: np.ndarray, mechanism: Planar2, scatter: np.ndarray
-) -> Linear:
+def linearised_hinge_equations(samples: Samples, lengths: Floats, mechanism: Planar2, scatter: Floats) -> Linear:
     """Linearised equations (least_squares.Linear) of the measured hinge (x, y) at a geometry.
 
     lengths : (n, 2) m, commanded; scatter : (2,) m of each strut beyond the poses' own

@@ -9,7 +9,7 @@ two struts in a plane have 6.
 """
 
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import numpy as np
 import scipy
@@ -19,9 +19,10 @@ from calib.identify.least_squares import Fit, Linear, fit_least_squares
 from calib.identify.robust_fit import MOST, robust_fit
 from calib.models.platform import closed_loop_equations
 from calib.samples.pose_samples import Samples
+from rig.arrays import Booleans, Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms
-from rig.model.design import Hexapod, Planar2
+from rig.model.mechanism_geometry import Hexapod, Planar2
 from rig.model.mechanism_kinds import Struts
 from rig.model.mechanisms import hexapod, two_strut_plane
 
@@ -60,24 +61,24 @@ class Identified:
     """
 
     mechanism: Struts
-    covariance: np.ndarray
-    shared: np.ndarray
-    root: np.ndarray
-    residuals: np.ndarray
-    residual_covariance: np.ndarray
-    scatter: np.ndarray
-    inliers: np.ndarray
-    prior: np.ndarray
+    covariance: Floats
+    shared: Floats
+    root: Floats
+    residuals: Floats
+    residual_covariance: Floats
+    scatter: Floats
+    inliers: Booleans
+    prior: Floats
     cost: float
 
 
-def geometric_parameters(mechanism: Struts) -> np.ndarray:
+def geometric_parameters(mechanism: Struts) -> Floats:
     """Geometric parameters (p,) m: joints and zeros in the order of NAMES."""
     platform = mechanism.platform_joints.ravel() if isinstance(mechanism, Hexapod) else np.zeros(0)
     return np.concatenate([mechanism.base_joints.ravel(), platform, mechanism.strut_zeros])
 
 
-def mechanism_with_parameters(mechanism: S, p: np.ndarray) -> S:
+def mechanism_with_parameters(mechanism: S, p: Floats) -> S:
     """The mechanism with parameters p (p,) m."""
     if isinstance(mechanism, Hexapod):
         return replace(
@@ -89,8 +90,8 @@ def mechanism_with_parameters(mechanism: S, p: np.ndarray) -> S:
 def identify_platform(
     samples: Samples,
     nominal: Struts,
-    offset: np.ndarray | None = None,
-    prior: np.ndarray | None = None,
+    offset: Floats | None = None,
+    prior: Floats | None = None,
     near: Identified | None = None,
 ) -> Identified:
     """Identified platform: joint positions and strut zeros that explain the poses, docs/mathematics.md (7).
@@ -145,7 +146,7 @@ class Loops:
     from again.
     """
 
-    def __init__(self, samples: Samples, lengths: np.ndarray, nominal: Struts, prior: np.ndarray) -> None:
+    def __init__(self, samples: Samples, lengths: Floats, nominal: Struts, prior: Floats) -> None:
         """samples : Samples; lengths : (n, axes) m, commanded; nominal : the prior's middle; prior : (p,) m, its
         width
         """
@@ -165,13 +166,13 @@ class Loops:
         home = (nominal.home if isinstance(nominal, Hexapod) else RigidTransform.identity()).as_matrix()
         self.R, self.t = np.tile(home[:3, :3], (len(samples), 1, 1)), np.tile(home[:3, 3], (len(samples), 1))
 
-    def fit(self, start: np.ndarray, inliers: np.ndarray, scatter: np.ndarray) -> Fit:
+    def fit(self, start: Floats, inliers: Booleans, scatter: Floats) -> Fit:
         """least_squares.Fit from parameters start (p,). inliers : (n,) bool; scatter : (axes,) m"""
         return fit_least_squares(
             lambda p: self.linearise(p, scatter), start, geometric_parameters(self.nominal), self.prior, inliers=inliers
         )
 
-    def linearise(self, p: np.ndarray, scatter: np.ndarray) -> Linear:
+    def linearise(self, p: Floats, scatter: Floats) -> Linear:
         """least_squares.Linear at parameters p (p,). Raises RigError naming the first pose that has no solution
         there.
         """
@@ -193,7 +194,7 @@ class Loops:
             )
         return Linear(right[..., 0], J, right[..., 1:])
 
-    def agreeing(self, p: np.ndarray) -> np.ndarray:
+    def agreeing(self, p: Floats) -> Booleans:
         """(n,) bool, poses that a robust fit of each strut's loop about parameters p (p,) does not find far off, from
         which a fit may start; all where poses are too few for that, or too many are far off. What parameters may do is
         asked at the poses that commands give, of which none is wild. Raises NotConverged for commands that no pose
@@ -217,9 +218,9 @@ class Loops:
             ]
         )
         near = (np.abs(found.residual) < GATE * np.maximum(1.0, found.scale)).all(axis=1)
-        return near if (~near).mean() <= MOST else every
+        return cast(Booleans, near if (~near).mean() <= MOST else every)
 
-    def closure(self, found: Fit) -> tuple[np.ndarray, np.ndarray]:
+    def closure(self, found: Fit) -> tuple[Floats, Floats]:
         """(n, axes) m what each strut's loop leaves at the fit, shared errors taken out, and its covariance (n, axes,
         axes) m^2 from the poses'.
         """
@@ -233,20 +234,20 @@ class Loops:
         return left, A @ self.samples.covariance @ np.swapaxes(A, 1, 2)
 
 
-def strut_length_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndarray:
+def strut_length_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> Floats:
     """Strut length Jacobian (..., axes, 6), m/m and m/rad, by the poses' tangents on the right."""
     if isinstance(mechanism, Hexapod):
         return hexapod.jacobian(T_base_platform, mechanism)
     return two_strut_plane.jacobian(T_base_platform, mechanism)
 
 
-def inverse_strut_length_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndarray:
+def inverse_strut_length_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> Floats:
     """Inverse strut length Jacobian (..., 6, axes): change of the pose's tangent with strut lengths."""
     A = strut_length_jacobian(T_base_platform, mechanism)
-    return np.linalg.inv(A) if A.shape[-2] == 6 else np.linalg.pinv(A)
+    return cast(Floats, np.linalg.inv(A) if A.shape[-2] == 6 else np.linalg.pinv(A))
 
 
-def loop_closure_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndarray:
+def loop_closure_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> Floats:
     """Loop closure Jacobian (..., axes, p): change of zero - length with the parameters, at poses (...)."""
     if isinstance(mechanism, Planar2):
         return closed_loop_equations.two_strut_loop_jacobian(T_base_platform, mechanism)
@@ -263,7 +264,7 @@ def loop_closure_jacobian(T_base_platform: RigidTransform, mechanism: Struts) ->
     return D
 
 
-def pose_parameter_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndarray:
+def pose_parameter_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> Floats:
     """Pose Jacobian J_p (..., 6, p) by the parameters (m), at constant command.
 
     delta_e = J_p delta_x, docs/mathematics.md (7); source: the on-line learning patent for Stewart platforms, eq. 1
@@ -273,12 +274,15 @@ def pose_parameter_jacobian(T_base_platform: RigidTransform, mechanism: Struts) 
         return inverse_strut_length_jacobian(T_base_platform, mechanism) @ loop_closure_jacobian(
             T_base_platform, mechanism
         )
-    return np.linalg.solve(
-        hexapod.jacobian(T_base_platform, mechanism), loop_closure_jacobian(T_base_platform, mechanism)
+    return cast(
+        Floats,
+        np.linalg.solve(
+            hexapod.jacobian(T_base_platform, mechanism), loop_closure_jacobian(T_base_platform, mechanism)
+        ),
     )
 
 
-def _scatter(left: np.ndarray, S: np.ndarray, inliers: np.ndarray, spent: int) -> np.ndarray:
+def _scatter(left: Floats, S: Floats, inliers: Booleans, spent: int) -> Floats:
     """(axes,) m: what each strut scatters beyond the poses' own covariance, 0 where that suffices. spent : poses' worth
     of parameters
     """
@@ -295,7 +299,7 @@ def _scatter(left: np.ndarray, S: np.ndarray, inliers: np.ndarray, spent: int) -
     )
 
 
-def _inliers(left: np.ndarray, S: np.ndarray, scatter: np.ndarray) -> np.ndarray:
+def _inliers(left: Floats, S: Floats, scatter: Floats) -> Floats:
     sigma = np.sqrt(np.einsum("nii->ni", S) + scatter**2)
     scale = np.maximum(1.0, 1.4826 * np.median(np.abs(left / sigma), axis=0))
     return (np.abs(left) < GATE * scale * sigma).all(axis=1)

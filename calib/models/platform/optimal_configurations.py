@@ -11,13 +11,15 @@ Optimum Experimental Designs, 2007, ch. 10
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
 from calib.models.platform.identification import pose_parameter_jacobian
 from calib.models.platform.parameter_accuracy import PLAUSIBLE
+from rig.arrays import Booleans, Floats
 from rig.errors import NotConverged, RigError
-from rig.model.design import Hexapod
+from rig.model.mechanism_geometry import Hexapod
 from rig.model.mechanisms import hexapod as mechanism
 from rig.planning import configuration_sets
 from rig.planning.approach_balance import balanced_order
@@ -30,7 +32,7 @@ PAYS = 1e-4  # relative gain below which an exchange is not made
 LOOKED_AT = 24  # candidates whose noise amplification is worked out exactly, the most promising ones
 CRITERIA = ("determinant", "noise")
 
-Avoided = Callable[[np.ndarray], np.ndarray]  # configurations (n, 6) m -> (n,) bool, those that are not to be visited
+Avoided = Callable[[Floats], Booleans]  # configurations (n, 6) m -> (n,) bool, those that are not to be visited
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,10 +41,10 @@ class Chosen:
     root : (42, 42) information's square root, 1/m, with what was given; before : of what was given alone
     even : (42, 42) with as many low-discrepancy configurations in their stead"""
 
-    commands: np.ndarray
-    root: np.ndarray
-    before: np.ndarray
-    even: np.ndarray
+    commands: Floats
+    root: Floats
+    before: Floats
+    even: Floats
 
 
 def choose_d_optimal_configurations(
@@ -50,7 +52,7 @@ def choose_d_optimal_configurations(
     count: int,
     sigmas: tuple[float, float],
     criterion: str = "determinant",
-    given_configurations: np.ndarray | None = None,
+    given_configurations: Floats | None = None,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
     avoided: Avoided | None = None,
@@ -86,7 +88,7 @@ def choose_d_optimal_configurations(
 
 
 def exchange_configurations(
-    G: np.ndarray, M0: np.ndarray, count: int, criterion: str, progress: Callable[[int, int], None] | None = None
+    G: Floats, M0: Floats, count: int, criterion: str, progress: Callable[[int, int], None] | None = None
 ) -> list[int]:
     """Exchange of configurations: `count` candidates of rows G (c, m, p) that add most to information M0."""
     picked: list[int] = []
@@ -114,9 +116,7 @@ def exchange_configurations(
     return picked
 
 
-def configuration_information(
-    commands: np.ndarray, hexapod: Hexapod, sigmas: tuple[float, float]
-) -> tuple[np.ndarray, np.ndarray]:
+def configuration_information(commands: Floats, hexapod: Hexapod, sigmas: tuple[float, float]) -> tuple[Floats, Floats]:
     """Information of configurations: (commands (n, 6) m that close, rows (n, 6, 42) whitened by the pose's sigmas)."""
     commands = np.asarray(commands, float)
     while True:
@@ -131,7 +131,7 @@ def configuration_information(
 
 def _candidates(
     hexapod: Hexapod, sigmas: tuple[float, float], seed: int, avoided: Avoided | None
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Floats, Floats]:
     """Low-discrepancy configurations and the strokes' outermost ones, with their rows."""
     spread = configuration_sets.sobol_configurations(hexapod.strut_range, CANDIDATES, FILL, seed)
     return configuration_information(
@@ -143,7 +143,7 @@ def _candidates(
     )
 
 
-def allowed_configurations(commands: np.ndarray, avoided: Avoided | None) -> np.ndarray:
+def allowed_configurations(commands: Floats, avoided: Avoided | None) -> Floats:
     """Configurations among the commands (n, 6) m that are allowed. Raises RigError where none is."""
     kept = commands if avoided is None else commands[~avoided(commands)]
     if not len(kept):
@@ -155,13 +155,13 @@ def allowed_configurations(commands: np.ndarray, avoided: Avoided | None) -> np.
     return kept
 
 
-def total_information(G: np.ndarray, picked: list[int] | np.ndarray) -> np.ndarray:
+def total_information(G: Floats, picked: list[int] | Floats) -> Floats:
     """Total information (p, p) of the picked (k,) candidates with whitened rows G (c, m, p)."""
     rows = G[picked].reshape(-1, G.shape[2])
     return rows.T @ rows
 
 
-def _determinant(M: np.ndarray, G: np.ndarray, present: int = 0) -> tuple[float, np.ndarray]:
+def _determinant(M: Floats, G: Floats, present: int = 0) -> tuple[float, Floats]:
     """(log volume that candidate `present` adds to information M, that which each candidate adds (c,))."""
     half = np.linalg.inv(np.linalg.cholesky(M))
     rows = G @ half.T
@@ -169,7 +169,7 @@ def _determinant(M: np.ndarray, G: np.ndarray, present: int = 0) -> tuple[float,
     return values[present], values
 
 
-def _noise(M: np.ndarray, G: np.ndarray, present: int = 0) -> tuple[float, np.ndarray]:
+def _noise(M: Floats, G: Floats, present: int = 0) -> tuple[float, Floats]:
     """(noise amplification index with candidate `present`, with each candidate (c,), -inf for those not worth looking
     at).
     """
@@ -183,8 +183,8 @@ def _noise(M: np.ndarray, G: np.ndarray, present: int = 0) -> tuple[float, np.nd
     return index[0], values
 
 
-def _root(rows: np.ndarray) -> np.ndarray:
-    R: np.ndarray = np.asarray(np.linalg.qr(rows, mode="r")) / PLAUSIBLE
+def _root(rows: Floats) -> Floats:
+    R: Floats = np.asarray(np.linalg.qr(rows, mode="r")) / PLAUSIBLE
     return np.concatenate([R, np.zeros((42 - len(R), 42))]) if len(R) < 42 else R
 
 
@@ -199,15 +199,15 @@ class ChosenConfigurations:
     """commands : (n, 6) m, in the order in which they help most; left : (n + 1,) m, the position error, RMS over the
     workspace, that 97.5 % of machines keep to once so many of them are measured beside what was given."""
 
-    commands: np.ndarray
-    left: np.ndarray
+    commands: Floats
+    left: Floats
 
 
 def fewest_configurations(
     hexapod: Hexapod,
     promise: float,
     sigmas: tuple[float, float],
-    given_configurations: np.ndarray | None = None,
+    given_configurations: Floats | None = None,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
     avoided: Avoided | None = None,
@@ -226,10 +226,10 @@ def fewest_configurations(
     )
     J = pose_parameter_jacobian(mechanism.forward(places, hexapod), hexapod)[:, :3].reshape(-1, 42) * PLAUSIBLE
     A = J.T @ J / len(places)
-    covariance = np.eye(42)  # of the parameters, each in its plausible size
+    covariance: Floats = np.eye(42)  # of the parameters, each in its plausible size
     if given_configurations is not None and len(given_configurations):
         known = configuration_information(given_configurations, hexapod, sigmas)[1].reshape(-1, 42)
-        covariance = np.linalg.inv(np.eye(42) + known.T @ known)
+        covariance = cast(Floats, np.linalg.inv(np.eye(42) + known.T @ known))
     chosen: list[int] = []
     left = [_left(covariance, A, seed)]
     while left[-1] > promise:
@@ -252,7 +252,7 @@ def fewest_configurations(
     return ChosenConfigurations(candidates[chosen].reshape(-1, 6), np.array(left))
 
 
-def _left(covariance: np.ndarray, A: np.ndarray, seed: int) -> float:
+def _left(covariance: Floats, A: Floats, seed: int) -> float:
     """m, what SURE of machines keep to: mean squares are sums of squares of normal draws, weighed by the
     eigenvalues.
     """

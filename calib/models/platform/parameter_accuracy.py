@@ -11,7 +11,8 @@ import numpy as np
 
 from calib.identify.least_squares import Visibility, parameter_visibility
 from calib.models.platform.identification import NAMES, PRIOR, Identified, geometric_parameters
-from rig.model.design import Hexapod
+from rig.arrays import Floats
+from rig.model.mechanism_geometry import Hexapod
 from rig.model.mechanism_kinds import Struts
 from rig.model.mechanisms import hexapod
 from rig.model.pose import skew
@@ -25,7 +26,7 @@ MOSTLY = 0.9  # share of a combination that its description covers, where that m
 class Combination:
     """direction : (p,) unit; sigma : m, standard error along it from the poses alone; name : what it is, mostly."""
 
-    direction: np.ndarray
+    direction: Floats
     sigma: float
     name: str
 
@@ -35,7 +36,7 @@ class Combination:
         return self.sigma < PLAUSIBLE
 
 
-def parameter_combinations(root: np.ndarray, mechanism: Struts) -> tuple[tuple[Combination, ...], Visibility]:
+def parameter_combinations(root: Floats, mechanism: Struts) -> tuple[tuple[Combination, ...], Visibility]:
     """Parameter combinations, worst determined first, and Visibility, by the information's root (p, p) 1/m."""
     seen: Visibility = parameter_visibility(root, np.full(root.shape[1], PLAUSIBLE))
     patterns = _patterns(mechanism)
@@ -46,12 +47,12 @@ def parameter_combinations(root: np.ndarray, mechanism: Struts) -> tuple[tuple[C
     ), seen
 
 
-def standard_error_along(root: np.ndarray, direction: np.ndarray) -> float:
+def standard_error_along(root: Floats, direction: Floats) -> float:
     """Standard error (m) along a direction (42,) for the information's square root."""
     return float(np.linalg.norm(np.linalg.solve(root.T, direction)))
 
 
-def frame_motion_columns(mechanism: Hexapod) -> np.ndarray:
+def frame_motion_columns(mechanism: Hexapod) -> Floats:
     """Frame motion columns (42, 12): the parameters' change with the base frame and the platform frame.
 
     Where targets with stated poses hold both frames the poses determine them like any other combination; where an
@@ -65,7 +66,7 @@ def frame_motion_columns(mechanism: Hexapod) -> np.ndarray:
     return out
 
 
-def base_motion_columns(mechanism: Struts) -> np.ndarray:
+def base_motion_columns(mechanism: Struts) -> Floats:
     """Base motion columns (p, 6): the parameters' change with the base frame; of two struts (6, 3)."""
     if isinstance(mechanism, Hexapod):
         return frame_motion_columns(mechanism)[:, :6]
@@ -75,7 +76,7 @@ def base_motion_columns(mechanism: Struts) -> np.ndarray:
     return out
 
 
-def _direction_text(direction: np.ndarray, patterns: dict[str, np.ndarray]) -> str:
+def _direction_text(direction: Floats, patterns: dict[str, Floats]) -> str:
     """A unit direction (p,) in words: up to TERMS of the patterns {name: (p,) unit} or single parameters, the largest
     first.
     """
@@ -88,7 +89,7 @@ def _direction_text(direction: np.ndarray, patterns: dict[str, np.ndarray]) -> s
     return ", ".join(terms)
 
 
-def _patterns(mechanism: Struts) -> dict[str, np.ndarray]:
+def _patterns(mechanism: Struts) -> dict[str, Floats]:
     """{name: unit direction (p,)}: plates moved and scaled as a whole, all zeros together, each strut's loop, each
     parameter alone.
     """
@@ -109,7 +110,7 @@ def _patterns(mechanism: Struts) -> dict[str, np.ndarray]:
     return {name: pattern / np.linalg.norm(pattern) for name, pattern in found.items() if np.linalg.norm(pattern) > 0}
 
 
-def _of_hexapod(mechanism: Hexapod) -> dict[str, np.ndarray]:
+def _of_hexapod(mechanism: Hexapod) -> dict[str, Floats]:
     """{name: direction (42,)} of a hexapod's patterns beyond single parameters."""
     found = {}
     motions = frame_motion_columns(mechanism)
@@ -130,7 +131,7 @@ def _of_hexapod(mechanism: Hexapod) -> dict[str, np.ndarray]:
     return found
 
 
-def _directions(mechanism: Hexapod) -> np.ndarray:
+def _directions(mechanism: Hexapod) -> Floats:
     """(6, 3) the struts' unit directions at home, in the base frame."""
     return hexapod.jacobian(mechanism.home, mechanism)[:, :3] @ mechanism.home.rotation.as_matrix().T
 
@@ -147,19 +148,19 @@ class Tolerance:
     counts : how many of the parameters are joints' coordinates and how many are zeros
     """
 
-    widths: np.ndarray
-    weight: np.ndarray
-    information: np.ndarray
-    right: np.ndarray
+    widths: Floats
+    weight: Floats
+    information: Floats
+    right: Floats
     counts: tuple[int, int]
 
     @property
-    def prior(self) -> np.ndarray:
+    def prior(self) -> Floats:
         """(p,) m, the likeliest standard deviation of each parameter (the mean of its logarithm)."""
         return expand_parameter_widths(np.exp(self.weight @ np.log(self.widths)), self.counts)
 
 
-def expand_parameter_widths(widths: np.ndarray, counts: tuple[int, int]) -> np.ndarray:
+def expand_parameter_widths(widths: Floats, counts: tuple[int, int]) -> Floats:
     """Widths (..., p) of all parameters, expanded from those (..., 2) of joints and of zeros."""
     return np.repeat(widths, counts, axis=-1)
 

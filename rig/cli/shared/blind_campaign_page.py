@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rig.formats.json_tree import Json
 from rig.report.pages.html_elements import heading, note, paragraph, table
 from rig.report.pages.page_and_svg_templates import Link, Page, write_page
 from rig.report.pages.plots import Series, plot_panel
@@ -24,7 +25,7 @@ LINKS = 12  # to diagnoses that were not right
 OUTCOMES = ("named and placed", "named", "allowed", "taken for another", "unknown", "nothing")
 
 
-def campaign_dict(cases: list[Case]) -> dict:
+def campaign_dict(cases: list[Case]) -> Json:
     """Dict of a campaign for JSON: verdict, figures, medians, by_effect, by_strength, confusion, cases."""
     return {
         "verdict": campaign_verdict(diagnosis_score.campaign_figures(cases)).tree(),
@@ -70,7 +71,7 @@ def _outcome(case: Case, hidden: Hidden) -> str:
     return "named and placed" if found.place == hidden.place else "named"
 
 
-def write_campaign_page(path: Path, settings: dict, cases: list[Case]) -> None:
+def write_campaign_page(path: Path, settings: Json, cases: list[Case]) -> None:
     """Write the page of a campaign: figures with intervals, by effect, by strength, confusion, wrong answers."""
     said = ", ".join(
         f"{name} {', '.join(map(str, value)) if isinstance(value, list) else value}"
@@ -158,7 +159,7 @@ def _said(f: Figure) -> str:
     return f"{f.name} {f.hits} of {f.trials} ({f.low:.0%} to {f.high:.0%}, to reach {f.goal or 0:.0%})"
 
 
-def _figure(f: Figure) -> tuple:
+def _figure(f: Figure) -> tuple[Any, ...]:
     goal = "" if f.goal is None else f"{f.goal:.0%}"
     return (
         f.name,
@@ -169,14 +170,14 @@ def _figure(f: Figure) -> tuple:
     )
 
 
-def _rows(groups: list) -> list[dict]:
+def _rows(groups: list[Any]) -> list[Json]:
     return [
         {"name": name, **{f.name: [f.hits, f.trials] for f in figures}, "taken_for": taken}
         for name, figures, taken in groups
     ]
 
 
-def _grouped(groups: list, heading: str) -> str:
+def _grouped(groups: list[Any], heading: str) -> str:
     rows = [
         (
             name,

@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.compute.worker_processes import end_when_parent_ends
+from rig.formats.json_tree import Json
 
 if TYPE_CHECKING:
-    import numpy as np
+    from rig.arrays import Floats
 
 
 def hash_file(out: Path, index: int) -> Path:
@@ -26,7 +27,7 @@ def hash_file(out: Path, index: int) -> Path:
     return out / "hashes" / f"{index:04d}.sha256"
 
 
-def draw_blind_case(out: Path, index: int, settings: dict) -> None:
+def draw_blind_case(out: Path, index: int, settings: Json) -> None:
     """Draw a case and write its recording, its truth, and last the truth's hash: from then on the case is blinded."""
     from rig.formats.output_files import Outputs, write_text
 
@@ -39,7 +40,7 @@ def draw_blind_case(out: Path, index: int, settings: dict) -> None:
     write_text(hash_file(out, index), f"{sha256(truth.read_bytes()).hexdigest()}  ../truth/{truth.name}\n")
 
 
-def _drawn_case(index: int, settings: dict, folder: Path) -> tuple[Callable[..., None], np.ndarray]:
+def _drawn_case(index: int, settings: Json, folder: Path) -> tuple[Callable[..., None], Floats]:
     """(what writes the truth of a hexapod's case, its effects' strengths), its recording written."""
     from calib.diagnosis.problems.platform.effect_strength import platform_effect_signal_to_noise
     from rig.recording import recording_folder
@@ -63,7 +64,7 @@ def _drawn_case(index: int, settings: dict, folder: Path) -> tuple[Callable[...,
     return partial(blind.write_truth, case), values
 
 
-def _drawn_arm_case(index: int, settings: dict, folder: Path) -> tuple[Callable[..., None], np.ndarray]:
+def _drawn_arm_case(index: int, settings: Json, folder: Path) -> tuple[Callable[..., None], Floats]:
     """The same of an arm's case."""
     from calib.diagnosis.problems.arm.effect_strength import arm_effect_signal_to_noise
     from synthetic import blind_arm_cases as blind_arm

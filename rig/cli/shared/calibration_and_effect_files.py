@@ -13,7 +13,7 @@ from rig.formats.output_files.folder_manifest import file_digest
 from rig.report.verdict import State
 
 if TYPE_CHECKING:
-    from calib.files.calibration_file import Calibration
+    from calib.certification.calibration import Calibration
     from rig.effects.texts.effect_notation import Kinds
     from rig.effects.texts.user_effect_files import Plugin
 

@@ -3,10 +3,9 @@
 from calib.api.calibrate import CalibrationResult
 from calib.api.correction_extension import Extended
 from calib.certification import platform_certification
-from calib.certification.calibration import claim_lines
+from calib.certification.calibration import Calibration, claim_lines
 from calib.certification.workspace_claim import Claim
 from calib.correction.physics_compensation import Physics
-from calib.files.calibration_file import Calibration
 from calib.models.arm import certification as arm_certification
 from calib.models.chain import certification as chain_certification
 from calib.workspace.workspace_page import workspace_lines

@@ -6,7 +6,7 @@ import multiprocessing
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rig.errors import RigError
 
@@ -25,7 +25,7 @@ def forbid_own_reading_of_folder(folder: str | Path) -> None:
     """Forbid this process to read a folder: PermissionError from now on (PEP 578; irrevocable)."""
     closed = os.path.realpath(folder)
 
-    def watch(event: str, given: tuple) -> None:
+    def watch(event: str, given: tuple[Any, ...]) -> None:
         if event in WATCHED and given and isinstance(given[0], (str, bytes, os.PathLike)):
             path = os.path.realpath(os.fsdecode(given[0]))
             if path == closed or path.startswith(closed + os.sep):

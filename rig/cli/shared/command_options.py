@@ -14,7 +14,7 @@ from rig.formats.number_parsing_and_rounding import parse_number
 from rig.formats.output_files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
-    from calib.certification.platform_certification import HeldOut
+    from calib.certification.held_out_errors import HeldOut
     from rig.recording.recording_folder import Recording
     from rig.report.pages.page_and_svg_templates import Link
     from vision.recording_adjustment import Measurement

@@ -5,8 +5,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
+from rig.arrays import Floats
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_lock import Occupied
 from rig.driving.driver_reports import Status
@@ -67,7 +66,7 @@ def settled_status(driver: Driver, clock: Clock, timeout: float = 60.0, poll_int
     return status
 
 
-def lengths_text(lengths: np.ndarray) -> str:
+def lengths_text(lengths: Floats) -> str:
     """Lengths (n,) m as text, in mm."""
     return " ".join(f"{value * 1e3:.4f}" for value in lengths) + " mm"
 

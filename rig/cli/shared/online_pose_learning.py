@@ -6,12 +6,14 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.cli.shared.command_options import Progress, print_frames_without_pose
+from rig.cli.shared.command_options import print_frames_without_pose
+from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
     from calib.samples.pose_samples import Samples
+    from rig.arrays import Floats
     from rig.recording.frame_content_hashes import Marks
     from rig.recording.recording_folder import Recording
 
@@ -48,9 +50,7 @@ def unlearnt_samples(samples: Samples, fresh: list[int], recording: Recording) -
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    import numpy as np
-
-    from calib.files.calibration_file import Calibration
+    from calib.certification.calibration import Calibration
     from calib.online.learners import Learner
     from calib.report.online_and_limb_pages import OnlineResult
     from calib.samples.recording_samples import Sampled
@@ -188,13 +188,13 @@ def _learner(arguments: Namespace, recording: Recording, calibration: Calibratio
     return learner
 
 
-def _quarters(errors: np.ndarray) -> tuple[float, float]:
+def _quarters(errors: Floats) -> tuple[float, float]:
     """RMS of errors (n, 6) whitened in the first quarter of the poses, and in the last."""
     quarter = max(len(errors) // 4, 1)
     return float((errors[:quarter] ** 2).mean() ** 0.5), float((errors[-quarter:] ** 2).mean() ** 0.5)
 
 
-def _print_prediction_errors(errors: np.ndarray) -> None:
+def _print_prediction_errors(errors: Floats) -> None:
     """Say how far poses were from what was expected of them. errors : (n, 6) whitened"""
     first, last = _quarters(errors)
     print(

@@ -10,10 +10,9 @@ from rig.cli.shared.command_options import parse_numbers, require_matplotlib
 from rig.errors import RigError
 
 if TYPE_CHECKING:
-    import numpy as np
-
+    from rig.arrays import Floats
     from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
-    from rig.model.design import Arm
+    from rig.model.mechanism_geometry import Arm
     from rig.posture.exertable_wrench import Exertion
 
 
@@ -39,7 +38,7 @@ def add_exertion_options(parser: ArgumentParser) -> None:
 
 
 def requested_exertion(
-    arguments: Namespace, arm: Arm, dynamics: ArmDynamics, gravity: np.ndarray, path: Path
+    arguments: Namespace, arm: Arm, dynamics: ArmDynamics, gravity: Floats, path: Path
 ) -> Exertion | None:
     """Requested exertion (--exert) or None. gravity : (3,) m/s^2; path : of the arm. Raises RigError for bad options"""
     import numpy as np
@@ -66,7 +65,7 @@ def requested_exertion(
     return Exertion(wrench, Strength(limits, dynamics.links, gravity))
 
 
-def exertion_dict(q: np.ndarray, arm: Arm, exertion: Exertion) -> dict[str, Any]:
+def exertion_dict(q: Floats, arm: Arm, exertion: Exertion) -> dict[str, Any]:
     """Dict of an exertion at posture q (n,) rad for JSON: torques, margins, greatest multiple, extreme directions."""
     import numpy as np
 
@@ -128,7 +127,7 @@ def exertion_lines(figures: dict[str, Any], units: tuple[str, ...]) -> list[str]
     return out
 
 
-def exertion_svg(q: np.ndarray, arm: Arm, exertion: Exertion) -> str:
+def exertion_svg(q: Floats, arm: Arm, exertion: Exertion) -> str:
     """SVG of the exertion at posture q (n,) rad: force polytope. Raises RigError where it cannot hold its own weight"""
     import numpy as np
 

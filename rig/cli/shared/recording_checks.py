@@ -4,7 +4,8 @@ import argparse
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.command_options import Progress, read_recording
+from rig.cli.shared.command_options import read_recording
+from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
 
 if TYPE_CHECKING:

@@ -14,6 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.certification.measuring_limb_checks import has_six_measuring_limbs
 from calib.online.measuring_limb_poses import Disagreement, LiveLimbPoses
 from calib.online.run_learning import Learner, Learnt, LimbWatch
+from rig.arrays import Floats
 from rig.cli.online import change_sentence
 from rig.driving.clock import Clock
 from rig.driving.move_and_record_loop import Shot
@@ -56,9 +57,9 @@ class View:
     step: int
     steps: int
     left: float
-    lengths: np.ndarray
-    goal: np.ndarray
-    ranges: np.ndarray
+    lengths: Floats
+    goal: Floats
+    ranges: Floats
     alarms: tuple[Alarm, ...]
     seen: MeasuredFrame | None
     ended: str | None
@@ -90,7 +91,7 @@ class RunObserver:
         self,
         design: Design,
         planned: tuple[Step, ...],
-        start: np.ndarray,
+        start: Floats,
         clock: Clock,
         live: Live | None,
         learner: Learner | None,
@@ -105,7 +106,7 @@ class RunObserver:
         )  # puts what is said on record; the operator's, once there is one
         self._watch = Watch(design)
         self._limbs = LimbWatch(design) if has_six_measuring_limbs(design) else None
-        self._read: np.ndarray | None = None
+        self._read: Floats | None = None
         self.source: LiveLimbPoses | None = None  # limbs whose poses stand for vision's
         self.withdraw: Callable[[LiveLimbPoses, int, str], None] = lambda source, frame, reason: (
             None
@@ -130,7 +131,7 @@ class RunObserver:
             None,
         )
         self._lock = threading.RLock()
-        self._queue: queue.Queue[tuple[Shot, np.ndarray | None] | None] = queue.Queue(WAITING)
+        self._queue: queue.Queue[tuple[Shot, Floats | None] | None] = queue.Queue(WAITING)
         self._worker = threading.Thread(target=self._work, daemon=True)
         self._worker.start()
 
@@ -238,7 +239,7 @@ class RunObserver:
         sight = live.take(shot.number, {name: frame.image for name, frame in shot.frames.items()}, self._expected(shot))
         return sight, self._watch.look(sight, live.noise)
 
-    def _by_limbs(self, shot: Shot, lengths: np.ndarray, source: LiveLimbPoses) -> None:
+    def _by_limbs(self, shot: Shot, lengths: Floats, source: LiveLimbPoses) -> None:
         """A shot's pose from the limbs, learnt; vision looks where it is due, and what it has not confirmed is not
         said.
         """
@@ -290,7 +291,7 @@ class RunObserver:
             )
         )
 
-    def _measure(self, shot: Shot, lengths: np.ndarray | None, live: Live) -> None:
+    def _measure(self, shot: Shot, lengths: Floats | None, live: Live) -> None:
         sight, alarms = self._look(shot, live)
         learnt = None
         if self._learner is not None and sight.covariance is not None:

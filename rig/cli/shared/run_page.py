@@ -8,7 +8,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.report.pose_figures import closed_outline, fixed_rig_lines
+from rig.arrays import Floats, Integers
 from rig.cli.shared.run_observation import MeasuredFrame, RunObserver, View
+from rig.formats.json_tree import Json
 from rig.model.design import Camera, Design
 from rig.model.mechanism_kinds import has_plates
 from rig.model.pose import pose_to_vector, transform_points
@@ -55,7 +57,7 @@ class RunPage:
         self._design = looking.design
         self._server = PageServer(lambda: looking.ask_stop("stopped from the page"), port)
         self.url = self._server.url
-        self._history: list[dict] = []
+        self._history: list[Json] = []
         self._shown: MeasuredFrame | None = None
         self._markers = marker_map(self._design.without_stages()) if self._design.targets else None
         self._fixed = fixed_rig_lines(self._design, self._markers)
@@ -78,7 +80,7 @@ class RunPage:
     def close(self) -> None:
         """The run is over; the page stays until the context ends."""
 
-    def _event(self, view: View, history: list[dict]) -> dict:
+    def _event(self, view: View, history: list[Json]) -> Json:
         struts = [
             {"low": low * 1e3, "high": high * 1e3, "at": at * 1e3, "goal": goal * 1e3}
             for (low, high), at, goal in zip(view.ranges.tolist(), view.lengths.tolist(), view.goal.tolist())
@@ -101,7 +103,7 @@ class RunPage:
         }
 
 
-def _figures(seen: MeasuredFrame) -> dict:
+def _figures(seen: MeasuredFrame) -> Json:
     """What charts show of a frame."""
     rms = float(np.sqrt(np.mean(np.square(list(seen.rms.values()))))) if seen.rms else None
     learnt = seen.learnt
@@ -113,11 +115,11 @@ def _figures(seen: MeasuredFrame) -> dict:
     }
 
 
-def _seen(seen: MeasuredFrame, design: Design, markers: MarkerMap | None) -> dict:
+def _seen(seen: MeasuredFrame, design: Design, markers: MarkerMap | None) -> Json:
     ids = np.zeros(0, int) if markers is None else markers.id
     sight, learnt, T = seen.sight, seen.learnt, seen.sight.T_base_platform
 
-    def scaled(values: np.ndarray, scale: float) -> list[float]:
+    def scaled(values: Floats, scale: float) -> list[float]:
         return (np.asarray(values) * scale).tolist()
 
     return {
@@ -134,7 +136,7 @@ def _seen(seen: MeasuredFrame, design: Design, markers: MarkerMap | None) -> dic
     }
 
 
-def _camera(seen: MeasuredFrame, i: int, camera: Camera, ids: np.ndarray) -> dict:
+def _camera(seen: MeasuredFrame, i: int, camera: Camera, ids: Integers) -> Json:
     """What one camera saw. ids : identity of each row of the marker map"""
     sight, detection = seen.sight, seen.sight.detections[camera.name]
     o = sight.observations
@@ -157,7 +159,7 @@ def _camera(seen: MeasuredFrame, i: int, camera: Camera, ids: np.ndarray) -> dic
     }
 
 
-def _rig(design: Design, fixed: list[dict], markers: MarkerMap | None, T: RigidTransform | None) -> dict:
+def _rig(design: Design, fixed: list[Json], markers: MarkerMap | None, T: RigidTransform | None) -> Json:
     """The rig as lines at a pose of the platform, at home before one is known."""
     m, parts = design.mechanism, list(fixed)
     middle = [0.0, 0.0, 0.0]

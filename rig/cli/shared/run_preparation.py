@@ -17,6 +17,7 @@ from calib.files import calibration_file
 from calib.online.limb_pose_source import write_withdrawal
 from calib.online.measuring_limb_poses import LiveLimbPoses
 from calib.online.run_learning import Learner
+from rig.arrays import Floats, Pixels
 from rig.cli.shared import poses_from_readings
 from rig.cli.shared.run_observation import Display, RunObserver, Stopping
 from rig.cli.shared.run_page import RunPage
@@ -61,14 +62,12 @@ def warm_up(design: Design) -> None:
         learner.learn(lengths, m.home, 1e-10 * np.eye(6))
 
 
-def draw_markers(
-    cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap
-) -> dict[str, np.ndarray]:
+def draw_markers(cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap) -> dict[str, Pixels]:
     """Draw markers as each camera sees them: {camera: (height, width) uint8}, without occlusion."""
     return {camera.name: _picture(camera, T_base_platform, markers) for camera in cameras}
 
 
-def _picture(camera: Camera, T_base_platform: RigidTransform, markers: MarkerMap) -> np.ndarray:
+def _picture(camera: Camera, T_base_platform: RigidTransform, markers: MarkerMap) -> Pixels:
     image = np.full((camera.height, camera.width), GREY, np.uint8)
     for row, quad in zip(*markers_expected_in_image(camera, T_base_platform, markers)):
         cells = np.kron(marker_cells(markers.dictionary[row], int(markers.id[row])), np.ones((CELL, CELL)))
@@ -118,13 +117,13 @@ def open_bench(design: Design, driver: Driver, shutter: Shutter, settling: Settl
     )
 
 
-def _move_time_profile(design: Design) -> Callable[[np.ndarray, np.ndarray, float, float], Way]:
+def _move_time_profile(design: Design) -> Callable[[Floats, Floats, float, float], Way]:
     """How a move goes in time: (start, goal (axes,) m, begun, ended s) -> Way, by the controller's stated speeds and
     accelerations.
     """
     c = design.driver()
 
-    def way(start: np.ndarray, goal: np.ndarray, begun: float, ended: float) -> Way:
+    def way(start: Floats, goal: Floats, begun: float, ended: float) -> Way:
         travel = np.abs(goal - start)
         cruise = float((travel / c.max_speed).max())
         if not travel.any():
@@ -135,7 +134,7 @@ def _move_time_profile(design: Design) -> Callable[[np.ndarray, np.ndarray, floa
     return way
 
 
-def save_image(path: Path, image: np.ndarray) -> None:
+def save_image(path: Path, image: Pixels) -> None:
     """Save an image as PNG, complete before this returns. Raises FileError where the disk is full."""
     data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, COMPRESSION])[1]
     try:
@@ -163,7 +162,7 @@ def set_exposures(shutter: Shutter, design: Design, stated: float | None) -> lis
     return said
 
 
-def _marker_white_level(image: np.ndarray, camera: Camera, markers: MarkerMap) -> tuple[float, float]:
+def _marker_white_level(image: Pixels, camera: Camera, markers: MarkerMap) -> tuple[float, float]:
     """(level of white, of 255; share that clips) of the markers in an image; of the whole image where none is read.
 
     Raises CameraError for an image of another size.
@@ -194,7 +193,7 @@ SHARED_DRAWS = 42  # draws that all poses by limbs have in common: their geometr
 
 
 def run_observer_of_arguments(
-    arguments: Namespace, design: Design, planned: tuple[Step, ...], start: np.ndarray, clock: Clock, stopping: Stopping
+    arguments: Namespace, design: Design, planned: tuple[Step, ...], start: Floats, clock: Clock, stopping: Stopping
 ) -> RunObserver:
     """Run observer that the arguments request, by accepted limbs where they are named. start : (axes,) m.
 

@@ -1,7 +1,7 @@
 """Terminal display of a run: a block redrawn in place, or in a pipe a line for each change."""
 
 import sys
-from typing import TextIO
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -19,7 +19,7 @@ class Lines:
     def __init__(self, out: TextIO | None = None) -> None:
         self._out, self._phase = out or sys.stdout, ""
         self._seen: MeasuredFrame | None = None
-        self._last: tuple = ()
+        self._last: tuple[Any, ...] = ()
 
     def show(self, view: View) -> None:
         """A line for a new phase, a new pose, a new alarm."""

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from typing import Any
 
-from rig.cli.shared.command_options import Progress
+from rig.cli.shared.terminal_output import Progress
 from rig.compute import dask_cluster
 from rig.compute.worker_processes import limit_workers, terminate_child_processes, worker_count
 from rig.errors import RigError
@@ -69,7 +69,7 @@ def worker_pool() -> Iterator[Any]:
         threads.shutdown(wait=False, cancel_futures=True)
 
 
-def results_with_progress(pool: Any, function: Callable, calls: list, label: str) -> Iterator[Any]:
+def results_with_progress(pool: Any, function: Callable[..., Any], calls: list[Any], label: str) -> Iterator[Any]:
     """Results of calls as they complete, with progress on standard error. Raises what a call raises."""
     progress, start = Progress(), time.monotonic()
     waiting = [pool.submit(function, *call) for call in calls]

@@ -9,8 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-
+from rig.arrays import Pixels
 from rig.errors import RigError
 
 DRIFT = 1e-4  # s per s; two quartz clocks differ by less
@@ -75,7 +74,7 @@ class Frame:
     """image : (height, width) or (height, width, 3), uint8 or uint16; t : s on the host's clock, middle of the exposure
     t_sigma : s, standard deviation of that."""
 
-    image: np.ndarray
+    image: Pixels
     t: float
     t_sigma: float
 

@@ -2,9 +2,9 @@
 
 import os
 from pathlib import Path
+from typing import Any
 
-import numpy as np
-
+from rig.arrays import Pixels
 from rig.driving.cameras.camera_interface_and_clock import CameraError, Frame
 from rig.driving.clock import Clock
 from rig.errors import FileError
@@ -41,7 +41,7 @@ class FolderSource:
         for name in self._names():  # dropped while nobody had asked: exposed some other time
             self._known.add(name)
         asked = self._clock.now()
-        sizes: dict[str, tuple] = {}
+        sizes: dict[str, tuple[Any, ...]] = {}
         (self._folder / "ask").touch()
         while True:
             now = self._clock.now()
@@ -58,7 +58,7 @@ class FolderSource:
                 )
             self._clock.sleep(EVERY)
 
-    def _decoded(self, path: Path) -> np.ndarray:
+    def _decoded(self, path: Path) -> Pixels:
         """The image of a file, decoded once its size has been looked at. Raises CameraError for another size and for
         what is no image.
         """

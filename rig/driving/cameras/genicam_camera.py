@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from rig.arrays import Integers
 from rig.driving.cameras.camera_interface_and_clock import CameraError, Frame, Offset
 from rig.driving.clock import Clock
 from rig.errors import MissingLibrary
@@ -66,7 +67,7 @@ class GenicamSource:
         after = self._clock.now()
         self._offset.learn(before, self._nodes.TimestampLatchValue.value * STAMP, after)
 
-    def _image(self, component: Any) -> np.ndarray:
+    def _image(self, component: Any) -> Integers:
         """(height, width) uint8 or uint16 of a buffer's component, copied out of it."""
         if (component.width, component.height) != self._size:
             raise CameraError(

@@ -47,7 +47,7 @@ def gstreamer_pipeline_problem(pipeline: str) -> str | None:
 
 
 if TYPE_CHECKING:
-    import numpy as np
+    from rig.arrays import Integers
 
 FLUSHED = 8  # frames that may wait in a driver's queue
 WAIT = 5.0  # s without a frame after which a camera counts as gone
@@ -113,7 +113,7 @@ class VideoSource:
         )  # drivers stamp what arrives, at the exposure's end or somewhat later
         return end - self._exposure, end - self._exposure / 2, math.hypot(sigma, self._exposure / UNIFORM)
 
-    def _image(self) -> np.ndarray:
+    def _image(self) -> Integers:
         good, image = self._capture.retrieve()
         if not good or image is None:
             raise CameraError(f"camera {self.name!r}: a frame could not be decoded")

@@ -2,9 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from rig.arrays import Floats, Pixels
 from rig.driving.clock import Clock
 from rig.errors import RigError
 
@@ -32,10 +34,7 @@ class Settling:
     amount: float
 
     def wait(
-        self,
-        clock: Clock,
-        images: Callable[[], list[np.ndarray]] | None = None,
-        limbs: Callable[[], np.ndarray] | None = None,
+        self, clock: Clock, images: Callable[[], list[Pixels]] | None = None, limbs: Callable[[], Floats] | None = None
     ) -> None:
         """Return once the platform stands. images : one of each camera; limbs : (6,) m readings; whichever `by` asks
         for.
@@ -66,14 +65,14 @@ def parse_settling(text: str) -> Settling:
     return Settling(by, value)
 
 
-def image_difference(first_image: np.ndarray, second_image: np.ndarray) -> float:
+def image_difference(first_image: Pixels, second_image: Pixels) -> float:
     """Difference of two images of a camera relative to noise; above 1 the view has moved."""
     difference = np.abs(_blocks(first_image) - _blocks(second_image))
     noise = min(float(np.median(difference)) / 0.6745, LARGEST_NOISE)
     return float(difference.max()) / max(NOISES * noise, LEAST)
 
 
-def _blocks(image: np.ndarray) -> np.ndarray:
+def _blocks(image: Pixels) -> Floats:
     """Means over blocks of an image, in 255ths of white."""
     grey = image if image.ndim == 2 else image[..., 1]  # green is most of what the eye calls grey
     height, width = (n - n % BLOCK for n in grey.shape)
@@ -81,7 +80,7 @@ def _blocks(image: np.ndarray) -> np.ndarray:
     return grey[:height, :width].reshape(height // BLOCK, BLOCK, width // BLOCK, BLOCK).mean(axis=(1, 3)) * scale
 
 
-def _by_images(clock: Clock, images: Callable[[], list[np.ndarray]]) -> None:
+def _by_images(clock: Clock, images: Callable[[], list[Pixels]]) -> None:
     start, before, still = clock.now(), images(), 0
     while still < PAIRS:
         now = images()
@@ -94,9 +93,9 @@ def _by_images(clock: Clock, images: Callable[[], list[np.ndarray]]) -> None:
             )
 
 
-def _by_limbs(clock: Clock, limbs: Callable[[], np.ndarray], tolerance: float) -> None:
+def _by_limbs(clock: Clock, limbs: Callable[[], Floats], tolerance: float) -> None:
     start = clock.now()
-    last: list = []
+    last: list[Any] = []
     while True:
         last = [*last[1 - READINGS :], np.asarray(limbs(), float)]
         moved = np.ptp(last, axis=0)

@@ -3,8 +3,7 @@
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
-import numpy as np
-
+from rig.arrays import Pixels
 from rig.driving.cameras.camera_interface_and_clock import CameraError, Frame, Source
 from rig.driving.clock import Clock
 
@@ -63,7 +62,7 @@ RANGE = (1e-5, 1.0)  # s
 
 
 def set_exposure_for_markers(
-    source: Source, white_level: Callable[[np.ndarray], tuple[float, float]], start_exposure: float
+    source: Source, white_level: Callable[[Pixels], tuple[float, float]], start_exposure: float
 ) -> tuple[float, float]:
     """Set a camera's exposure such that markers do not clip; returns (exposure in s, white level of 255).
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.driving.clock import Clock
 from rig.driving.emulators.controller_faults import Faults
 from rig.driving.emulators.emulated_machine import Machine
@@ -53,11 +54,11 @@ class Emulator:
             self.replugged += 1
         return self._cut_until is None
 
-    def lengths_at(self, t: np.ndarray | float) -> np.ndarray:
+    def lengths_at(self, t: Floats | float) -> Floats:
         """(..., n) m at which the axes truly stood at t (...) s."""
         return self.machine.axes.lengths_at(t)
 
-    def path(self, since: float = -np.inf) -> tuple[np.ndarray, np.ndarray]:
+    def path(self, since: float = -np.inf) -> tuple[Floats, Floats]:
         """(k,) s and (k, n) m: what the axes truly did from `since` on, linear in between, as commands.csv has it."""
         return self.machine.axes.knots(since)
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.driving.emulators.controller_faults import Faults
 from rig.driving.emulators.moving_axes import Axes
 
@@ -18,7 +19,7 @@ class Executed:
     """A move that was carried out: when it began (s), to which true lengths (n,) m it was told."""
 
     t: float
-    target: np.ndarray
+    target: Floats
 
 
 class Machine:
@@ -30,7 +31,7 @@ class Machine:
     deaf : whether it is in an error that only switching off and on ends; session : counts how often it was switched on
     """
 
-    def __init__(self, axes: Axes, zero: np.ndarray, home: np.ndarray, faults: Faults, known: bool) -> None:
+    def __init__(self, axes: Axes, zero: Floats, home: Floats, faults: Faults, known: bool) -> None:
         self.axes, self.zero, self.home, self.faults = axes, np.array(zero, float), np.array(home, float), faults
         self.executed: list[Executed] = []
         self.homed, self.deaf = known, False
@@ -38,11 +39,11 @@ class Machine:
         self.session = 1
         self._known = known
         self._off = -self.zero if known else -axes.at(axes.until)  # (n,) m, counter less true length
-        self._lie: tuple[float, np.ndarray] | None = None
+        self._lie: tuple[float, Floats] | None = None
         self._busy_until: float | None = None  # s until which it is said to move, where that is not so long as it moves
-        self._homing: tuple[float, np.ndarray | None] | None = None
+        self._homing: tuple[float, Floats | None] | None = None
 
-    def counters(self, t: float) -> np.ndarray:
+    def counters(self, t: float) -> Floats:
         """(n,) m as the controller counts."""
         self.settle(t)
         lie = self._lie[1] * np.clip((t - self._lie[0]) / 0.1, 0, 1) if self._lie else 0.0
@@ -70,7 +71,7 @@ class Machine:
         """Whether it is homing, or what is left of that."""
         return self._homing is not None and t < self.axes.until
 
-    def go(self, t: float, target: np.ndarray, duration: float) -> None:
+    def go(self, t: float, target: Floats, duration: float) -> None:
         """A move to counters (n,) m, in at least so long (s); the faults that are armed go with it."""
         target = np.asarray(target, float) - self._off
         start = self.axes.at(max(t, self.axes.until))

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.driving.clock import Clock
 from rig.driving.emulators.controller_emulator import Emulator
 from rig.driving.emulators.controller_faults import Faults
@@ -12,14 +13,15 @@ from rig.driving.emulators.linuxcnc import LinuxCNC
 from rig.driving.emulators.moving_axes import Axes
 from rig.driving.emulators.own_strut_protocol import Struts
 from rig.errors import RigError
-from rig.model.design import Design, Hexapod, Planar2
+from rig.model.design import Design
+from rig.model.mechanism_geometry import Hexapod, Planar2
 from rig.model.mechanism_kinds import require_hexapod, require_struts
 
 ACCELERATION = 0.1  # m/s^2, where the rig.toml states none
 
 
 def emulator_of_design(
-    design: Design, faults: Faults, clock: Clock, start_lengths: np.ndarray | None = None, speed_factor: float = 1.0
+    design: Design, faults: Faults, clock: Clock, start_lengths: Floats | None = None, speed_factor: float = 1.0
 ) -> Emulator:
     """The Emulator of the controller of a rig's design, with faults, clock and start lengths.
 
@@ -63,7 +65,7 @@ def emulator_of_design(
     raise RigError(f"there is no emulator of {c.protocol!r}")
 
 
-def home_lengths(mechanism: Hexapod | Planar2) -> np.ndarray:
+def home_lengths(mechanism: Hexapod | Planar2) -> Floats:
     """Home lengths (n,) m: strut lengths at a Hexapod's home pose; for two struts the middle of their ranges."""
     home, (base, platform) = mechanism.home_pose, mechanism.strut_joints
     if home is None:

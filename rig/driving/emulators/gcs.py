@@ -1,10 +1,11 @@
 """Emulated PI controller: General Command Set (GCS) 2.0, closed-loop axes in mm."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
+from rig.arrays import Booleans, Floats
 from rig.driving.clock import Clock
 from rig.driving.emulators.controller_emulator import Emulator
 from rig.driving.emulators.controller_faults import Faults
@@ -20,9 +21,7 @@ class GCS(Emulator):
 
     ends = b"\n"
 
-    def __init__(
-        self, machine: Machine, faults: Faults, clock: Clock, axes: tuple[str, ...], limits: np.ndarray
-    ) -> None:
+    def __init__(self, machine: Machine, faults: Faults, clock: Clock, axes: tuple[str, ...], limits: Floats) -> None:
         super().__init__(machine, faults, clock)
         self.axes, self.limits = axes, np.asarray(limits, float)
         self.velocity, self.acceleration = machine.axes.speed.copy(), machine.axes.acceleration.copy()
@@ -113,7 +112,7 @@ class GCS(Emulator):
             "TMN?": lambda: MM * self.limits[:, 0],
             "TMX?": lambda: MM * self.limits[:, 1],
         }
-        flags = {
+        flags: dict[str, Callable[[], Booleans]] = {
             "ONT?": lambda: np.full(n, not self._moving() and self._on_target()),
             "SVO?": lambda: self.servo,
             "FRF?": lambda: np.full(n, self.machine.homed and not self.machine.homing(t)) & self._referenced(),
@@ -131,7 +130,7 @@ class GCS(Emulator):
             _lines([f"{axis}={value}" for axis, value in zip(self.axes, values) if not arguments or axis in arguments])
         )
 
-    def _referenced(self) -> np.ndarray:
+    def _referenced(self) -> Floats:
         self.machine.settle(self.now)
         return np.full(len(self.axes), self.machine.homed)
 
@@ -168,7 +167,7 @@ class GCS(Emulator):
         else:
             (self.velocity if word == "VEL" else self.acceleration)[index] = values / MM
 
-    def _move(self, target: np.ndarray, index: list[int]) -> None:
+    def _move(self, target: Floats, index: list[int]) -> None:
         low, high = self.limits.T
         self._moved = True
         if not self.servo[index].all() or not self._referenced().all():
@@ -178,7 +177,7 @@ class GCS(Emulator):
         else:
             self._begin(target)
 
-    def _begin(self, target: np.ndarray) -> None:
+    def _begin(self, target: Floats) -> None:
         self.faults.begin()
         take = self.faults.take
         if take("ok-after-error"):

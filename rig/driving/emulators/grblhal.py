@@ -8,6 +8,7 @@ import re
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.driving.clock import Clock
 from rig.driving.emulators.controller_emulator import Emulator
 from rig.driving.emulators.controller_faults import Faults
@@ -30,7 +31,7 @@ class GrblHAL(Emulator):
         faults: Faults,
         clock: Clock,
         axes: str,
-        limits: np.ndarray,
+        limits: Floats,
         settings: dict[int, float] | None = None,
     ) -> None:
         super().__init__(machine, faults, clock)
@@ -157,7 +158,7 @@ class GrblHAL(Emulator):
         self._reports += 1
         return text + ">\r\n"
 
-    def _figures(self, mm: np.ndarray) -> str:
+    def _figures(self, mm: Floats) -> str:
         if self.settings[13]:
             return ",".join(f"{value / INCH:.4f}" for value in mm)
         return ",".join(f"{value:.3f}" for value in mm)

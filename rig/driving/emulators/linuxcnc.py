@@ -5,12 +5,13 @@ import re
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.arrays import Floats
 from rig.driving.clock import Clock
 from rig.driving.emulators.controller_emulator import Emulator
 from rig.driving.emulators.controller_faults import Faults
 from rig.driving.emulators.emulated_machine import Machine
 from rig.model import mechanisms
-from rig.model.design import Hexapod
+from rig.model.mechanism_geometry import Hexapod
 
 MM = 1e3
 END, SET_END = "\r\n", "\n\r"  # as emcrsh.cc has them
@@ -28,7 +29,7 @@ class LinuxCNC(Emulator):
         faults: Faults,
         clock: Clock,
         axes: tuple[str, ...],
-        limits: np.ndarray,
+        limits: Floats,
         hexapod: Hexapod | None,
     ) -> None:
         super().__init__(machine, faults, clock)
@@ -165,7 +166,7 @@ class LinuxCNC(Emulator):
             return self._answer("MDI", True)
         return self._go(target, 60 / words["F"])
 
-    def _go(self, target: np.ndarray, duration: float) -> None:
+    def _go(self, target: Floats, duration: float) -> None:
         self.faults.begin()
         take = self.faults.take
         if take("ok-after-error"):

@@ -5,6 +5,8 @@ import threading
 
 import numpy as np
 
+from rig.arrays import Floats
+
 FINE = 1e-7  # m by which straight lines between knots may leave the true motion
 
 
@@ -15,7 +17,7 @@ class Axes:
     t, start : s and (n,) m; speed : (n,) m/s and acceleration : (n,) m/s^2, each axis's limits
     """
 
-    def __init__(self, t: float, start: np.ndarray, speed: np.ndarray, acceleration: np.ndarray) -> None:
+    def __init__(self, t: float, start: Floats, speed: Floats, acceleration: Floats) -> None:
         self.speed, self.acceleration = np.array(speed, float), np.array(acceleration, float)
         start = np.array(start, float)
         self._lock = threading.RLock()
@@ -26,13 +28,13 @@ class Axes:
         """s at which the last motion told ends, or ended."""
         return self._t[-1]
 
-    def at(self, t: float) -> np.ndarray:
+    def at(self, t: float) -> Floats:
         """(n,) m where they stand at a time (s), also one to come."""
         with self._lock:
             i, late = self._piece(t)
             return self._p[i] + late * (self._v[i] + late / 2 * self._a[i])
 
-    def lengths_at(self, t: np.ndarray | float) -> np.ndarray:
+    def lengths_at(self, t: Floats | float) -> Floats:
         """(..., n) m at times (...) s."""
         t = np.asarray(t, float)
         with self._lock:
@@ -41,7 +43,7 @@ class Axes:
             p, v, a = (np.asarray(each)[i] for each in (self._p, self._v, self._a))
         return p + late * (v + late / 2 * a)
 
-    def go(self, t: float, target: np.ndarray, duration: float = 0.0) -> float:
+    def go(self, t: float, target: Floats, duration: float = 0.0) -> float:
         """Begin a straight move at t (s), or when what is told already is done; returns when it ends.
 
         target : (n,) m; duration : s that it takes at least, without ramps. All axes start and arrive together, none
@@ -91,7 +93,7 @@ class Axes:
                 del each[max(keep, 1) :]
             self._piece_from(t, p, 0 * p, 0 * p)
 
-    def knots(self, since: float = -np.inf) -> tuple[np.ndarray, np.ndarray]:
+    def knots(self, since: float = -np.inf) -> tuple[Floats, Floats]:
         """(k,) s and (k, n) m from `since` on, between which straight lines leave the true motion by no more than
         FINE.
         """
@@ -109,7 +111,7 @@ class Axes:
         i = max(bisect.bisect_right(self._t, t) - 1, 0)
         return i, max(t - self._t[i], 0.0)
 
-    def _piece_from(self, t: float, p: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
+    def _piece_from(self, t: float, p: Floats, v: Floats, a: Floats) -> None:
         if t <= self._t[-1]:
             self._p[-1], self._v[-1], self._a[-1] = p, v, a
             return

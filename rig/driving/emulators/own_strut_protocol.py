@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.driving.clock import Clock
 from rig.driving.emulators.controller_emulator import Emulator
 from rig.driving.emulators.controller_faults import Faults
@@ -16,7 +17,7 @@ class Struts(Emulator):
 
     ends = b"\n"
 
-    def __init__(self, machine: Machine, faults: Faults, clock: Clock, limits: np.ndarray) -> None:
+    def __init__(self, machine: Machine, faults: Faults, clock: Clock, limits: Floats) -> None:
         super().__init__(machine, faults, clock)
         self.limits = np.asarray(limits, float)
         self._watch, self._heard = 1.0, clock.now()

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from rig.arrays import Booleans, Floats
 from rig.driving.protocols.protocol_interface import TRIES, Dialogue, Exchange, Lines, Segment, State, Verdict
 from rig.errors import ControllerFault, NoAnswer
 
@@ -141,7 +142,7 @@ class GCS:
     def event(self, line: str) -> str:
         return ""
 
-    def _pairs(self, metres: np.ndarray, which: np.ndarray) -> str:
+    def _pairs(self, metres: Floats, which: Booleans) -> str:
         return " ".join(f"{axis} {value:.6f}" for axis, value, on in zip(self.axes, self._unit * metres, which) if on)
 
     def _learn_unit(self) -> Dialogue[None]:
@@ -171,7 +172,7 @@ class GCS:
         lines = yield from self._ask(b"ERR?\n", _is_error)
         return int(lines[-1].strip())
 
-    def _values(self, question: str) -> Dialogue[np.ndarray]:
+    def _values(self, question: str) -> Dialogue[Floats]:
         """(n,) what a question about axes is answered with. Raises NoAnswer where axes are missing in the answer."""
         for _ in range(TRIES):
             lines = yield from self._ask(f"{question} {' '.join(self.axes)}\n".encode(), _whole(rf"{_AXIS}={_NUMBER}"))

@@ -7,9 +7,11 @@ Moves are in machine coordinates (G53), so that no work offset matters; scaling 
 
 import re
 from collections.abc import Callable, Sequence
+from typing import cast
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.driving.protocols.protocol_interface import Dialogue, Exchange, Segment, State, Verdict, query_dialogue
 from rig.errors import ControllerFault, NoAnswer
 
@@ -92,7 +94,7 @@ class GrblHAL:
         self._settings: dict[int, float] = {}
         self._letters = "XYZABCUVW"[: len(self.axes)]
         self._buffer = BUFFER
-        self._offset: np.ndarray | None = None  # mm, WCO
+        self._offset: Floats | None = None  # mm, WCO
         self._homed: bool | None = None
         self._whole_report = b"?"
         self._homing = False
@@ -255,7 +257,7 @@ class GrblHAL:
         if machine is None and work is None:
             return None
         if machine is None and self._offset is not None:
-            machine = work + self._offset
+            machine = cast(Floats, work) + self._offset
         word, _, number = match[1].partition(":")
         fault = "; ".join(text for pin, text in _PINS.items() if pin in fields.get("Pn", ""))
         if word == "Alarm":
@@ -267,7 +269,7 @@ class GrblHAL:
         chosen = None if machine is None else machine[[self._letters.index(axis) for axis in self.axes]] / MM
         return State("moving" if match[1] == "Hold:1" else _ACTIVITY[word], chosen, self._homed, fault, match[0])
 
-    def _numbers(self, text: str) -> np.ndarray | None:
+    def _numbers(self, text: str) -> Floats | None:
         """(axes,) mm, or None where they are not as many as the controller has axes."""
         if not re.fullmatch(_NUMBERS, text) or text.count(",") != len(self._letters) - 1:
             return None

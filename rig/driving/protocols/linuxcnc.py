@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.driving.protocols.protocol_interface import Dialogue, Exchange, Lines, Segment, State, Verdict, query_dialogue
 from rig.errors import ControllerFault, NoAnswer
 
@@ -197,7 +198,7 @@ class LinuxCNC:
             raise NoAnswer(f"JOINT_HOMED says {' '.join(words)}")
         return {*words[: len(self.axes)]} <= {"YES", "HOMED"}
 
-    def _positions(self) -> Dialogue[np.ndarray]:
+    def _positions(self) -> Dialogue[Floats]:
         return np.array(
             [float(word) for word in (yield from self._get("JOINT_POS", rf"{_NUMBER}(?: {_NUMBER})*")).split()]
         )

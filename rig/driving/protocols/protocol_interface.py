@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from typing import Protocol as Interface
 from typing import TypeVar
 
-import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats
 from rig.errors import NoAnswer
 
 T = TypeVar("T")
@@ -45,7 +45,7 @@ class State:
     fault : why it cannot be moved, or ""; said : its own words."""
 
     activity: str
-    positions: np.ndarray | None
+    positions: Floats | None
     homed: bool | None
     fault: str
     said: str
@@ -60,11 +60,11 @@ class Segment:
         that take poses
     """
 
-    start: np.ndarray
-    target: np.ndarray
+    start: Floats
+    target: Floats
     duration: float
-    speed: np.ndarray
-    acceleration: np.ndarray | None
+    speed: Floats
+    acceleration: Floats | None
     pose: RigidTransform | None = None
 
 

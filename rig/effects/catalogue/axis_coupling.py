@@ -5,9 +5,11 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from rig.effects.framework.diagnosis_interface import Covariate, travel_covariate
-from rig.effects.framework.effect import Candidate, Context, Effect, Motion, Parameter
-from rig.effects.framework.parameter import Drawing, draw_number
+from rig.arrays import Floats
+from rig.effects.framework.diagnosis_interface import Context, Covariate, travel_covariate
+from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.parameter import Drawing, Parameter, draw_number
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +41,7 @@ class AxisCoupling(Effect):
             else None
         )
 
-    def deviation(self, motion: Motion) -> np.ndarray:
+    def deviation(self, motion: Motion) -> Floats:
         return self.axes(motion.places) * self.scale * motion.stroke[:, [int(self.other) - 1]]
 
     def covariate(self, motion: Motion) -> Covariate:

@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
+from rig.arrays import Floats
 from rig.effects.framework.diagnosis_interface import Covariate, travel_covariate
-from rig.effects.framework.effect import Effect, Motion, Parameter
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.parameter import Parameter
 from rig.effects.framework.play_operator import play_deviation
 
 
@@ -32,7 +33,7 @@ class Backlash(Effect):
     def forgets(self) -> float:
         return self.gap
 
-    def deviation(self, motion: Motion) -> np.ndarray:
+    def deviation(self, motion: Motion) -> Floats:
         return self.axes(motion.places) * play_deviation(motion, self.gap / 2)
 
     def covariate(self, motion: Motion) -> Covariate:

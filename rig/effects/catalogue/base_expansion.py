@@ -5,8 +5,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.diagnosis_interface import Covariate, temperature_covariate
-from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Context, Effect, Motion, Parameter
+from rig.arrays import Floats
+from rig.effects.framework.diagnosis_interface import Context, Covariate, temperature_covariate
+from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
+from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.parameter import Parameter
 from rig.errors import RigError
 
 AMBIENT = "ambient_temperature_C"
@@ -31,7 +34,7 @@ class BaseExpansion(Effect):
             return "takes struts on a base plate"
         return motion.no_channel(AMBIENT)
 
-    def deviation(self, motion: Motion) -> np.ndarray:
+    def deviation(self, motion: Motion) -> Floats:
         scale = 1 + self.coefficient * (motion.channel(AMBIENT) - REFERENCE_TEMPERATURE)
         ends = motion.kind.ends(motion.posed(), motion.mechanism)
         if ends is None:

@@ -6,7 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.effect import Context, Effect, Parameter
+from rig.arrays import Floats
+from rig.effects.framework.diagnosis_interface import Context
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.parameter import Parameter
 from rig.effects.framework.place import Place
 from rig.model.design import Camera
 
@@ -30,7 +33,7 @@ class CameraBump(Effect):
     action: ClassVar = "Clamp the mount; poses from before and after that moment need a camera pose of their own."
     view: ClassVar = "time"
 
-    def mount(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
+    def mount(self, camera: Camera, t: Floats, channel: Callable[..., Floats]) -> Floats:
         return ((np.asarray(t) >= self.time) * float(self.at(Place("camera", camera.name))))[:, None] * np.asarray(
             self.motion, float
         )

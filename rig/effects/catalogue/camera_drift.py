@@ -6,7 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.effect import Context, Effect, Parameter
+from rig.arrays import Floats
+from rig.effects.framework.diagnosis_interface import Context
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.parameter import Parameter
 from rig.effects.framework.place import Place
 from rig.model.design import Camera
 
@@ -30,7 +33,7 @@ class CameraDrift(Effect):
     action: ClassVar = "Let the mount warm up and clamp it better; keep fixed cubes in that camera's view."
     view: ClassVar = "time"
 
-    def mount(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
+    def mount(self, camera: Camera, t: Floats, channel: Callable[..., Floats]) -> Floats:
         share = (1 - np.exp(-np.maximum(t, 0) / self.time_constant)) * self.at(Place("camera", camera.name))
         return share[:, None] * np.asarray(self.motion, float)
 

@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
+from rig.arrays import Floats
 from rig.effects.framework.diagnosis_interface import Covariate, travel_covariate
-from rig.effects.framework.effect import Effect, Motion, Parameter
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.parameter import Parameter
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +27,7 @@ class ClockDrift(Effect):
     experiment: ClassVar = "expose while moving early and late in a long recording"
     action: ClassVar = "Trigger cameras and controller from one clock."
 
-    def times(self, t: np.ndarray) -> np.ndarray:
+    def times(self, t: Floats) -> Floats:
         return t * (1 + self.rate)
 
     def covariate(self, motion: Motion) -> Covariate:

@@ -6,9 +6,11 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from scipy.linalg import qr
 
-from rig.effects.framework.diagnosis_interface import Covariate, load_covariate
-from rig.effects.framework.effect import Candidate, Context, Effect, Linear, Motion, Parameter
-from rig.effects.framework.parameter import Drawing, draw_parameter, log_uniform
+from rig.arrays import Floats
+from rig.effects.framework.diagnosis_interface import Context, Covariate, Linear, load_covariate
+from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.parameter import Drawing, Parameter, draw_parameter, log_uniform
 from rig.effects.framework.place import Place
 from rig.errors import RigError
 
@@ -60,7 +62,7 @@ class Compliance(Effect):
             else f"takes {count} moments, four for each link that the axes carry, not {len(self.moments)}"
         )
 
-    def deviation(self, motion: Motion) -> np.ndarray:
+    def deviation(self, motion: Motion) -> Floats:
         mask = self.axes(motion.places)
         out = (
             np.zeros(motion.lengths.shape)
@@ -126,7 +128,7 @@ class Compliance(Effect):
         return cls(place, moments=tuple((moments / stiffness).ravel().tolist()))
 
     @classmethod
-    def columns(cls, candidate: Candidate, node: dict, motion: Motion) -> np.ndarray:
+    def columns(cls, candidate: Candidate, node: dict[str, Any], motion: Motion) -> Floats:
         if "_count" not in node:
             return super(Compliance, cls).columns(candidate, node, motion)
         i = motion.places.index(candidate.place)
@@ -141,7 +143,7 @@ def places_with_link_loads(context: Context) -> tuple[str, ...]:
     return motion.places if motion is not None and motion.no_loads() and motion.links().shape[2] else ()
 
 
-def independent_columns(table: np.ndarray) -> np.ndarray:
+def independent_columns(table: Floats) -> Floats:
     """Indices of linearly independent columns of a joint's load table (n, c) that vary with the posture."""
     if not table.shape[1]:
         return np.zeros(0, int)

@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
+from rig.arrays import Floats
 from rig.effects.catalogue.servo_lag import lagged_path
-from rig.effects.framework.effect import Effect, Motion, Parameter
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.parameter import Parameter
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +29,7 @@ class Creep(Effect):
         "Dwell longer before measuring, by a few time constants; look for a soft joint or a drive that settles late."
     )
 
-    def deviation(self, motion: Motion) -> np.ndarray:
+    def deviation(self, motion: Motion) -> Floats:
         path = motion.path
         late = motion.once(
             ("late", self.time_constant), lambda: (path.lengths - lagged_path(path, self.time_constant))[path.at]

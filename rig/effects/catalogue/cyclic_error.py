@@ -1,12 +1,15 @@
 """Cyclic error: periodic in the screw or gear, it repeats with every turn."""
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
-from rig.effects.framework.diagnosis_interface import Covariate
-from rig.effects.framework.effect import Candidate, Context, Effect, Motion, Parameter
+from rig.arrays import Floats
+from rig.effects.framework.diagnosis_interface import Context, Covariate
+from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.parameter import Parameter
 from rig.effects.framework.place import Place
 
 FINE = 0.3  # step of a joint's orders, of what its travel resolves
@@ -46,19 +49,19 @@ class CyclicError(Effect):
     def needs(self, motion: Motion) -> str | None:
         return motion.no_turn(self.axes(motion.places))
 
-    def angle(self, motion: Motion) -> np.ndarray:
+    def angle(self, motion: Motion) -> Floats:
         """(n, axes) rad that the order multiplies; 0 at axes where it does not sit."""
         sits = self.axes(motion.places) > 0
         return 2 * np.pi * np.where(sits, motion.lengths, 0.0) / np.where(sits, motion.turn(), 1.0)
 
-    def deviation(self, motion: Motion) -> np.ndarray:
+    def deviation(self, motion: Motion) -> Floats:
         return self.axes(motion.places) * self.amplitude * np.sin(self.order * self.angle(motion) + self.phase)
 
     def covariate(self, motion: Motion) -> Covariate:
         return Covariate(self.order * self.angle(motion) / (2 * np.pi) % 1, "turn of the drive times order")
 
     @classmethod
-    def columns(cls, candidate: Candidate, node: dict, motion: Motion) -> np.ndarray:
+    def columns(cls, candidate: Candidate, node: dict[str, Any], motion: Motion) -> Floats:
         effect = cls(candidate.place, **node)
         angle = effect.order * effect.angle(motion) + effect.phase
         return effect.axes(motion.places)[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=-1)

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
+from rig.arrays import Floats
 from rig.effects.framework.edge_motion import move_edges_inward
-from rig.effects.framework.effect import Effect, Parameter
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.parameter import Parameter
 from rig.effects.framework.place import Place
 from rig.model.design import Camera
 
@@ -27,7 +27,7 @@ class EdgeBias(Effect):
     )
     view: ClassVar = "outward"
 
-    def print_(self, camera: Camera, quads: np.ndarray) -> np.ndarray:
+    def print_(self, camera: Camera, quads: Floats) -> Floats:
         if self.bias == 0 or not self.at(Place("camera", camera.name)):
             return quads
         return move_edges_inward(quads, self.bias)

@@ -6,7 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Context, Effect, Parameter
+from rig.arrays import Floats
+from rig.effects.framework.diagnosis_interface import Context
+from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
+from rig.effects.framework.parameter import Parameter
 from rig.effects.framework.place import Place
 from rig.errors import RigError
 from rig.model.design import Camera
@@ -28,7 +31,7 @@ class FocalDrift(Effect):
     action: ClassVar = "Keep the cameras' temperature or let them warm up; log it so that it can be corrected."
     view: ClassVar = "scale"
 
-    def focal(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
+    def focal(self, camera: Camera, t: Floats, channel: Callable[..., Floats]) -> Floats:
         if not self.at(Place("camera", camera.name)):
             return np.ones(len(t))
         return 1 + self.per_kelvin * (channel(*_channels(camera.name)) - REFERENCE_TEMPERATURE)

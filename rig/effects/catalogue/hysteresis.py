@@ -5,8 +5,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.effects.framework.diagnosis_interface import Covariate, travel_covariate
-from rig.effects.framework.effect import Effect, Motion, Parameter
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.parameter import Parameter
 from rig.effects.framework.play_operator import play_deviation
 
 PLAYS = 8  # operators that stand for the continuum
@@ -35,7 +38,7 @@ class Hysteresis(Effect):
     def forgets(self) -> float:
         return 2 * self.range if self.weight else 0.0
 
-    def deviation(self, motion: Motion) -> np.ndarray:
+    def deviation(self, motion: Motion) -> Floats:
         halves = self.range * (np.arange(PLAYS) + 0.5) / PLAYS
         lag = motion.once(
             ("loops", self.range), lambda: np.mean([play_deviation(motion, half) for half in halves], axis=0)

@@ -5,9 +5,12 @@ from typing import ClassVar
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.effects.catalogue.compliance import independent_columns, places_with_link_loads
-from rig.effects.framework.diagnosis_interface import Covariate, load_covariate
-from rig.effects.framework.effect import Candidate, Context, Effect, Motion, Parameter
+from rig.effects.framework.diagnosis_interface import Context, Covariate, load_covariate
+from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.parameter import Parameter
 from rig.errors import RigError
 
 NOTHING = 1e-9  # of the greatest load; less is rounding, and pushes to neither side
@@ -40,7 +43,7 @@ class JointClearance(Effect):
         count = motion.links().shape[2]
         return None if self.moment < count else f"takes a moment of 0 to {count - 1}, not {self.moment:g}"
 
-    def deviation(self, motion: Motion) -> np.ndarray:
+    def deviation(self, motion: Motion) -> Floats:
         reason = self.needs(motion)
         if reason:
             raise RigError(f"{self.name} {reason}")
@@ -55,7 +58,7 @@ class JointClearance(Effect):
             "{unit} (positive: the {axis} pushes)" if self.moment < 0 else "of one kg or kg m",
         )
 
-    def _load(self, motion: Motion) -> np.ndarray:
+    def _load(self, motion: Motion) -> Floats:
         return motion.loads() if self.moment < 0 else motion.links()[:, :, int(self.moment)]
 
     @classmethod

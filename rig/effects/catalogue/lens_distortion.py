@@ -6,8 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.effect import COUNT, Candidate, Context, Effect, Linear, Parameter
-from rig.effects.framework.parameter import Drawing, log_uniform
+from rig.arrays import Floats
+from rig.effects.framework.diagnosis_interface import COUNT, Context, Linear
+from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.parameter import Drawing, Parameter, log_uniform
 from rig.effects.framework.place import Place
 from rig.model.design import Camera
 
@@ -56,13 +58,13 @@ class LensDistortion(Effect):
         terms[:12] += self.terms
         return replace(camera, distortion=terms)
 
-    def print_(self, camera: Camera, quads: np.ndarray) -> np.ndarray:
+    def print_(self, camera: Camera, quads: Floats) -> Floats:
         if not self.warp or not self.at(Place("camera", camera.name)):
             return quads
         return quads + chebyshev_products(camera, quads, _degree(len(self.warp))) @ np.reshape(self.warp, (2, -1)).T
 
     @classmethod
-    def bending(cls, camera: Camera, quads: np.ndarray, columns: Sequence[Linear]) -> np.ndarray | None:
+    def bending(cls, camera: Camera, quads: Floats, columns: Sequence[Linear]) -> Floats | None:
         if any(column.name != "warp" for column in columns):
             return None
         basis = chebyshev_products(camera, quads, _degree(len(columns)))
@@ -106,7 +108,7 @@ class LensDistortion(Effect):
         ]
 
 
-def chebyshev_products(camera: Camera, uv: np.ndarray, degree: int) -> np.ndarray:
+def chebyshev_products(camera: Camera, uv: Floats, degree: int) -> Floats:
     """Chebyshev products (..., m) of image positions uv (..., 2) px, from the second degree up to a degree."""
     x = np.clip((np.asarray(uv) - [camera.width / 2, camera.height / 2]) / (camera.width / 2), -1, 1)
     T = [np.polynomial.chebyshev.chebvander(x[..., c], degree) for c in range(2)]

@@ -5,8 +5,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rig.effects.framework.effect import Effect, Parameter
-from rig.effects.framework.parameter import Drawing
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.parameter import Drawing, Parameter
 from rig.effects.framework.place import Place
 from rig.model.pose import displace_selected_poses, exp
 

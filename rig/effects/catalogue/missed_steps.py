@@ -5,8 +5,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.effects.framework.diagnosis_interface import Covariate, time_covariate
-from rig.effects.framework.effect import Effect, Motion, Parameter
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.parameter import Parameter
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +34,7 @@ class MissedSteps(Effect):
         "Home the {axis}; then look for an overload, a loose coupling or a current set too low at that moment."
     )
 
-    def deviation(self, motion: Motion) -> np.ndarray:
+    def deviation(self, motion: Motion) -> Floats:
         return self.axes(motion.places) * self.jump * (motion.t >= self.time)[:, None]
 
     def covariate(self, motion: Motion) -> Covariate:

@@ -3,7 +3,8 @@
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-from rig.effects.framework.effect import Effect, Parameter
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.parameter import Parameter
 
 
 @dataclass(frozen=True, slots=True)

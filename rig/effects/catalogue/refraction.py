@@ -6,8 +6,10 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from rig.effects.framework.effect import Candidate, Context, Effect, Parameter
-from rig.effects.framework.parameter import Drawing, draw_number
+from rig.arrays import Floats
+from rig.effects.framework.diagnosis_interface import Context
+from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.parameter import Drawing, Parameter, draw_number
 from rig.effects.framework.place import Place
 from rig.model.design import Camera
 
@@ -46,7 +48,7 @@ class Refraction(Effect):
                 f"not along {list(self.normal)}"
             )
 
-    def bend(self, camera: Camera, points: np.ndarray) -> np.ndarray:
+    def bend(self, camera: Camera, points: Floats) -> Floats:
         if self.thickness <= 0 or not self.at(Place("camera", camera.name)):
             return points
         normal = np.asarray(self.normal, float) / np.linalg.norm(self.normal)

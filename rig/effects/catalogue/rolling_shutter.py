@@ -5,7 +5,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.effect import Effect, Parameter
+from rig.arrays import Floats
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.parameter import Parameter
 from rig.effects.framework.place import Place
 from rig.model.design import Camera
 
@@ -24,5 +26,5 @@ class RollingShutter(Effect):
     action: ClassVar = 'State shutter = "rolling" and row_time in rig.toml, or expose at rest.'
     rolls: ClassVar = True
 
-    def late(self, camera: Camera, v: np.ndarray) -> np.ndarray:
+    def late(self, camera: Camera, v: Floats) -> Floats:
         return self.row_time * self.at(Place("camera", camera.name)) * (np.asarray(v) - camera.height / 2)

@@ -5,8 +5,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.effects.framework.diagnosis_interface import Covariate
-from rig.effects.framework.effect import Effect, Motion, Parameter
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.parameter import Parameter
 from rig.errors import RigError
 from rig.model.hexapod_geometry import cardan_twist
 from rig.model.mechanism_kinds import require_hexapod
@@ -39,13 +42,13 @@ class ScrewCoupling(Effect):
             else None
         )
 
-    def deviation(self, motion: Motion) -> np.ndarray:
+    def deviation(self, motion: Motion) -> Floats:
         return self.axes(motion.places) * self.gain * motion.turn() / (2 * np.pi) * self._twist(motion)
 
     def covariate(self, motion: Motion) -> Covariate:
         return Covariate(np.degrees(self._twist(motion)), "twist of the cardans, degrees")
 
-    def _twist(self, motion: Motion) -> np.ndarray:
+    def _twist(self, motion: Motion) -> Floats:
         reason = self.needs(motion)
         if reason:
             raise RigError(f"{self.name} {reason}")

@@ -5,9 +5,12 @@ from typing import ClassVar
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.compute.numba_kernels import njit
 from rig.effects.framework.diagnosis_interface import Covariate, travel_covariate
-from rig.effects.framework.effect import Effect, Motion, Parameter, Path
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.machine_motion import Motion, Path
+from rig.effects.framework.parameter import Parameter
 
 AFTER = np.array([0.25, 0.5, 1, 2, 4, 8])  # time constants after a change of speed at which the path gets a knot
 
@@ -41,12 +44,12 @@ class ServoLag(Effect):
         return travel_covariate(motion.path.speed, motion, "speed of the axis", "/s")
 
 
-def lagged_path(path: Path, time_constant: float) -> np.ndarray:
+def lagged_path(path: Path, time_constant: float) -> Floats:
     """Path lagged by a first-order lag of a time constant, (m, axes) m or rad at its knots."""
     return path.walked(lambda t, lengths: first_order_lag(t, lengths, time_constant))
 
 
-def first_order_lag(t: np.ndarray, x: np.ndarray, time_constant: float) -> np.ndarray:
+def first_order_lag(t: Floats, x: Floats, time_constant: float) -> Floats:
     """First-order lag (m, axes) of x (m, axes), linear between knots t (m,); it starts at rest, y = x."""
     return _lag(np.ascontiguousarray(t, dtype=float), np.ascontiguousarray(x, dtype=float), float(time_constant))
 

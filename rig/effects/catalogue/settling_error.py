@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
+from rig.arrays import Floats
 from rig.effects.framework.diagnosis_interface import Covariate, travel_covariate
-from rig.effects.framework.effect import Effect, Motion, Parameter
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.parameter import Parameter
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +30,7 @@ class SettlingError(Effect):
         "by small last steps."
     )
 
-    def deviation(self, motion: Motion) -> np.ndarray:
+    def deviation(self, motion: Motion) -> Floats:
         return -self.axes(motion.places) * self.fraction * motion.once(("last step",), lambda: motion.path.last_step)
 
     def covariate(self, motion: Motion) -> Covariate:

@@ -5,8 +5,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.diagnosis_interface import Covariate, temperature_covariate
-from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Context, Effect, Motion, Parameter
+from rig.arrays import Floats
+from rig.effects.framework.diagnosis_interface import Context, Covariate, temperature_covariate
+from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
+from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.parameter import Parameter
 from rig.effects.framework.place import Place
 
 AMBIENT = "ambient_temperature_C"
@@ -32,13 +35,13 @@ class ThermalExpansion(Effect):
             filter(None, (motion.no_channel(*_channels(place)) for place in motion.places if self.at(place))), None
         )
 
-    def deviation(self, motion: Motion) -> np.ndarray:
+    def deviation(self, motion: Motion) -> Floats:
         return self._grown(motion)[0]
 
-    def sway(self, motion: Motion) -> np.ndarray:
+    def sway(self, motion: Motion) -> Floats:
         return self._grown(motion)[1] if motion.kind.AXIS != "strut" else np.zeros((len(motion.t), 6))
 
-    def _grown(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
+    def _grown(self, motion: Motion) -> tuple[Floats, Floats]:
         share = np.zeros(motion.lengths.shape)
         for i in np.flatnonzero(self.axes(motion.places)):
             share[:, i] = self.coefficient * (motion.channel(*_channels(motion.places[i])) - REFERENCE_TEMPERATURE)

@@ -5,8 +5,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.diagnosis_interface import Covariate, travel_covariate
-from rig.effects.framework.effect import Candidate, Context, Effect, Motion, Parameter
+from rig.arrays import Floats
+from rig.effects.framework.diagnosis_interface import Context, Covariate, travel_covariate
+from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.parameter import Parameter
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +34,7 @@ class TimeOffset(Effect):
     )
     action: ClassVar = "Trigger cameras and controller from one clock, or shift the exposures' times."
 
-    def times(self, t: np.ndarray) -> np.ndarray:
+    def times(self, t: Floats) -> Floats:
         return t + self.offset * (np.asarray(t) >= self.since)
 
     def covariate(self, motion: Motion) -> Covariate:

@@ -1,14 +1,16 @@
 """Transmission error: a repeatable profile of an axis' own position, by screw lead, gear or encoder."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import scipy
 
-from rig.effects.framework.diagnosis_interface import Covariate, travel_covariate
-from rig.effects.framework.effect import COUNT, Candidate, Context, Effect, Linear, Motion, Parameter
-from rig.effects.framework.parameter import Drawing, derivative_step, log_uniform
+from rig.arrays import Floats
+from rig.effects.framework.diagnosis_interface import COUNT, Context, Covariate, Linear, travel_covariate
+from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.parameter import Drawing, Parameter, derivative_step, log_uniform
 from rig.effects.framework.place import Place
 
 KNOTS = (5, 9, 14)  # of a strut's profile, or a slide's
@@ -50,7 +52,7 @@ class TransmissionError(Effect):
         """m or rad, root mean square of the profile."""
         return float(np.sqrt(np.mean(np.square(self.profile))))
 
-    def deviation(self, motion: Motion) -> np.ndarray:
+    def deviation(self, motion: Motion) -> Floats:
         out = np.zeros(motion.lengths.shape)
         for i in np.flatnonzero(self.axes(motion.places)):
             span = self.span or motion.kind.travel(motion.mechanism)[i]
@@ -86,7 +88,7 @@ class TransmissionError(Effect):
         )
 
     @classmethod
-    def _of(cls, place: str, node: dict, p: Parameter) -> Candidate:
+    def _of(cls, place: str, node: dict[str, Any], p: Parameter) -> Candidate:
         return Candidate(
             cls,
             place,
@@ -96,7 +98,7 @@ class TransmissionError(Effect):
         )
 
     @classmethod
-    def columns(cls, candidate: Candidate, node: dict, motion: Motion) -> np.ndarray:
+    def columns(cls, candidate: Candidate, node: dict[str, Any], motion: Motion) -> Floats:
         i = motion.places.index(candidate.place)
         out = np.zeros((*motion.lengths.shape, node[COUNT]))
         out[:, i] = cubic_spline_values(
@@ -105,7 +107,7 @@ class TransmissionError(Effect):
         return out
 
 
-def cubic_spline_values(q: np.ndarray, span: tuple[float, ...] | np.ndarray, values: np.ndarray) -> np.ndarray:
+def cubic_spline_values(q: Floats, span: tuple[float, ...] | Floats, values: Floats) -> Floats:
     """Values (n, ...) at q (n,) of natural cubic splines through values (knots, ...) at even knots over a span."""
     low, high = span
     return scipy.interpolate.CubicSpline(np.linspace(low, high, len(values)), values, bc_type="natural")(

@@ -1,13 +1,15 @@
 """Vibration of the platform: a sinusoid in time, sampled at the exposures."""
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from rig.effects.framework.diagnosis_interface import Covariate
-from rig.effects.framework.effect import QUADRATURE, Candidate, Context, Effect, Linear, Motion, Parameter
-from rig.effects.framework.parameter import Drawing
+from rig.arrays import Floats
+from rig.effects.framework.diagnosis_interface import QUADRATURE, Context, Covariate, Linear
+from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.parameter import Drawing, Parameter
 
 ROUNDS = 30  # of one factor after the other; each brings them nearer
 
@@ -46,19 +48,19 @@ class Vibration(Effect):
             object.__setattr__(self, "mode", tuple(np.eye(6)[int(number)].tolist()))
 
     @property
-    def direction_(self) -> np.ndarray:
+    def direction_(self) -> Floats:
         """(6,) the mode, one unit long in its translation."""
         mode = np.asarray(self.mode, float)
         size = np.linalg.norm(mode[:3])
         return mode / size if size > 0 else mode
 
-    def sway(self, motion: Motion) -> np.ndarray:
+    def sway(self, motion: Motion) -> Floats:
         return self.amplitude * np.sin(self._angle(motion))[:, None] * self.direction_
 
     def covariate(self, motion: Motion) -> Covariate:
         return Covariate(self.frequency * motion.t % 1, "phase of the shaking, turns")
 
-    def direction(self, motion: Motion) -> np.ndarray:
+    def direction(self, motion: Motion) -> Floats:
         return np.tile(self.direction_, (len(motion.t), 1))
 
     def kept(self) -> tuple[dict[tuple[str, int | None], float], ...]:
@@ -73,7 +75,7 @@ class Vibration(Effect):
         phase = np.remainder(self.phase + (2 if turned else 1) * np.pi, 2 * np.pi) - np.pi
         return replace(self, mode=tuple((-mode if turned else mode).tolist()), phase=float(phase))
 
-    def _angle(self, motion: Motion) -> np.ndarray:
+    def _angle(self, motion: Motion) -> Floats:
         return 2 * np.pi * self.frequency * motion.t + self.phase
 
     @classmethod
@@ -88,7 +90,7 @@ class Vibration(Effect):
         ]  # of twelve, a direction (6) and a phase are free
 
     @classmethod
-    def composed(cls, candidate: Candidate, node: dict, coefficients: np.ndarray) -> "Vibration":
+    def composed(cls, candidate: Candidate, node: dict[str, Any], coefficients: Floats) -> "Vibration":
         """Of twelve coefficients (six directions of the sine, then of the cosine), the one direction and phase that
         make most of them up.
         """
@@ -103,7 +105,7 @@ class Vibration(Effect):
         ).written()
 
 
-def rank_one_least_squares(b: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray]:
+def rank_one_least_squares(b: Floats, G: Floats) -> tuple[float, Floats]:
     """(drop, coefficients (12,)) of rank-one least squares with normal equations G (12, 12) x = b (12,)."""
     scale = np.sqrt(np.maximum(np.diag(G), 1e-300))
     whole = np.linalg.pinv(G / scale[:, None] / scale, rcond=1e-9, hermitian=True) @ (b / scale) / scale

@@ -5,8 +5,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.effects.framework.diagnosis_interface import Covariate, time_covariate
-from rig.effects.framework.effect import Effect, Motion, Parameter
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.parameter import Parameter
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +34,7 @@ class WarmUp(Effect):
         "Let the machine warm up before use, and log the {axis}s' temperatures so that it can be corrected."
     )
 
-    def deviation(self, motion: Motion) -> np.ndarray:
+    def deviation(self, motion: Motion) -> Floats:
         elapsed = motion.t - motion.path.began
         return self.axes(motion.places) * self.amplitude * (1 - np.exp(-elapsed / self.time_constant))[:, None]
 

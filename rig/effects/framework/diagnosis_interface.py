@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.effects.framework.machine_motion import Motion
 from rig.effects.framework.parameter import Parameter
 from rig.errors import RigError
@@ -22,7 +23,7 @@ class Context:
     """
 
     design: Design
-    t: np.ndarray
+    t: Floats
     sensors: Sensors | None
     motion: Motion | None
     cameras: tuple[str, ...] = ()
@@ -48,18 +49,18 @@ PLOT_UNITS = {"m": (1e3, "mm"), "rad": (180 / np.pi, "degrees")}  # of an axis' 
 class Covariate:
     """values : (n,) or (n, axes) in the unit in which they are drawn; label : in words, with that unit."""
 
-    values: np.ndarray
+    values: Floats
     label: str
 
 
-def travel_covariate(values: np.ndarray, motion: Motion, label: str, per: str = "") -> Covariate:
+def travel_covariate(values: Floats, motion: Motion, label: str, per: str = "") -> Covariate:
     """Covariate of travel values (n, axes) in the unit of each axis (m or rad), with a label."""
     scale = np.array([PLOT_UNITS[unit][0] for unit in motion.units])
     words = " or ".join(dict.fromkeys(PLOT_UNITS[unit][1] for unit in motion.units))
     return Covariate(values * scale, f"{label}, {words}{per}")
 
 
-def load_covariate(values: np.ndarray, motion: Motion, label: str) -> Covariate:
+def load_covariate(values: Floats, motion: Motion, label: str) -> Covariate:
     """Covariate of load: values (n, axes) N or N m that the axes carry, with a label."""
     kind = motion.kind
     per = {"m": ("force", "N"), "rad": ("torque", "N m")}
@@ -72,7 +73,7 @@ def time_covariate(motion: Motion) -> Covariate:
     return Covariate((motion.t - motion.t[0]) / 60, "time, min")
 
 
-def temperature_covariate(values: np.ndarray, part: str) -> Covariate:
+def temperature_covariate(values: Floats, part: str) -> Covariate:
     """Covariate of temperature: values (n,) or (n, axes) of a part in degrees Celsius."""
     return Covariate(values, f"temperature of {part}, °C")
 
@@ -92,7 +93,7 @@ class Linear(NamedTuple):
 
 
 def parameter_values(
-    linear: Sequence[Linear], node: dict, coefficients: np.ndarray, parameters: Sequence[Parameter]
+    linear: Sequence[Linear], node: dict[str, Any], coefficients: Floats, parameters: Sequence[Parameter]
 ) -> dict[str, Any]:
     """{parameter: value} of an effect, from a grid node and coefficients (q,) of its linear columns."""
     values, by = dict(node), {p.name: p for p in parameters}

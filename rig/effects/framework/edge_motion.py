@@ -2,8 +2,10 @@
 
 import numpy as np
 
+from rig.arrays import Floats
 
-def move_edges_inward(quads: np.ndarray, distance: float) -> np.ndarray:
+
+def move_edges_inward(quads: Floats, distance: float) -> Floats:
     """Corners (..., 4, 2) px of squares whose edges have each moved inward by a distance px, negative for outward."""
     edge = np.roll(quads, -1, axis=-2) - quads  # edge k runs from corner k to k + 1
     unit = edge / np.linalg.norm(edge, axis=-1, keepdims=True)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.effects.framework.diagnosis_interface import COUNT, QUADRATURE, Context, Covariate, Linear, parameter_values
 from rig.effects.framework.machine_motion import SOON, Motion, Path
 from rig.effects.framework.parameter import Drawing, Parameter, derivative_step, draw_parameter, parameter_grid
@@ -39,7 +40,7 @@ class Candidate:
 
     kind: "type[Effect]"
     place: str
-    grid: list[dict]
+    grid: list[dict[str, Any]]
     linear: list[Linear]
     label: str = ""
     extra: int = 0
@@ -51,11 +52,11 @@ class Candidate:
         """Plane "struts" for what moves the platform, "view" for what changes only what is seen."""
         return "view" if self.kind.stage in ("targets", "view") else "struts"
 
-    def effect(self, node: dict, coefficients: np.ndarray) -> "Effect":
+    def effect(self, node: dict[str, Any], coefficients: Floats) -> "Effect":
         """The effect of a node with coefficients (q,) of its linear parameters."""
         return self.kind.composed(self, node, coefficients)
 
-    def deviation(self, node: dict, motion: Motion) -> np.ndarray:
+    def deviation(self, node: dict[str, Any], motion: Motion) -> Floats:
         """(n, axes, q) m or rad per unit of each linear parameter that the axes deviate at a Motion; (n, axes, 1) whole
         where the size is part of the node. For effects that neither shift time nor change the path: see
         Effect.follow."""
@@ -113,7 +114,7 @@ class Effect:
         """
         return None
 
-    def times(self, t: np.ndarray) -> np.ndarray:
+    def times(self, t: Floats) -> Floats:
         """(n,) s on the commands' clock at which exposures logged at t (n,) really happened."""
         return t
 
@@ -132,11 +133,11 @@ class Effect:
         """
         return 0.0
 
-    def deviation(self, motion: Motion) -> np.ndarray:
+    def deviation(self, motion: Motion) -> Floats:
         """(n, axes) m or rad that the axes stand beyond their command, by this effect."""
         return np.zeros(motion.lengths.shape)
 
-    def sway(self, motion: Motion) -> np.ndarray:
+    def sway(self, motion: Motion) -> Floats:
         """(n, 6) tangent by which the platform is displaced, on the right (m, rad)."""
         return np.zeros((len(motion.t), 6))
 
@@ -148,30 +149,30 @@ class Effect:
         """The Camera that really looks."""
         return camera
 
-    def mount(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
+    def mount(self, camera: Camera, t: Floats, channel: Callable[..., Floats]) -> Floats:
         """(n, 6) tangent by which a camera's mount has moved at t (n,) s, on the right; channel(name) -> (n,) sensor
         values.
         """
         return np.zeros((len(t), 6))
 
-    def focal(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
+    def focal(self, camera: Camera, t: Floats, channel: Callable[..., Floats]) -> Floats:
         """(n,) factor on a camera's focal length."""
         return np.ones(len(t))
 
-    def bend(self, camera: Camera, points: np.ndarray) -> np.ndarray:
+    def bend(self, camera: Camera, points: Floats) -> Floats:
         """Points (..., 3) m of a camera's frame where they appear to be."""
         return points
 
-    def late(self, camera: Camera, v: np.ndarray) -> np.ndarray:
+    def late(self, camera: Camera, v: Floats) -> Floats:
         """(...,) s by which image row v (...,) is exposed after the middle row."""
         return np.zeros(np.shape(v))
 
-    def print_(self, camera: Camera, quads: np.ndarray) -> np.ndarray:
+    def print_(self, camera: Camera, quads: Floats) -> Floats:
         """Marker corners (..., 4, 2) px as they appear, given where their edges are."""
         return quads
 
     @classmethod
-    def bending(cls, camera: Camera, quads: np.ndarray, columns: Sequence[Linear]) -> np.ndarray | None:
+    def bending(cls, camera: Camera, quads: Floats, columns: Sequence[Linear]) -> Floats | None:
         """(..., 4, 2, q) px that `print_` moves corners (..., 4, 2) px by, per unit of each column, where it is linear
         in them and says so.
         """
@@ -182,7 +183,7 @@ class Effect:
         words = " or ".join(dict.fromkeys(f"µ{unit}" for unit in motion.units))
         return Covariate(self.deviation(motion) * 1e6, f"what the model says, {words}")
 
-    def direction(self, motion: Motion) -> np.ndarray | None:
+    def direction(self, motion: Motion) -> Floats | None:
         """(n, 6) tangents along which the residuals show it; None where each axis shows it for itself."""
         return None
 
@@ -274,12 +275,12 @@ class Effect:
         ]
 
     @classmethod
-    def composed(cls, candidate: Candidate, node: dict, coefficients: np.ndarray) -> "Effect":
+    def composed(cls, candidate: Candidate, node: dict[str, Any], coefficients: Floats) -> "Effect":
         """The effect of a Candidate's node with coefficients (q,) of its linear parameters."""
         return cls(candidate.place, **parameter_values(candidate.linear, node, coefficients, cls.parameters))
 
     @classmethod
-    def columns(cls, candidate: Candidate, node: dict, motion: Motion) -> np.ndarray:
+    def columns(cls, candidate: Candidate, node: dict[str, Any], motion: Motion) -> Floats:
         """(n, axes, q): see Candidate.deviation. The model is linear in these, so that a small step of each tells
         all.
         """
@@ -355,7 +356,7 @@ class Effect:
         """Whether this effect sits at a Place or its text; "rig", "cameras" and "markers" take in all of their kind."""
         return self.site.includes(Place.parse(place) if isinstance(place, str) else place)
 
-    def axes(self, places: tuple[str, ...]) -> np.ndarray:
+    def axes(self, places: tuple[str, ...]) -> Floats:
         """(axes,) 1.0 for the axes (their places) where it sits, else 0.0. Raises RigError for an axis that the machine
         does not have.
         """

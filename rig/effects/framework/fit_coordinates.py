@@ -4,7 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.effects.framework.effect import Effect, Parameter
+from rig.arrays import Floats
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.parameter import Parameter
 
 LOOSE = 3.0  # times the greatest usual size: what a number of a vector may be before anything is measured
 SWALLOWED = 0.15  # the same for a lens, whose terms and warps a camera's pose and stated lens take up almost whole
@@ -97,7 +99,7 @@ def coordinates_of_effects(effects: tuple[Effect, ...]) -> list[Coordinate]:
     ]
 
 
-def constrained_sums(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> np.ndarray:
+def constrained_sums(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> Floats:
     """(k, c) sums of coordinates that effects constrain to stay as they are in a fit."""
     rows = [
         [row.get((c.name, c.index), 0.0) * (c.effect == number) for c in coordinates]

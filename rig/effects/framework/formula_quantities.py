@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
-from rig.effects.framework.effect import AXES, REFERENCE_TEMPERATURE
+from rig.arrays import Floats
+from rig.effects.framework.effect import REFERENCE_TEMPERATURE
 from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.place import AXES
 
 POSE = ("x", "y", "z", "rx", "ry", "rz")
 OWN = ("own travel", "own step", "own direction", "own speed", "own way", "own load")
@@ -26,7 +26,7 @@ class Quantity:
     symbol: str
     unit: str
     code: str
-    values: Callable[[Motion], np.ndarray]
+    values: Callable[[Motion], Floats]
     apart: str
     powers: int = 3
     waves: bool = False

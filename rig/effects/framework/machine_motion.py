@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats, Integers
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.design import Actuator, Arm, Chain, Hexapod, Planar2, Platform
+from rig.model.design import Actuator, Platform
+from rig.model.mechanism_geometry import Arm, Chain, Hexapod, Planar2
 from rig.model.mechanisms.kinematics_by_kind import Kind
 from rig.recording.recording_folder import PAYLOAD, Sensors
 
@@ -23,23 +25,23 @@ class Path:
     the exposures
     starts : (k,) s, knots at which history begins anew: another recording of the same machine."""
 
-    t: np.ndarray
-    lengths: np.ndarray
-    at: np.ndarray
-    starts: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    t: Floats
+    lengths: Floats
+    at: Integers
+    starts: Floats = field(default_factory=lambda: np.zeros(0))
 
-    def with_knots(self, times: np.ndarray) -> "Path":
+    def with_knots(self, times: Floats) -> "Path":
         """The same path with knots added at times (k,) s."""
         t = np.union1d(self.t, times)
         lengths = np.stack([np.interp(t, self.t, column) for column in self.lengths.T], axis=1)
         return replace(self, t=t, lengths=lengths, at=np.searchsorted(t, self.t[self.at]))
 
     @property
-    def firsts(self) -> np.ndarray:
+    def firsts(self) -> Floats:
         """(k + 1,) the knots at which history begins."""
         return np.r_[0, np.searchsorted(self.t, self.starts)]
 
-    def walked(self, walk: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+    def walked(self, walk: Callable[[Floats, Floats], Floats]) -> Floats:
         """(m, axes) of walk(t (r,), lengths (r, axes)) -> (r, axes), which remembers, along each stretch from where
         history begins.
         """
@@ -47,39 +49,39 @@ class Path:
         return np.concatenate([walk(self.t[a:b], self.lengths[a:b]) for a, b in zip(edges[:-1], edges[1:])])
 
     @property
-    def began(self) -> np.ndarray:
+    def began(self) -> Floats:
         """(n,) s at which the history of each exposure began."""
         return self.t[self.firsts[np.searchsorted(self.starts, self.t[self.at], side="right")]]
 
     @property
-    def _steps(self) -> np.ndarray:
+    def _steps(self) -> Floats:
         """(m, axes) m or rad from the knot before to each; 0 where history begins."""
         step = np.diff(self.lengths, axis=0, prepend=self.lengths[:1])
         step[self.firsts] = 0
         return step
 
     @property
-    def speeds(self) -> np.ndarray:
+    def speeds(self) -> Floats:
         """(m, axes) m/s or rad/s at which the axes come to the knots."""
         return self._steps / np.maximum(np.diff(self.t, prepend=self.t[0] - 1), SOON)[:, None]
 
     @property
-    def speed(self) -> np.ndarray:
+    def speed(self) -> Floats:
         """(n, axes) m/s or rad/s at which the axes come to the exposures."""
         return self.speeds[self.at]
 
     @property
-    def direction(self) -> np.ndarray:
+    def direction(self) -> Floats:
         """(n, axes) -1 or 1, which way each axis last moved before the exposures; 0 where it never did."""
         return np.sign(self.since_reversal)
 
     @property
-    def way(self) -> np.ndarray:
+    def way(self) -> Floats:
         """(n, axes) m or rad that the axes have travelled by the exposures, whichever way."""
         return np.abs(self._steps).cumsum(axis=0)[self.at]
 
     @property
-    def last_step(self) -> np.ndarray:
+    def last_step(self) -> Floats:
         """(n, axes) m or rad of the last straight move that led to each exposure: knots on its way and rests after it
         do not count.
         """
@@ -95,19 +97,19 @@ class Path:
         return step[self.at]
 
     @property
-    def _ends(self) -> np.ndarray:
+    def _ends(self) -> Floats:
         """(m,) the last knot that a move led to, by each knot."""
         ends = np.where(self.speeds.any(axis=1), np.arange(len(self.t)), 0)
         ends[self.firsts] = self.firsts
         return np.maximum.accumulate(ends)
 
     @property
-    def dwell(self) -> np.ndarray:
+    def dwell(self) -> Floats:
         """(n,) s that nothing has moved for at the exposures; from the start on where nothing ever did."""
         return self.t[self.at] - self.t[self._ends[self.at]]
 
     @property
-    def since_reversal(self) -> np.ndarray:
+    def since_reversal(self) -> Floats:
         """(n, axes) m or rad each axis has moved since it last turned round, signed by the direction."""
         step = self._steps
         out, fresh = np.zeros_like(step), set(self.firsts.tolist())
@@ -135,13 +137,13 @@ class Motion:
     mechanism: Hexapod | Planar2 | Arm | Chain
     platform: Platform
     actuator: Actuator
-    gravity: np.ndarray
-    t: np.ndarray
+    gravity: Floats
+    t: Floats
     path: Path
     sensors: Sensors | None
-    home: np.ndarray
+    home: Floats
     T: RigidTransform | None
-    kept: dict[tuple, np.ndarray] = field(default_factory=dict, init=False, repr=False)
+    kept: dict[tuple[Any, ...], Floats] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def kind(self) -> Kind[Any]:
@@ -159,17 +161,17 @@ class Motion:
         return mechanisms.axis_units(self.mechanism)
 
     @property
-    def lengths(self) -> np.ndarray:
+    def lengths(self) -> Floats:
         """(n, axes) commanded values at the exposures, m or rad."""
         return self.path.lengths[self.path.at]
 
     @property
-    def stroke(self) -> np.ndarray:
+    def stroke(self) -> Floats:
         """(n, axes) m or rad from home."""
         return self.lengths - self.home
 
     @property
-    def displaced(self) -> np.ndarray:
+    def displaced(self) -> Floats:
         """(n, 6) m and rad of the platform, or the hand, from home: translation and rotation vector in the frame of
         poses.
         """
@@ -179,31 +181,31 @@ class Motion:
             [T.translation - home.translation, (T.rotation * home.rotation.inv()).as_rotvec()], axis=1
         )
 
-    def tangents(self, moved: np.ndarray) -> np.ndarray:
+    def tangents(self, moved: Floats) -> Floats:
         """(n, 6) tangents, on the right, of what moves by (n, 6) m and rad along the axes of the frame of poses and, at
         its origin, about them.
         """
         back = np.swapaxes(self.posed().rotation.as_matrix(), 1, 2)
         return (back[:, None] @ moved.reshape(-1, 2, 3, 1)).reshape(-1, 6)
 
-    def once(self, key: tuple, make: Callable[[], np.ndarray]) -> np.ndarray:
+    def once(self, key: tuple[Any, ...], make: Callable[[], Floats]) -> Floats:
         """What `make` makes, kept under a key for as long as this Motion lasts."""
         if key not in self.kept:
             self.kept[key] = make()
         return self.kept[key]
 
-    def turn(self) -> np.ndarray:
+    def turn(self) -> Floats:
         """(axes,) m or rad of travel for one turn of what drives an axis: the screw's lead, a joint's own turn; NaN
         where no lead is stated.
         """
         lead = np.nan if self.actuator.screw_lead is None else self.actuator.screw_lead
         return np.array([lead if unit == "m" else 2 * np.pi for unit in self.units])
 
-    def no_turn(self, sits: np.ndarray) -> str | None:
+    def no_turn(self, sits: Floats) -> str | None:
         """Why the travel of one turn is not known of the axes that something sits at (axes,), or None."""
         return "needs [actuator] screw_lead in rig.toml" if np.isnan(self.turn()[sits > 0]).any() else None
 
-    def channel(self, *names: str) -> np.ndarray:
+    def channel(self, *names: str) -> Floats:
         """(n,) the first of these sensor channels that there is, at the exposures. Raises RigError where the recording
         lacks them all.
         """
@@ -219,7 +221,7 @@ class Motion:
             return f"{wanted}, and the recording has no sensors.csv"
         return None if set(names) & set(self.sensors.channels) else f"{wanted}, which the recording does not have"
 
-    def payload(self) -> np.ndarray:
+    def payload(self) -> Floats:
         """(n,) kg on the platform; 0 where nobody logged any."""
         logged = self.sensors is not None and PAYLOAD in self.sensors.channels
         return self.channel(PAYLOAD) if logged else np.zeros(len(self.t))
@@ -230,7 +232,7 @@ class Motion:
             raise ValueError("this takes a motion with its poses")
         return self.T
 
-    def loads(self) -> np.ndarray:
+    def loads(self) -> Floats:
         """(n, axes) N or N m with which the axes hold the platform and its payload at the poses T, worked out once.
 
         Raises RigError where the platform's mass or centre is not stated
@@ -248,7 +250,7 @@ class Motion:
             return "needs [platform] payload_centre_of_mass in rig.toml, since a payload was logged"
         return None
 
-    def _loads(self) -> np.ndarray:
+    def _loads(self) -> Floats:
         platform, payload = self.platform, self.payload()
         down = (
             np.swapaxes(self.posed().rotation.as_matrix(), 1, 2) @ self.gravity
@@ -259,14 +261,14 @@ class Motion:
             wrench += np.concatenate([weight, _moment(platform.payload_centre_of_mass, weight)], axis=1)
         return self.kind.loads(self.T, self.lengths, self.mechanism, wrench)
 
-    def links(self) -> np.ndarray:
+    def links(self) -> Floats:
         """(n, axes, c) load of the axes per kg and kg m of the machine's own members, worked out once: see
         mechanisms.kind.
         """
         return self.once(("links",), lambda: self.kind.links(self.T, self.lengths, self.mechanism, self.gravity))
 
 
-def _moment(arm: np.ndarray | None, force: np.ndarray) -> np.ndarray:
+def _moment(arm: Floats | None, force: Floats) -> Floats:
     """(n, 3) N m of forces (n, 3) N at a place (3,) m."""
     if arm is None:
         raise ValueError("where a weight acts is not stated")

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.effects.framework.machine_motion import Motion
 from rig.effects.framework.place import Place
 from rig.formats.number_parsing_and_rounding import quantity_text
@@ -78,7 +79,7 @@ SIZES = 16  # values of a "size" parameter over its usual range
 EDGE = 4  # frames at either end that a moment leaves
 
 
-def parameter_grid(p: Parameter, t: np.ndarray) -> list[float]:
+def parameter_grid(p: Parameter, t: Floats) -> list[float]:
     """Grid of values of a parameter to be tried, by its role and usual size; t : (n,) s, the exposures."""
     low, high = p.usual
     if p.role in ("size", "log"):
@@ -105,7 +106,7 @@ class Drawing:
     """
 
     design: Design
-    t: np.ndarray
+    t: Floats
     motion: Motion
     displaced: Callable[[Any, Camera], float]
 

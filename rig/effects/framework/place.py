@@ -10,6 +10,8 @@ from typing import Self
 
 import numpy as np
 
+from rig.arrays import Floats
+
 AXES = ("strut", "joint", "slide")  # what "axis" stands for among an effect's places
 WHOLE = {**dict.fromkeys(AXES, "rig"), "camera": "cameras", "marker": "markers"}  # what takes in all places of a kind
 NUMBER = "[1-9][0-9]{0,8}"
@@ -85,6 +87,6 @@ def parse_stage_place(text: str, kinds: Collection[str]) -> Place | None:
 
 
 @cache
-def axis_mask(at: Place, places: tuple[str, ...]) -> np.ndarray:
+def axis_mask(at: Place, places: tuple[str, ...]) -> Floats:
     """(axes,) 1.0 for the axes' places (texts) that a place is or takes in, else 0.0."""
     return np.array([float(at.includes(Place.parse(place))) for place in places])

@@ -2,11 +2,12 @@
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.compute.numba_kernels import njit
 from rig.effects.framework.machine_motion import Motion
 
 
-def play_operator(lengths: np.ndarray, half: float) -> np.ndarray:
+def play_operator(lengths: Floats, half: float) -> Floats:
     """Play operator: output (m, axes) of a play of half width `half` along a path of lengths (m, axes), m or rad.
 
     The output starts in the middle of the gap and is dragged along at its ends. Between knots the input is monotonic,
@@ -15,7 +16,7 @@ def play_operator(lengths: np.ndarray, half: float) -> np.ndarray:
     return _walk(np.ascontiguousarray(lengths, dtype=float), float(half))
 
 
-def play_deviation(motion: Motion, half: float) -> np.ndarray:
+def play_deviation(motion: Motion, half: float) -> Floats:
     """Deviation (n, axes) m or rad from the command at the exposures by a play of half width `half`."""
     path = motion.path
     return motion.once(

@@ -4,9 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_validity import check_effect
 from rig.effects.framework.machine_motion import Motion
@@ -57,7 +59,7 @@ class ExampleRun:
 
     effect: Effect
     design: Design
-    t: np.ndarray
+    t: Floats
     commands: Commands
     sensors: Sensors
     motion: Motion
@@ -68,7 +70,7 @@ def effect_example(
     place: str,
     factor: float = 1.0,
     design: Design | None = None,
-    displaced: Callable = lambda effect, camera: 1.0,
+    displaced: Callable[..., Any] = lambda effect, camera: 1.0,
 ) -> ExampleRun:
     """Example run (ExampleRun) with an effect of a kind at a place, `factor` times its largest usual size.
 

@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.sketches.effect_example import AXIS, FAR, ExampleRun, Sketch, effect_example, place_and_values_text
 from rig.model import motion_simulation
@@ -29,7 +30,7 @@ def draw_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
     return Sketch(place_and_values_text(way.effect), (first, _over_covariate(way, error)))
 
 
-def _strut_errors(way: ExampleRun) -> np.ndarray:
+def _strut_errors(way: ExampleRun) -> Floats:
     """(n,) m by which the strut that is looked at stands beyond its command, at the exposures of a Way."""
     T = way.motion.T
     assert T is not None
@@ -37,7 +38,7 @@ def _strut_errors(way: ExampleRun) -> np.ndarray:
     return found[:, AXIS] - way.motion.lengths[:, AXIS]
 
 
-def _through_time(way: ExampleRun, error: np.ndarray) -> str:
+def _through_time(way: ExampleRun, error: Floats) -> str:
     """Where the strut is told to be, and where it is, its error enlarged."""
     told = way.motion.stroke[:, AXIS]
     much = enlargement_factor(np.abs(error).max(), SHARE * FAR)
@@ -49,7 +50,7 @@ def _through_time(way: ExampleRun, error: np.ndarray) -> str:
     return plot_panel(f"Strut {AXIS + 1}", (f"time, {unit}", "stroke, mm"), series, high=HIGH)
 
 
-def _over_covariate(way: ExampleRun, error: np.ndarray) -> str:
+def _over_covariate(way: ExampleRun, error: Floats) -> str:
     """The error over what gives the effect away."""
     shown = way.effect.covariate(way.motion)
     across = np.asarray(shown.values)
@@ -97,11 +98,11 @@ def _displaced(way: ExampleRun) -> str:
     )
 
 
-def _ring(points: np.ndarray) -> str:
+def _ring(points: Floats) -> str:
     return "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in points.tolist()) + "Z"
 
 
-def _seen(points: np.ndarray) -> np.ndarray:
+def _seen(points: Floats) -> Floats:
     """Points (..., 3) m of the base as they are looked at, (..., 2) m to the right and down."""
     x, y, z = np.moveaxis(points, -1, 0)
     across, away = x * np.cos(TURNED) - y * np.sin(TURNED), x * np.sin(TURNED) + y * np.cos(TURNED)

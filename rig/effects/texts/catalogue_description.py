@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.framework.effect import AXES, Effect
+from rig.effects.framework.effect import Effect
 from rig.effects.framework.parameter import Parameter
-from rig.effects.framework.place import axis_neutral_text
+from rig.effects.framework.place import AXES, axis_neutral_text
 from rig.formats.number_parsing_and_rounding import range_text
 
 HEADS = ("name", "stage", "sits at", "parameters, usual size", "exposed by", "what to do")

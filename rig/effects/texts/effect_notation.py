@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.framework.effect import AXES, Effect
+from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_validity import check_effect
-from rig.effects.framework.place import Place, parse_stage_place
+from rig.effects.framework.place import AXES, Place, parse_stage_place
 from rig.errors import RigError
 from rig.formats.checked_entries import NAME, nearest_known_word
 from rig.formats.input_files import short_repr
+from rig.formats.json_tree import Json
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.model import mechanisms
 from rig.model.design import Design
@@ -70,7 +71,7 @@ def _place(text: str, kind: type[Effect]) -> str:
     return text
 
 
-def effect_to_dict(effect: Effect) -> dict:
+def effect_to_dict(effect: Effect) -> Json:
     """Dict {"effect", "place", "parameters"} of an effect, as truth files and diagnoses write it."""
     return {
         "effect": effect.name,
@@ -83,7 +84,7 @@ def effect_to_dict(effect: Effect) -> dict:
     }  # what is infinite is its default
 
 
-def effect_from_dict(tree: dict, known: Kinds = BY_NAME) -> Effect:
+def effect_from_dict(tree: Json, known: Kinds = BY_NAME) -> Effect:
     """Effect from a dict as `effect_to_dict` writes it, of known kinds. Raises RigError for anything else."""
     if (
         not isinstance(tree, dict)

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.effects.framework.effect import AXES, Effect
+from rig.effects.framework.effect import Effect
 from rig.effects.framework.formula_quantities import POSE, Quantity, quantity_by_name
+from rig.effects.framework.place import AXES
 from rig.effects.texts.user_effect_files import effects_of_source
 from rig.formats.checked_entries import Entries
 

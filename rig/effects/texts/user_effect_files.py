@@ -20,8 +20,11 @@ from typing import Any
 import numpy as np
 
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.framework.effect import AXES, MOTION_STAGES, Context, Effect, Parameter
+from rig.effects.framework.diagnosis_interface import Context
+from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.effect_validity import check_effect
+from rig.effects.framework.parameter import Parameter
+from rig.effects.framework.place import AXES
 from rig.effects.texts.catalogue_description import STAGES
 from rig.errors import FileError, RigError
 

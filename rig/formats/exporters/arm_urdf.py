@@ -10,7 +10,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.model.design import Arm
+from rig.arrays import Floats
+from rig.model.mechanism_geometry import Arm
 from rig.model.pose import pose
 
 
@@ -58,7 +59,7 @@ def origin_element(T: RigidTransform) -> str:
     return f'<origin xyz="{numbers[0]}" rpy="{numbers[1]}"/>'
 
 
-def roll_pitch_yaw(rotation: Rotation) -> np.ndarray:
+def roll_pitch_yaw(rotation: Rotation) -> Floats:
     """Roll, pitch, yaw (3,) rad of a rotation, about the fixed axes x, y, z."""
     R = rotation.as_matrix()
     pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))

@@ -2,8 +2,9 @@
 
 import json
 from collections.abc import Iterable
+from typing import Any
 
-from rig.model.design import Arm, Hexapod
+from rig.model.mechanism_geometry import Arm, Hexapod
 from rig.model.mechanism_kinds import has_plates
 from rig.model.pose import pose_to_entry, pose_to_vector
 
@@ -47,7 +48,7 @@ def geometry_json(mechanism: Hexapod | Arm) -> str:
 def geometry_csv(mechanism: Hexapod | Arm) -> str:
     """Geometry as CSV: a row per strut of a Hexapod, a row per joint of an Arm."""
     header: tuple[str, ...]
-    parts: Iterable[tuple]
+    parts: Iterable[tuple[Any, ...]]
     if has_plates(mechanism):
         header, last = HEXAPOD, [""] * len(mechanism.axes)
         parts = zip(

@@ -21,9 +21,10 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.arrays import Floats
 from rig.errors import RigError
 from rig.formats.exporters.arm_urdf import origin_element, roll_pitch_yaw
-from rig.model.design import Hexapod
+from rig.model.mechanism_geometry import Hexapod
 
 LEAST = 1e-9  # m or rad
 
@@ -38,7 +39,7 @@ class Strut:
     tilt: float
     home: float
     zero: float
-    limits: np.ndarray
+    limits: Floats
     T_platform_joint: RigidTransform
 
     def T_base_strut(self) -> RigidTransform:
@@ -188,5 +189,5 @@ def _pose(T: RigidTransform) -> str:
     return f"<pose>{_figures(T.translation)} {_figures(roll_pitch_yaw(T.rotation))}</pose>"
 
 
-def _figures(values: np.ndarray) -> str:
+def _figures(values: Floats) -> str:
     return " ".join(f"{value:.16g}" for value in values)

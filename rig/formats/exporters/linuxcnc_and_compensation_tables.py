@@ -11,9 +11,10 @@ LinuxCNC, INI configuration, [JOINT_n] COMP_FILE
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.errors import RigError
-from rig.model.design import Hexapod
 from rig.model.hexapod_geometry import cardan_twist
+from rig.model.mechanism_geometry import Hexapod
 
 UNITS = {"mm": 1e3, "m": 1.0}
 DIGITS = 12  # decimals of a machine unit
@@ -79,7 +80,7 @@ def genhexkins_settings(
     return "\n".join(lines) + "\n"
 
 
-def _vectors(name: str, points: np.ndarray) -> list[str]:
+def _vectors(name: str, points: Floats) -> list[str]:
     return [
         f"setp genhexkins.{name}.{i}.{axis} {value:.{DIGITS}f}"
         for i, point in enumerate(points)
@@ -87,7 +88,7 @@ def _vectors(name: str, points: np.ndarray) -> list[str]:
     ]
 
 
-def _tangential(joints: np.ndarray) -> np.ndarray:
+def _tangential(joints: Floats) -> Floats:
     axes = np.stack([-joints[:, 1], joints[:, 0], np.zeros(len(joints))], axis=1)
     return axes / np.linalg.norm(axes, axis=1, keepdims=True)
 
@@ -96,7 +97,7 @@ MOST = 256  # entries that LinuxCNC takes
 SCALE = {"mm": 1e3, "m": 1.0}
 
 
-def linuxcnc_compensation_file(joint_positions: np.ndarray, corrections: np.ndarray, units: str = "mm") -> str:
+def linuxcnc_compensation_file(joint_positions: Floats, corrections: Floats, units: str = "mm") -> str:
     """LinuxCNC compensation file of one joint: corrections (n,) m at joint positions (n,) m.
 
     units : of the machine, "mm" or "m". Raises ValueError for more entries than it takes, or none that grow
@@ -109,7 +110,7 @@ def linuxcnc_compensation_file(joint_positions: np.ndarray, corrections: np.ndar
     return "\n".join(" ".join(f"{value:.9f}" for value in row) for row in rows) + "\n"
 
 
-def correction_grid_csv(configurations: np.ndarray, corrections: np.ndarray, axes: tuple[str, ...], unit: str) -> str:
+def correction_grid_csv(configurations: Floats, corrections: Floats, axes: tuple[str, ...], unit: str) -> str:
     """CSV of corrections (n, axes) on a grid of configurations (n, axes), with comment lines that explain them.
     unit : of both, "m" or "rad".
     """

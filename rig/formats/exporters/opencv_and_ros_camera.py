@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.errors import RigError
 from rig.model.design import Camera
 
@@ -50,7 +51,7 @@ def opencv_camera_yaml(camera: Camera) -> str:
     return "\n".join(parts) + "\n"
 
 
-def _block(key: str, matrix: np.ndarray, tag: str = "") -> list[str]:
+def _block(key: str, matrix: Floats, tag: str = "") -> list[str]:
     kind = ["   dt: d"] if tag else []
     return [
         f"{key}:{tag}",
@@ -61,7 +62,7 @@ def _block(key: str, matrix: np.ndarray, tag: str = "") -> list[str]:
     ]
 
 
-def _figures(values: Sequence[float] | np.ndarray) -> str:
+def _figures(values: Sequence[float] | Floats) -> str:
     """Numbers to the last bit, each with a point: YAML 1.1 and OpenCV take 1e-05 for a word, and 1 for a whole
     number.
     """

@@ -187,7 +187,7 @@ def parquet_tables(recording_folder: Path) -> dict[str, bytes]:
     return {name: parquet_bytes(_columns(csv_table.read(recording_folder / f"{name}.csv", ()))) for name in found}
 
 
-def _columns(rows: csv_table.Table) -> dict[str, list]:
+def _columns(rows: csv_table.Table) -> dict[str, list[Any]]:
     return {
         name: rows.text(name) if name in TEXT else (rows.whole(name) if name in WHOLE else rows.numbers(name)).tolist()
         for name in rows.columns

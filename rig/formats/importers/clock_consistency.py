@@ -4,6 +4,7 @@ from decimal import Decimal
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.checks.clock_mistakes import dwell_clock_shift
 from rig.errors import RigError
 from rig.formats.importers.command_table import Commanded
@@ -43,6 +44,6 @@ def require_one_clock(exposures: Exposed, commands: Commanded | None) -> None:
     )
 
 
-def seconds_since_origin(t: list[Decimal], origin: Decimal) -> np.ndarray:
+def seconds_since_origin(t: list[Decimal], origin: Decimal) -> Floats:
     """Seconds (n,) of times since an origin."""
     return np.array([float(DIGITS.subtract(one, origin)) for one in t])

@@ -6,6 +6,7 @@ from decimal import Decimal
 
 import numpy as np
 
+from rig.arrays import Floats, Integers
 from rig.checks.clock_mistakes import FASTEST, SLOWEST, USUAL
 from rig.errors import FileError, RigError
 from rig.formats.importers import column_headers, units_and_timestamps
@@ -13,7 +14,8 @@ from rig.formats.importers.csv_dialect import Cells, read_foreign_table
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.importers.units_and_timestamps import ambiguity_error
 from rig.model import mechanisms
-from rig.model.design import Arm, Design
+from rig.model.design import Design
+from rig.model.mechanism_geometry import Arm
 from rig.model.mechanism_kinds import has_links, require_arm, require_struts
 
 
@@ -24,8 +26,8 @@ class Commanded:
     """
 
     t: list[Decimal] | None
-    values: np.ndarray
-    frame: np.ndarray | None
+    values: Floats
+    frame: Integers | None
     table: ForeignTable
     said: tuple[str, ...]
 
@@ -106,7 +108,7 @@ def _time_unit(header: str) -> str | None:
 
 def _values(
     cells: Cells, at: list[int], table: ForeignTable, design: Design
-) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
+) -> tuple[Floats, ForeignTable, tuple[str, ...]]:
     """((n, axes) m or rad, ForeignTable with the unit, sentences)."""
     values = np.array([cells.numbers(k) for k in at]).T
     if has_links(design.mechanism) and design.mechanism.slides.any():
@@ -140,8 +142,8 @@ def _values(
 
 
 def _sliding(
-    values: np.ndarray, stated: list[str | None], table: ForeignTable, arm: Arm
-) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
+    values: Floats, stated: list[str | None], table: ForeignTable, arm: Arm
+) -> tuple[Floats, ForeignTable, tuple[str, ...]]:
     """((n, axes) rad and m, ForeignTable, sentences) of an arm with slides: each column in the unit that its header
     states, SI where none is.
     """
@@ -164,8 +166,8 @@ def _sliding(
 
 
 def _angles(
-    values: np.ndarray, unit: str | None, table: ForeignTable, limits: np.ndarray
-) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
+    values: Floats, unit: str | None, table: ForeignTable, limits: Floats
+) -> tuple[Floats, ForeignTable, tuple[str, ...]]:
     fit = units_and_timestamps.likely_angle_units(values, limits, ("rad", "deg") if unit is None else (unit,))
     said = f"angles run from {values.min():.6g} to {values.max():.6g}"
     if unit is None and len(fit) > 1:
@@ -191,8 +193,8 @@ def _angles(
 
 
 def _lengths(
-    values: np.ndarray, unit: str | None, table: ForeignTable, ranges: np.ndarray, home: np.ndarray
-) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
+    values: Floats, unit: str | None, table: ForeignTable, ranges: Floats, home: Floats
+) -> tuple[Floats, ForeignTable, tuple[str, ...]]:
     asked = ("mm",) if unit == "steps" else tuple(units_and_timestamps.LENGTHS) if unit is None else (unit,)
     fit = units_and_timestamps.likely_length_units(
         values, ranges, home, asked, ("zero", "home") if table.relative is None else (table.relative,)
@@ -229,13 +231,13 @@ def _lengths(
     return q, replace(table, unit=unit or u, relative=r), told
 
 
-def _pace(values: np.ndarray, design: Design) -> Callable[[np.ndarray], bool]:
+def _pace(values: Floats, design: Design) -> Callable[[Floats], bool]:
     """Whether the axes can move as times t (n,) s would have it."""
     unit = design.mechanism.axis_unit
     top = design.actuator.max_speed if unit == "m" else None
     low, high = (SLOWEST * top, FASTEST * top) if top else USUAL[unit]
 
-    def plausible(t: np.ndarray) -> bool:
+    def plausible(t: Floats) -> bool:
         if len(t) < 2 or (np.diff(t) <= 0).any():
             return False
         step = np.abs(np.diff(values, axis=0)).max(axis=1) / np.diff(t)

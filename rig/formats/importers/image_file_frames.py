@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.errors import FileError, RigError
 from rig.formats.importers import units_and_timestamps as times
 from rig.formats.importers.import_recipe import Images
@@ -203,7 +204,7 @@ def _pattern(stem: str, k: int, part: str) -> str:
 
 
 def group_images_into_exposures(
-    image_files: list[Picture], images: Images, are_plausible: Callable[[np.ndarray], bool]
+    image_files: list[Picture], images: Images, are_plausible: Callable[[Floats], bool]
 ) -> Exposed:
     """Group image files into exposures: by frame number, else by time.
     are_plausible : whether times (n,) s from the first can be so.

@@ -10,6 +10,7 @@ from typing import Any
 from rig.errors import FileError, RigError
 from rig.formats.checked_entries import Entries
 from rig.formats.input_files import read_text, short_repr
+from rig.formats.json_tree import Json
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.formats.toml_positions import value_positions
 
@@ -134,7 +135,7 @@ def recipe_of_options(
     """Recipe of command line options: rig, image folders, tables, settings, cameras, bags.
     tables : {one of TABLES: file or None}; cameras, bags : files of them. Raises RigError.
     """
-    tree: dict = {} if rig is None else {"rig": str(rig)}
+    tree: Json = {} if rig is None else {"rig": str(rig)}
     if folders:
         tree["images"] = {"folders": [str(folder) for folder in folders]}
     if cameras:
@@ -146,7 +147,7 @@ def recipe_of_options(
     return _recipe(Entries(tree, (), Path("--set"), {(): (None, None)}), Path())
 
 
-def _set(tree: dict, settings: tuple[str, ...]) -> None:
+def _set(tree: Json, settings: tuple[str, ...]) -> None:
     for setting in settings:
         key, equals, value = setting.partition("=")
         *above, last = key.strip().split(".", 2)

@@ -3,10 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from decimal import Decimal
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.arrays import Floats, Integers
 from rig.errors import RigError
 from rig.formats.checked_entries import LARGEST_RIG
 from rig.formats.importers import column_headers, units_and_timestamps
@@ -46,17 +48,17 @@ class Posed:
 
     T: RigidTransform
     alone: bool
-    frame: np.ndarray | None
+    frame: Integers | None
     t: list[Decimal] | None
     table: ForeignTable
     said: tuple[str, ...]
 
 
-Asked = Callable[[list[Decimal] | None, np.ndarray | None, int], np.ndarray | None]
+Asked = Callable[[list[Decimal] | None, Floats | None, int], Floats | None]
 
 
 def read_poses(
-    table: ForeignTable, design: Design, commands_of_rows: Asked, are_plausible: Callable[[np.ndarray], bool]
+    table: ForeignTable, design: Design, commands_of_rows: Asked, are_plausible: Callable[[Floats], bool]
 ) -> Posed:
     """Read the poses of a foreign table. Raises RigError where it is ambiguous.
     Raises RigError for what reads well in two ways.
@@ -108,7 +110,7 @@ def read_poses(
 
 def _positions(
     cells: Cells, found: dict[str, int], table: ForeignTable, design: Design
-) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
+) -> tuple[Floats, ForeignTable, tuple[str, ...]]:
     values = np.array([cells.numbers(found[name]) for name in "xyz"]).T
     stated = {table.unit or units_and_timestamps.split_header(cells.header[found[name]])[1] for name in "xyz"}
     unit = stated.pop()
@@ -141,8 +143,8 @@ def _size(design: Design) -> float:
 
 
 def _rotations(
-    cells: Cells, found: dict[str, int], table: ForeignTable, design: Design, p: np.ndarray, q: np.ndarray | None
-) -> tuple:
+    cells: Cells, found: dict[str, int], table: ForeignTable, design: Design, p: Floats, q: Floats | None
+) -> tuple[Any, ...]:
     """(Rotation (n,) or None where there are none, ForeignTable, sentences)."""
     group = next((g for g in (QUATERNION, EULERS, NUMBERED, VECTOR) if len(set(g) & set(found)) >= 3), None)
     if group is None:
@@ -178,7 +180,7 @@ def _name(rotation: str, unit: str | None) -> str:
     return f"rotation vectors in {unit}" if rotation == "rotvec" else f"{rotation}s"
 
 
-def _quaternions(values: np.ndarray, names: list[str], named: bool, table: ForeignTable) -> list[tuple]:
+def _quaternions(values: Floats, names: list[str], named: bool, table: ForeignTable) -> list[tuple[Any, ...]]:
     if values.shape[1] != 4 or (np.abs(np.linalg.norm(values, axis=1) - 1) > UNIT).any():
         raise RigError(f"{table.file}: {', '.join(names)} are no quaternions: four figures whose squares sum to one")
     if named:
@@ -188,8 +190,8 @@ def _quaternions(values: np.ndarray, names: list[str], named: bool, table: Forei
 
 
 def _angles(
-    values: np.ndarray, names: list[str], stated: set[str | None], euler: bool, table: ForeignTable
-) -> list[tuple]:
+    values: Floats, names: list[str], stated: set[str | None], euler: bool, table: ForeignTable
+) -> list[tuple[Any, ...]]:
     """Readings of three figures: vectors or Euler angles, in rad or degrees. Columns of Euler angles: about x, y, z in
     that order.
     """
@@ -208,11 +210,13 @@ def _angles(
     return found
 
 
-def _by_commands(ways: list[tuple], table: ForeignTable, design: Design, p: np.ndarray, q: np.ndarray | None) -> tuple:
+def _by_commands(
+    ways: list[tuple[Any, ...]], table: ForeignTable, design: Design, p: Floats, q: Floats | None
+) -> tuple[Any, ...]:
     """The reading with which the commands agree; zyx about fixed axes is XYZ about moving ones, and of the same the
     first counts.
     """
-    distinct: list[tuple] = []
+    distinct: list[tuple[Any, ...]] = []
     for way in ways:
         if not any((way[2] * other[2].inv()).magnitude().max() < 1e-9 for other in distinct):
             distinct.append(way)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rig.arrays import Floats, Integers
 from rig.errors import RigError
 from rig.formats.importers import column_headers, image_file_frames, units_and_timestamps
 from rig.formats.importers.camera_calibrations import rig_toml_with_cameras
@@ -15,7 +16,7 @@ from rig.formats.importers.clock_consistency import require_one_clock, seconds_s
 from rig.formats.importers.command_table import Commanded, read_commands
 from rig.formats.importers.csv_dialect import read_foreign_table
 from rig.formats.importers.image_file_frames import Exposed
-from rig.formats.importers.import_recipe import ForeignTable, Recipe
+from rig.formats.importers.import_recipe import ForeignTable, Images, Recipe
 from rig.formats.importers.pose_table import Posed, read_poses
 from rig.formats.importers.sensor_table import Logged, read_sensors
 from rig.formats.input_files import read_bytes, read_text
@@ -28,7 +29,7 @@ from rig.recording.recording_tables import write_poses, write_table
 from rig.recording.time_origin import DIGITS
 
 LARGEST_IMAGE_FILE = 1 << 31  # bytes
-Like = Callable[[np.ndarray], bool]
+Like = Callable[[Floats], bool]
 SAME_MOMENT = 0.05  # s that a pose may be from its frame
 SPANS = (0.02, 50.0)  # of another file's span, that a file's may have
 LISTED = 20
@@ -264,8 +265,8 @@ def _usable(exposed: Exposed, design: Design, skip: bool) -> Exposed:
 
 
 def _commanded(
-    exposed: Exposed | None, commanded: Commanded | None, t: list[Decimal] | None, frame: np.ndarray | None, n: int
-) -> np.ndarray | None:
+    exposed: Exposed | None, commanded: Commanded | None, t: list[Decimal] | None, frame: Integers | None, n: int
+) -> Floats | None:
     """(n, axes) commanded at n poses: at their times, at those of their frames, or row for row; None where none of
     these tells.
     """
@@ -309,9 +310,7 @@ def _placed(exposed: Exposed | None, posed: Posed, commanded: Commanded | None) 
             numbers = [
                 int(r) for r in np.argsort(np.argsort(np.array([float(x - t[order[0]]) for x in t]), kind="stable"))
             ]
-        empty = Exposed(
-            [numbers[k] for k in order], [t[k] for k in order], [""] * n, [Path()] * n, image_file_frames.Images(()), ()
-        )
+        empty = Exposed([numbers[k] for k in order], [t[k] for k in order], [""] * n, [Path()] * n, Images(()), ())
         return empty, replace(posed, frame=np.array(numbers), said=said)
     known = dict(zip(exposed.frame, exposed.times()))
     if posed.frame is None and posed.t is not None:

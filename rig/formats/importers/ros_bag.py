@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.errors import FileError, MissingLibrary, RigError
 from rig.formats.checked_entries import name_problem
 from rig.formats.importers.import_recipe import FROM_BAG, TABLES, Bag, ForeignTable, Images, Recipe
@@ -298,7 +299,7 @@ def _near(order: list[int], topic: Topic, images: list[int], file: Path) -> list
     return [order[k] for k, stamp in sorted(nearest.items()) if abs(int(t[k]) - stamp) <= SAME_MOMENT]
 
 
-def _together(channels: list[tuple[str, Topic]], file: Path) -> tuple[list[int], np.ndarray]:
+def _together(channels: list[tuple[str, Topic]], file: Path) -> tuple[list[int], Floats]:
     """(times ns, (n, channels) degrees C) of sensors at each other's times, straight lines between their own, where all
     of them have been read.
     """

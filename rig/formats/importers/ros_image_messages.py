@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from rig.arrays import Pixels
 from rig.errors import RigError
 from rig.formats.input_files import short_repr
 from rig.recording.image_file_check import JPEG, PNG
@@ -63,7 +64,7 @@ def encode_image_message(message: Any, compressed: bool, place: str) -> tuple[st
             f"{message.step}"
         )
     rows = np.ascontiguousarray(data[: message.step * message.height].reshape(message.height, message.step)[:, :wide])
-    pixels: np.ndarray = rows.reshape(message.height, -1, 1 if deep else channels)
+    pixels: Pixels = rows.reshape(message.height, -1, 1 if deep else channels)
     if deep:
         pixels = rows.view(">u2" if message.is_bigendian else "<u2").astype(np.uint16)
     if message.encoding in CONVERTED:

@@ -5,9 +5,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import partial
+from typing import cast
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.errors import RigError
 from rig.formats.checked_entries import name_problem
 from rig.formats.importers import column_headers, units_and_timestamps
@@ -15,11 +17,11 @@ from rig.formats.importers.csv_dialect import read_foreign_table
 from rig.formats.importers.import_recipe import ForeignTable
 
 
-def _over(per: float, values: np.ndarray) -> np.ndarray:
+def _over(per: float, values: Floats) -> Floats:
     return values / per
 
 
-TO_SI: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+TO_SI: dict[str, Callable[[Floats], Floats]] = {
     "C": lambda v: v,
     "K": lambda v: v - 273.15,
     "F": lambda v: (v - 32) / 1.8,
@@ -35,12 +37,12 @@ class Logged:
     """t : n exact s; channels : pairs (name, (n,) values)."""
 
     t: list[Decimal]
-    channels: tuple[tuple[str, np.ndarray], ...]
+    channels: tuple[tuple[str, Floats], ...]
     table: ForeignTable
     said: tuple[str, ...]
 
 
-def read_sensors(table: ForeignTable, are_plausible: Callable[[np.ndarray], bool]) -> Logged:
+def read_sensors(table: ForeignTable, are_plausible: Callable[[Floats], bool]) -> Logged:
     """Read the sensor channels of a foreign table. Raises RigError for unusable ones.
     are_plausible : whether times (n,) s from the first can be so. Raises RigError for what cannot be used
     """
@@ -58,7 +60,7 @@ def read_sensors(table: ForeignTable, are_plausible: Callable[[np.ndarray], bool
         are_plausible,
     )
     kept, renamed = [("t", cells.header[found["t"]])], []
-    channels: list[tuple[str, np.ndarray]] = []
+    channels: list[tuple[str, Floats]] = []
     for at, header in enumerate(cells.header):
         if at == found["t"]:
             continue
@@ -70,7 +72,9 @@ def read_sensors(table: ForeignTable, are_plausible: Callable[[np.ndarray], bool
             raise RigError(
                 f"{table.file}: two columns would be {name}; --set 'sensors.columns.NAME={header}' names one of them"
             )
-        channels.append((name, TO_SI.get(unit or "", lambda v: v)(np.array(cells.numbers(at)))))
+        channels.append(
+            (name, TO_SI.get(unit or "", cast(Callable[[Floats], Floats], lambda v: v))(np.array(cells.numbers(at))))
+        )
         kept.append((name, header))
         if name != header:
             converted = unit in TO_SI and unit not in ("C", "kg", "m")

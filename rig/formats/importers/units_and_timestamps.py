@@ -8,6 +8,7 @@ from decimal import Decimal
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.errors import RigError
 from rig.formats.input_files import short_repr
 from rig.recording.time_origin import DIGITS
@@ -84,7 +85,7 @@ def parse_unit(word: str) -> str | None:
     return SAME.get(word.lower()) or (word.lower() if word.lower() in (*ALL, *TIMES) else None)
 
 
-def fits_ranges(values: np.ndarray, ranges: np.ndarray) -> bool:
+def fits_ranges(values: Floats, ranges: Floats) -> bool:
     """Whether values (n, axes) fit the ranges (axes, 2), with a tolerance of a tenth."""
     low, high = np.asarray(ranges).T
     slack = MOST_BEYOND * (high - low)
@@ -92,7 +93,7 @@ def fits_ranges(values: np.ndarray, ranges: np.ndarray) -> bool:
 
 
 def likely_length_units(
-    values: np.ndarray, ranges: np.ndarray, home_lengths: np.ndarray, units: Sequence[str], relative: Sequence[str]
+    values: Floats, ranges: Floats, home_lengths: Floats, units: Sequence[str], relative: Sequence[str]
 ) -> list[tuple[str, str]]:
     """Likely units and zeros (unit, "zero" or "home") that bring lengths (n, axes) into their ranges (axes, 2) m.
     home_lengths : (axes,) m
@@ -105,7 +106,7 @@ def likely_length_units(
     ]
 
 
-def is_likely_length_unit(values: np.ndarray, ranges: np.ndarray, unit: str, relative: str) -> bool:
+def is_likely_length_unit(values: Floats, ranges: Floats, unit: str, relative: str) -> bool:
     """Whether a unit is likely for lengths (n, axes): they travel a plausible share of their ranges (axes, 2) m."""
     travel = np.ptp(values)
     about_zero = values.min() <= MOST_BEYOND * travel and values.max() >= -MOST_BEYOND * travel
@@ -114,7 +115,7 @@ def is_likely_length_unit(values: np.ndarray, ranges: np.ndarray, unit: str, rel
     )
 
 
-def likely_angle_units(values: np.ndarray, limits: np.ndarray, units: Sequence[str]) -> list[str]:
+def likely_angle_units(values: Floats, limits: Floats, units: Sequence[str]) -> list[str]:
     """Likely units of angles (n, axes): those that keep them within their limits (axes, 2) rad."""
     return [u for u in units if fits_ranges(values / ANGLES[u], limits)]
 
@@ -137,7 +138,7 @@ class Times:
     zone: str | None
     said: tuple[str, ...]
 
-    def floats(self) -> np.ndarray:
+    def floats(self) -> Floats:
         """(n,) s from the first."""
         return np.array([float(DIGITS.subtract(t, self.seconds[0])) for t in self.seconds])
 
@@ -149,7 +150,7 @@ def read_times(
     unit: str | None,
     time_zone: str | None,
     shift: float,
-    are_plausible: Callable[[np.ndarray], bool] = lambda t: True,
+    are_plausible: Callable[[Floats], bool] = lambda t: True,
 ) -> Times:
     """Times read from text cells: in s, ms, us, ns, since 1970 or a start, or as ISO 8601.
     section : of the section, as settings call it; subject : is read, in words; unit : stated, or None; shift : s added
@@ -170,7 +171,7 @@ def read_times(
 
 
 def _unit(
-    values: list[Decimal], name: str, what: str, plausible: Callable[[np.ndarray], bool]
+    values: list[Decimal], name: str, what: str, plausible: Callable[[Floats], bool]
 ) -> tuple[str, tuple[str, ...]]:
     for unit, per_second in TIMES.items():
         if all(SINCE * per_second < value < UNTIL * per_second for value in values):
@@ -206,7 +207,7 @@ def _iso(cells: list[str], name: str, what: str, zone: str | None, by: Decimal, 
     return Times([DIGITS.add(t, by) for t in seconds], "iso", zone if zones == {True} else None, said)
 
 
-def _seconds(found: re.Match, zone: str | None, what: str) -> Decimal:
+def _seconds(found: re.Match[str], zone: str | None, what: str) -> Decimal:
     try:
         at = datetime.fromisoformat(found[1].replace("_", "T"))
         at = at.replace(tzinfo=_zone(found[3] or zone or "UTC"))

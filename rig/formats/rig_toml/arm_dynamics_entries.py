@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.errors import RigError
 from rig.formats.checked_entries import Entries
 from rig.formats.rig_toml import design_file
@@ -28,18 +29,18 @@ class ArmDynamics:
     """
 
     links: Links | None
-    torque_limits: np.ndarray | None
-    torque_sigma: np.ndarray | None
-    torque_constants: np.ndarray | None
-    friction: np.ndarray | None
-    angle_sigma: np.ndarray | None
-    speed_sigma: np.ndarray | None
+    torque_limits: Floats | None
+    torque_sigma: Floats | None
+    torque_constants: Floats | None
+    friction: Floats | None
+    angle_sigma: Floats | None
+    speed_sigma: Floats | None
 
-    def need(self, name: str, path: Path | str) -> np.ndarray:
+    def need(self, name: str, path: Path | str) -> Floats:
         """A figure that a command cannot do without. Raises RigError where it is not stated; path : of the file that
         should state it.
         """
-        value: np.ndarray | None = getattr(self, name)
+        value: Floats | None = getattr(self, name)
         if value is None:
             raise RigError(f"{path}: [dynamics] states no {name}, and this takes it")
         return value

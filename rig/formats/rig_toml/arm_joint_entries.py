@@ -1,9 +1,11 @@
 """Joints and limits of an arm in rig.toml: Denavit-Hartenberg rows, or a table per joint."""
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
+from rig.arrays import Booleans, Floats
 from rig.formats.checked_entries import LARGEST_RIG, Entries, nearest_known_word
 from rig.formats.input_files import short_repr
 
@@ -32,7 +34,7 @@ class Joint:
         return self.theta, self.d, self.a, self.alpha, self.beta
 
 
-def joint_rows_and_kinds(table: Entries) -> tuple[np.ndarray, np.ndarray]:
+def joint_rows_and_kinds(table: Entries) -> tuple[Floats, Booleans]:
     """Joint rows (n, 4 or 5) of theta, d, a, alpha, beta (rad, m), and joint kinds (n,), true where prismatic.
 
     A row may begin with "revolute", the default, or "prismatic"; or each joint is a table with these figures by name,
@@ -67,7 +69,7 @@ def joint_rows_and_kinds(table: Entries) -> tuple[np.ndarray, np.ndarray]:
     return np.array([row[word:] for row, word in zip(rows, told)], float), slides
 
 
-def _tables(tables: list[Entries]) -> tuple[np.ndarray, np.ndarray]:
+def _tables(tables: list[Entries]) -> tuple[Floats, Booleans]:
     """The same of joints that are written as tables, beta 0 where it is not stated."""
     found = [_table(one) for one in tables]
     betas = any("beta" in one.tree for one in tables)
@@ -91,7 +93,7 @@ def _table(table: Entries) -> Joint:
     return found
 
 
-def _slides(table: Entries, i: int, row: list) -> bool:
+def _slides(table: Entries, i: int, row: list[Any]) -> bool:
     """Whether a row is of a slide."""
     word = row[0] if row else None
     if not isinstance(word, str):
@@ -110,7 +112,7 @@ def _slides(table: Entries, i: int, row: list) -> bool:
     return KINDS[word]
 
 
-def joint_limits(table: Entries, is_prismatic: np.ndarray) -> np.ndarray:
+def joint_limits(table: Entries, is_prismatic: Booleans) -> Floats:
     """Joint limits (n, 2) rad, m for prismatic joints. Raises FileError where they are invalid.
     is_prismatic : (n,) bool. Raises FileError where they do not run from small to large, or a slide's are beyond any
         rig.

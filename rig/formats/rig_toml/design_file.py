@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.errors import FileError
 from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries
 from rig.formats.input_files import read_text
@@ -19,21 +20,16 @@ from rig.model.design import (
     DICTIONARIES,
     FACES,
     Actuator,
-    Arm,
-    Chain,
     Design,
-    Free,
-    Hexapod,
     Marker,
     MeasuringLimbs,
-    Planar2,
     Platform,
     Sensor,
     SensorPort,
     Target,
 )
 from rig.model.hexapod_geometry import singularity_description
-from rig.model.mechanism_geometry import Stage
+from rig.model.mechanism_geometry import Arm, Chain, Free, Hexapod, Planar2, Stage
 from rig.model.mechanism_kinds import Mechanism, has_struts, target_bodies
 
 SCHEMA = "rig/1"
@@ -185,7 +181,7 @@ STAGES: dict[str, Callable[[Entries], Stage]] = {"hexapod": _hexapod, "planar2":
 WHOLE: dict[str, Callable[[Entries], Mechanism]] = {**STAGES, "chain": _chain, "free": _free}
 
 
-def _ranges(table: Entries, key: str, count: int, length_limit: float) -> np.ndarray:
+def _ranges(table: Entries, key: str, count: int, length_limit: float) -> Floats:
     ranges = table.array(key, (count, 2), length_limit=length_limit)
     for i, (low, high) in enumerate(ranges):
         if not low < high:

@@ -7,12 +7,14 @@ Sources: Denavit and Hartenberg 1955; Hayati, Robot arm geometric link parameter
 """
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.arrays import Booleans, Floats
 from rig.errors import Unreachable
-from rig.model.design import Arm
+from rig.model.mechanism_geometry import Arm
 
 AXIS, UNIT = "joint", "rad"
 TOLERANCE = 1e-12  # m and rad; what the iteration leaves of a pose
@@ -22,7 +24,7 @@ STARTS = 40  # random configurations tried where the guess leads nowhere
 REACH = 1.0  # m; a radian counts like so much
 
 
-def frames(q: np.ndarray, arm: Arm) -> np.ndarray:
+def frames(q: Floats, arm: Arm) -> Floats:
     """Frames (..., n + 2, 4, 4) of the arm's links at joint values, frames 0..n and the platform's.
 
     q : (..., n) rad, of slides m. Frame i - 1 carries axis i (its z). Raises ValueError for another number of joints or
@@ -45,12 +47,12 @@ def frames(q: np.ndarray, arm: Arm) -> np.ndarray:
     return out
 
 
-def joint_rotations(q: np.ndarray, arm: Arm) -> np.ndarray:
+def joint_rotations(q: Floats, arm: Arm) -> Floats:
     """Rotations (..., n) rad of the joints at joint values q (..., n): 0 for slides."""
     return np.where(arm.slides, 0.0, q) if arm.slides.any() else np.asarray(q, float)
 
 
-def link_transform(q: np.ndarray, row: np.ndarray) -> np.ndarray:
+def link_transform(q: Floats, row: Floats) -> Floats:
     """Transform (..., 4, 4) of a link by its Denavit-Hartenberg row (theta, d, a, alpha, beta) at q (...,)."""
     theta, d, a, alpha, beta = row
     ct, st = np.cos(q + theta), np.sin(q + theta)
@@ -73,12 +75,12 @@ def link_transform(q: np.ndarray, row: np.ndarray) -> np.ndarray:
     return A
 
 
-def forward(q: np.ndarray, arm: Arm, guess: RigidTransform | None = None) -> RigidTransform:
+def forward(q: Floats, arm: Arm, guess: RigidTransform | None = None) -> RigidTransform:
     """Forward kinematics: T_base_platform (...) of joint values q (..., n) rad or m. guess : unused."""
     return RigidTransform.from_matrix(frames(q, arm)[..., -1, :, :])
 
 
-def jacobian(q: np.ndarray, arm: Arm, axes: str = "platform") -> np.ndarray:
+def jacobian(q: Floats, arm: Arm, axes: str = "platform") -> Floats:
     """Jacobian (..., 6, n) of the platform's velocity over its turning rate with the joint values.
 
     q : (..., n) rad or m; axes : "platform", the tangent on the right, or "base", the axes in which poses are given
@@ -90,7 +92,7 @@ def jacobian(q: np.ndarray, arm: Arm, axes: str = "platform") -> np.ndarray:
     return geometric_jacobian(frames(q, arm), axes, arm.slides)
 
 
-def geometric_jacobian(matrices: np.ndarray, axes: str = "platform", slides: np.ndarray | None = None) -> np.ndarray:
+def geometric_jacobian(matrices: Floats, axes: str = "platform", slides: Booleans | None = None) -> Floats:
     """Geometric Jacobian (..., 6, n) of link frames (..., n + 2, 4, 4); slides : (n,) bool, none by default."""
     z, o = matrices[..., :-2, :3, 2], matrices[..., :-2, :3, 3]
     J = np.concatenate([np.cross(z, matrices[..., -1:, :3, 3] - o), z], axis=-1)
@@ -102,28 +104,28 @@ def geometric_jacobian(matrices: np.ndarray, axes: str = "platform", slides: np.
     return np.swapaxes(J, -1, -2)
 
 
-def limits(q: np.ndarray, arm: Arm) -> np.ndarray:
+def limits(q: Floats, arm: Arm) -> Floats:
     """Excess of joint values over their limits, (..., n) rad or m: negative below, positive above, 0 inside."""
     low, high = arm.limits.T
     return np.minimum(q - low, 0) + np.maximum(q - high, 0)
 
 
-def travel(arm: Arm) -> np.ndarray:
+def travel(arm: Arm) -> Floats:
     """Travel (n, 2) rad or m of the joints: their limits."""
     return arm.limits
 
 
-def home(arm: Arm) -> np.ndarray:
+def home(arm: Arm) -> Floats:
     """Home joint values (n,) rad or m: all zero."""
     return np.zeros(len(arm.joints))
 
 
-def loads(T: RigidTransform, q: np.ndarray, arm: Arm, wrench: np.ndarray) -> np.ndarray:
+def loads(T: RigidTransform, q: Floats, arm: Arm, wrench: Floats) -> Floats:
     """Loads (m, n) N m (slides: N) of the joints that hold a wrench (m, 6) on the platform."""
     return -np.einsum("mij,mi->mj", jacobian(q, arm), wrench)
 
 
-def links(T: RigidTransform, q: np.ndarray, arm: Arm, gravity: np.ndarray) -> np.ndarray:
+def links(T: RigidTransform, q: Floats, arm: Arm, gravity: Floats) -> Floats:
     """Loads (m, n, 4 n) N m of the links' own weight on the joints, per kg and kg m of each link.
 
     gravity : (3,) m/s^2 in the frame of poses. Source: Luh, Walker and Paul's recursion at rest, as a regressor:
@@ -142,9 +144,7 @@ def links(T: RigidTransform, q: np.ndarray, arm: Arm, gravity: np.ndarray) -> np
     return out.reshape(len(chain), n, 4 * n)
 
 
-def growth_deviation_and_sway(
-    T: RigidTransform, q: np.ndarray, arm: Arm, share: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def growth_deviation_and_sway(T: RigidTransform, q: Floats, arm: Arm, share: Floats) -> tuple[Floats, Floats]:
     """Deviation (m, n) and sway (m, 6) by the growth of links, lengths d and a by shares (m, n).
     A slide's scale is its travel with it.
     """
@@ -156,17 +156,17 @@ def growth_deviation_and_sway(
     return np.zeros(share.shape), np.pad((moved[:, None] @ chain[:, -1, :3, :3])[:, 0], ((0, 0), (0, 3)))
 
 
-def axis_changes(T: RigidTransform, q: np.ndarray, arm: Arm) -> np.ndarray:
+def axis_changes(T: RigidTransform, q: Floats, arm: Arm) -> Floats:
     """(m, n, 6) least change of the joint values (rad or m) with the pose's tangent, at joint values q (m, n)."""
     return np.asarray(np.linalg.pinv(jacobian(q, arm)))
 
 
-def singularity_rows(T: RigidTransform, q: np.ndarray, arm: Arm) -> np.ndarray:
+def singularity_rows(T: RigidTransform, q: Floats, arm: Arm) -> Floats:
     """(m, n, 6) the columns of the Jacobian at joint values q (m, n), which fall together where the arm is singular."""
     return np.swapaxes(jacobian(q, arm), 1, 2)
 
 
-def link_points(q: np.ndarray, arm: Arm) -> np.ndarray:
+def link_points(q: Floats, arm: Arm) -> Floats:
     """(..., n + 2, 3) m of the line along the links at joint values q (..., n), in the frame of poses."""
     return frames(q, arm)[..., :3, 3]
 
@@ -176,7 +176,7 @@ def ends(T: RigidTransform, arm: Arm) -> None:
     return None
 
 
-def inverse(T_base_platform: RigidTransform, arm: Arm, guess: np.ndarray | None = None) -> np.ndarray:
+def inverse(T_base_platform: RigidTransform, arm: Arm, guess: Floats | None = None) -> Floats:
     """Inverse kinematics: joint values (..., n) rad or m of a pose, within limits if possible, near the guess.
 
     T_base_platform : RigidTransform (...); guess : (n,) or (..., n) rad or m, the middle of the limits by default
@@ -191,8 +191,8 @@ def inverse(T_base_platform: RigidTransform, arm: Arm, guess: np.ndarray | None 
 
 
 def solve_inverse(
-    T_base_platform: RigidTransform, arm: Arm, guess: np.ndarray | None = None, starts: int = STARTS, seed: int = 0
-) -> tuple[np.ndarray, np.ndarray]:
+    T_base_platform: RigidTransform, arm: Arm, guess: Floats | None = None, starts: int = STARTS, seed: int = 0
+) -> tuple[Floats, Floats]:
     """Inverse kinematics solved by damped least squares from a guess, then random starts: (q, error left).
 
     left : greater of the position's (m) and rotation's (rad) remaining error; above GOOD means no solution was found
@@ -215,7 +215,7 @@ def solve_inverse(
             break
         q, error = _descend(trying[todo], target[todo], arm)
         q = nearest_equivalent_angles(q, arm, guess[todo])
-        out = (np.abs(limits(q, arm)) > 0).any(axis=1)
+        out = cast(Booleans, (np.abs(limits(q, arm)) > 0).any(axis=1))
         solved, had = error <= GOOD, left[todo] <= GOOD
         better = np.where(solved & had, outside[todo] & ~out, np.where(solved | had, solved, error < left[todo]))
         best[todo[better]], left[todo[better]], outside[todo[better]] = q[better], error[better], out[better]
@@ -223,7 +223,7 @@ def solve_inverse(
     return best.reshape(*shape, n), left.reshape(shape)
 
 
-def nearest_equivalent_angles(q: np.ndarray, arm: Arm, reference: np.ndarray) -> np.ndarray:
+def nearest_equivalent_angles(q: Floats, arm: Arm, reference: Floats) -> Floats:
     """Equivalent angles (..., n), by whole turns within the limits, nearest to a reference; slides unchanged."""
     low, high = arm.limits.T
     if arm.slides.any():
@@ -242,13 +242,13 @@ def nearest_equivalent_angles(q: np.ndarray, arm: Arm, reference: np.ndarray) ->
     return np.where(q > high, q - turn * np.round((q - reference) / turn), q)
 
 
-def joint_difference(q: np.ndarray, other: np.ndarray, arm: Arm) -> np.ndarray:
+def joint_difference(q: Floats, other: Floats, arm: Arm) -> Floats:
     """Difference (..., n) rad (slides: m) of joint values q from others, whole turns removed."""
     away = np.asarray(q, float) - other
     return away - np.where(arm.slides, 0.0, 2 * np.pi * np.round(away / (2 * np.pi)))
 
 
-def _descend(q: np.ndarray, target: np.ndarray, arm: Arm) -> tuple[np.ndarray, np.ndarray]:
+def _descend(q: Floats, target: Floats, arm: Arm) -> tuple[Floats, Floats]:
     """(q, error): Levenberg-Marquardt on the pose error of a flat batch, damped by the error's own size."""
     q = q.copy()
     error = np.full(len(q), np.inf)
@@ -277,7 +277,7 @@ def _descend(q: np.ndarray, target: np.ndarray, arm: Arm) -> tuple[np.ndarray, n
     return q, error
 
 
-def _twist(now: np.ndarray, target: np.ndarray) -> np.ndarray:
+def _twist(now: Floats, target: Floats) -> Floats:
     """(m, 6) tangent on the right, translation first, that leads from now to target (m, 4, 4), parts taken
     separately.
     """

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.model.design import Arm
+from rig.arrays import Floats
+from rig.model.mechanism_geometry import Arm
 from rig.model.mechanisms import arm as mechanism
 
 
@@ -22,9 +23,9 @@ class Links:
     inertia : (n, 3, 3) kg m^2 about the centre of mass, in that frame's axes. What the hand holds belongs to the last
         link."""
 
-    mass: np.ndarray
-    centre: np.ndarray
-    inertia: np.ndarray
+    mass: Floats
+    centre: Floats
+    inertia: Floats
 
     def __post_init__(self) -> None:
         n = len(self.mass)
@@ -35,9 +36,7 @@ class Links:
             )
 
 
-def joint_torques(
-    q: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, arm: Arm, links: Links, gravity: np.ndarray
-) -> np.ndarray:
+def joint_torques(q: Floats, speed: Floats, acceleration: Floats, arm: Arm, links: Links, gravity: Floats) -> Floats:
     """(..., n) N m (slides: N) joint torques for an arm's weight and motion alone, with nothing at the hand.
 
     q : (..., n) rad, of slides m; speed, acceleration : (..., n) of these per s and s^2; gravity : (3,) m/s^2 in the
@@ -81,7 +80,7 @@ STEP = 1e-5  # rad or m, along the motion, for the mass matrix's rate: its error
 NO_GRAVITY = np.zeros(3)
 
 
-def mass_matrix(q: np.ndarray, arm: Arm, links: Links) -> np.ndarray:
+def mass_matrix(q: Floats, arm: Arm, links: Links) -> Floats:
     """Mass matrix (..., n, n) kg m^2 at joint values q (..., n) rad (slides: m, and kg)."""
     columns = [
         joint_torques(q, np.zeros(np.shape(q)), np.broadcast_to(e, np.shape(q)), arm, links, NO_GRAVITY)
@@ -90,9 +89,7 @@ def mass_matrix(q: np.ndarray, arm: Arm, links: Links) -> np.ndarray:
     return np.stack(columns, axis=-1)
 
 
-def torque_free_momentum_rate(
-    q: np.ndarray, speed: np.ndarray, arm: Arm, links: Links, gravity: np.ndarray
-) -> np.ndarray:
+def torque_free_momentum_rate(q: Floats, speed: Floats, arm: Arm, links: Links, gravity: Floats) -> Floats:
     """Rate (..., n) N m of an arm's momentum without joint torques and hand wrench: C^T v - g.
 
     q, speed : (..., n) rad and rad/s; gravity : (3,) m/s^2 in the axes of poses

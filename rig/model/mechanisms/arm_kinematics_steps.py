@@ -21,7 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.model.design import Arm
+from rig.arrays import Floats
+from rig.model.mechanism_geometry import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms.joint_angle_kernels import FREE
 from rig.model.mechanisms.six_joint_inverse import SixR, global_frame
@@ -34,19 +35,19 @@ class Step(NamedTuple):
 
     joint: int
     value: float
-    axis: np.ndarray
+    axis: Floats
     names: tuple[str, ...]
-    points: np.ndarray
+    points: Floats
 
 
-def hand_points(arm: Arm) -> np.ndarray:
+def hand_points(arm: Arm) -> Floats:
     """Points A, B, C (3, 3) m of an arm's hand at zero, in its global frame."""
     F = global_frame(arm)
     a = F.inv().apply(mechanism.forward(np.zeros(len(arm.joints)), arm).translation)
     return np.array([a, a + [0, 0, 1], a + [0, 1, 0]])
 
 
-def forward_steps(q: np.ndarray, arm: Arm) -> list[Step]:
+def forward_steps(q: Floats, arm: Arm) -> list[Step]:
     """[Step] of the forward kinematics of any Arm at q (axes,) rad or m.
 
     Points at zero, then after each joint, the last first
@@ -62,7 +63,7 @@ def forward_steps(q: np.ndarray, arm: Arm) -> list[Step]:
     return steps
 
 
-def inverse_steps(T_base_platform: RigidTransform, six: SixR, q: np.ndarray) -> list[Step]:
+def inverse_steps(T_base_platform: RigidTransform, six: SixR, q: Floats) -> list[Step]:
     """[Step] of the closed-form inverse of a pose for a solution q (6,) rad, from joint 1 to 6.
 
     q : of rig.model.mechanisms.six_joint_inverse.inverse: of two readings the one near it is taken, and what a singular
@@ -91,7 +92,7 @@ def inverse_steps(T_base_platform: RigidTransform, six: SixR, q: np.ndarray) -> 
     return way.steps
 
 
-def inverse_steps_of_numerical_solution(T_base_platform: RigidTransform, arm: Arm, q: np.ndarray) -> list[Step]:
+def inverse_steps_of_numerical_solution(T_base_platform: RigidTransform, arm: Arm, q: Floats) -> list[Step]:
     """[Step] of the inverse of a pose () for a numerical solution q (n,), from joint 1 to n.
 
     The last leaves A, B, C where they are at zero, but for what the solution leaves of the pose.
@@ -115,7 +116,7 @@ class _Way:
     read move; steps : so far.
     """
 
-    def __init__(self, six: SixR, q: np.ndarray, T: RigidTransform) -> None:
+    def __init__(self, six: SixR, q: Floats, T: RigidTransform) -> None:
         self.six, self.q = six, q
         turn = (
             six.frame.inv() * T * mechanism.forward(np.zeros(6), six.arm).inv() * six.frame
@@ -123,10 +124,10 @@ class _Way:
         R = turn.rotation.as_matrix()
         a = six.frame.inv().apply(T.translation) + R @ (six.key - six.hand[0])
         self.abc = np.array([a, a + R[:, 2], a + R[:, 1]])
-        self.extra: dict[str, np.ndarray] = {}
+        self.extra: dict[str, Floats] = {}
         self.steps = [Step(0, 0.0, np.array([six.key, six.key - six.hand[0]]), tuple("ABC"), self.abc)]
 
-    def carried(self, v: np.ndarray) -> np.ndarray:
+    def carried(self, v: Floats) -> Floats:
         """(3,) where a vector of the hand at zero (3,) now points."""
         z, y = self.abc[1] - self.abc[0], self.abc[2] - self.abc[0]
         return np.column_stack([np.cross(y, z), y, z]) @ v
@@ -153,13 +154,13 @@ class _Way:
         level = w @ (self.six.key - o) - (u @ w) * (u @ at)
         return self.two(0, flat @ at, -flat @ np.cross(u, at), level)
 
-    def fifth(self, axis: np.ndarray) -> float:
+    def fifth(self, axis: Floats) -> float:
         """rad, joint 5, from how far the hand's axis 6 leans to an axis (3,) that the joints between do not move."""
         u, v = self.six.axes[4], self.six.axes[5]
         tilt = (axis @ u) * (v @ u)
         return self.two(4, float(axis @ v - tilt), float(axis @ np.cross(u, v)), float(axis @ self.carried(v) - tilt))
 
-    def elbow(self, point: np.ndarray) -> None:
+    def elbow(self, point: Floats) -> None:
         """Find E on axis 3, as far from axis 2 and from a point (3,) m as the links say; of two the one near the
         solution.
         """
@@ -176,7 +177,7 @@ class _Way:
         self.extra["E"] = min(there, key=lambda e: abs(_wrap_angle(_angle(arm, e - o[0], u) - self.q[1])))
         self.steps[-1] = self.steps[-1]._replace(**self.seen())
 
-    def about(self, i: int | None, start: np.ndarray, end: np.ndarray) -> float:
+    def about(self, i: int | None, start: Floats, end: Floats) -> float:
         """rad about axis i (from 0), or about the three parallel axes together, that takes a vector (3,) to another;
         free ones as in the solution.
         """
@@ -201,18 +202,18 @@ class _Way:
         )
 
 
-def _angle(a: np.ndarray, b: np.ndarray, u: np.ndarray) -> float:
+def _angle(a: Floats, b: Floats, u: Floats) -> float:
     """rad from vector a (3,) to b (3,) about the unit vector u (3,)."""
     a, b = a - (u @ a) * u, b - (u @ b) * u
     return float(np.arctan2(u @ np.cross(a, b), a @ b))
 
 
-def _rotate_vectors(v: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
+def _rotate_vectors(v: Floats, u: Floats, t: float) -> Floats:
     """Vectors v (..., 3) turned about the unit vector u (3,) by t rad, right-handed."""
     return Rotation.from_rotvec(t * u).apply(v)
 
 
-def rotate_points(points: np.ndarray, o: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
+def rotate_points(points: Floats, o: Floats, u: Floats, t: float) -> Floats:
     """Points (..., 3) m rotated about the axis through o (3,) m along u (3,) by t rad."""
     return o + _rotate_vectors(points - o, u, t)
 

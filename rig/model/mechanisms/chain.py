@@ -6,10 +6,12 @@ leave the inverse a choice: the configuration nearest to the middle of all trave
 
 from collections.abc import Iterator
 from types import ModuleType
+from typing import cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats, Integers
 from rig.errors import NotConverged, Unreachable
 from rig.model.mechanism_geometry import Arm, Chain, Hexapod, Stage
 from rig.model.mechanisms import arm, hexapod, two_strut_plane
@@ -24,7 +26,7 @@ CENTRED = 0.5  # of the way to the middle that one step goes within what leaves 
 LONGEST = 0.25  # of a travel, of one step
 
 
-def stages_and_values(values: np.ndarray, chain: Chain) -> Iterator[tuple[Stage, np.ndarray]]:
+def stages_and_values(values: Floats, chain: Chain) -> Iterator[tuple[Stage, Floats]]:
     """(stage, its values (..., axes)) of each stage, from commanded values (..., axes of all).
     Raises ValueError for another number of values
     """
@@ -37,12 +39,12 @@ def stages_and_values(values: np.ndarray, chain: Chain) -> Iterator[tuple[Stage,
         at += len(stage.axes)
 
 
-def stage_transforms(values: np.ndarray, chain: Chain) -> list[RigidTransform]:
+def stage_transforms(values: Floats, chain: Chain) -> list[RigidTransform]:
     """[Transform (...)] of every stage's platform in the stage's own base at commanded values."""
     return [KINDS[stage.kind].forward(own, stage) for stage, own in stages_and_values(values, chain)]
 
 
-def stage_poses(values: np.ndarray, chain: Chain) -> list[RigidTransform]:
+def stage_poses(values: Floats, chain: Chain) -> list[RigidTransform]:
     """[Pose T_base_stage (...)] of every stage's platform in the chain's base at commanded values."""
     out: list[RigidTransform] = []
     for T in stage_transforms(values, chain):
@@ -50,12 +52,12 @@ def stage_poses(values: np.ndarray, chain: Chain) -> list[RigidTransform]:
     return out
 
 
-def forward(values: np.ndarray, chain: Chain, guess: RigidTransform | None = None) -> RigidTransform:
+def forward(values: Floats, chain: Chain, guess: RigidTransform | None = None) -> RigidTransform:
     """Forward kinematics: T_base_platform (...) of commanded values (..., axes of all). guess : unused."""
     return stage_poses(values, chain)[-1]
 
 
-def stage_tangent_maps(transforms: list[RigidTransform]) -> list[np.ndarray]:
+def stage_tangent_maps(transforms: list[RigidTransform]) -> list[Floats]:
     """[Map (..., 6, 6)] of each stage's tangent to the whole chain's tangent, from the stages' transforms."""
     after, out = np.broadcast_to(np.eye(4), transforms[0].as_matrix().shape), []
     for T in reversed(transforms):
@@ -68,7 +70,7 @@ def stage_tangent_maps(transforms: list[RigidTransform]) -> list[np.ndarray]:
     return out[::-1]
 
 
-def jacobian(values: np.ndarray, chain: Chain) -> np.ndarray:
+def jacobian(values: Floats, chain: Chain) -> Floats:
     """Jacobian (..., 6, axes of all) of the pose's tangent with the commanded values."""
     parts = stage_transforms(values, chain)
     columns = [
@@ -78,15 +80,15 @@ def jacobian(values: np.ndarray, chain: Chain) -> np.ndarray:
     return np.concatenate(columns, axis=-1)
 
 
-def _stage_jacobian(values: np.ndarray, T: RigidTransform, stage: Stage) -> np.ndarray:
+def _stage_jacobian(values: Floats, T: RigidTransform, stage: Stage) -> Floats:
     if isinstance(stage, Arm):
         return arm.jacobian(values, stage)
     if isinstance(stage, Hexapod):
-        return np.linalg.inv(hexapod.jacobian(T, stage))
-    return np.linalg.pinv(two_strut_plane.jacobian(T, stage))
+        return cast(Floats, np.linalg.inv(hexapod.jacobian(T, stage)))
+    return cast(Floats, np.linalg.pinv(two_strut_plane.jacobian(T, stage)))
 
 
-def inverse(T_base_platform: RigidTransform, chain: Chain, guess: np.ndarray | None = None) -> np.ndarray:
+def inverse(T_base_platform: RigidTransform, chain: Chain, guess: Floats | None = None) -> Floats:
     """Inverse kinematics: commanded values (..., axes of all) of poses, nearest to the middle of all travels.
 
     Damped steps, what leaves the pose as it is spent on the way to the middle (Liegeois 1977)
@@ -96,6 +98,7 @@ def inverse(T_base_platform: RigidTransform, chain: Chain, guess: np.ndarray | N
     low, high = travel(chain).T
     middle, span = (low + high) / 2, high - low
     x = np.broadcast_to(middle if guess is None else guess, (len(target), len(middle))).copy()
+    going: Integers
     left, going = np.full(len(x), np.inf), np.arange(len(x))
     for _ in range(MAX_ITERATIONS):
         going, error = _misses(x, target, going, chain)
@@ -120,7 +123,7 @@ def inverse(T_base_platform: RigidTransform, chain: Chain, guess: np.ndarray | N
     return x.reshape(*T_base_platform.shape, -1)
 
 
-def _misses(x: np.ndarray, target: RigidTransform, going: np.ndarray, chain: Chain) -> tuple[np.ndarray, np.ndarray]:
+def _misses(x: Floats, target: RigidTransform, going: Integers, chain: Chain) -> tuple[Integers, Floats]:
     """(those of the poses (k,) at whose values all stages close, (m, 6) what they miss their targets by)."""
     while len(going):
         try:
@@ -130,36 +133,34 @@ def _misses(x: np.ndarray, target: RigidTransform, going: np.ndarray, chain: Cha
     return going, np.zeros((0, 6))
 
 
-def limits(values: np.ndarray, chain: Chain) -> np.ndarray:
+def limits(values: Floats, chain: Chain) -> Floats:
     """Excess (..., axes) m or rad of commanded values over their limits: negative below, positive above, 0 inside."""
     return np.concatenate(
         [KINDS[stage.kind].limits(own, stage) for stage, own in stages_and_values(values, chain)], axis=-1
     )
 
 
-def travel(chain: Chain) -> np.ndarray:
+def travel(chain: Chain) -> Floats:
     """Travel (axes of all, 2) m or rad of the axes: least and greatest commanded value."""
     return np.concatenate([KINDS[stage.kind].travel(stage) for stage in chain.stages])
 
 
-def home(chain: Chain) -> np.ndarray:
+def home(chain: Chain) -> Floats:
     """Home values (axes of all,) m or rad: the home of every stage."""
     return np.concatenate([KINDS[stage.kind].home(stage) for stage in chain.stages])
 
 
-def loads(T: RigidTransform, values: np.ndarray, chain: Chain, wrench: np.ndarray) -> np.ndarray:
+def loads(T: RigidTransform, values: Floats, chain: Chain, wrench: Floats) -> Floats:
     """Loads (n, axes of all) N or N m of the axes that hold a wrench (n, 6) on the platform, each alone."""
     return -np.einsum("nij,ni->nj", jacobian(values, chain), wrench)
 
 
-def links(T: RigidTransform, values: np.ndarray, chain: Chain, gravity: np.ndarray) -> np.ndarray:
+def links(T: RigidTransform, values: Floats, chain: Chain, gravity: Floats) -> Floats:
     """Loads of the links' own weight: none (n, axes of all, 0), stages' weight is not modelled."""
     return np.zeros((*np.shape(values), 0))
 
 
-def growth_deviation_and_sway(
-    T: RigidTransform, values: np.ndarray, chain: Chain, share: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def growth_deviation_and_sway(T: RigidTransform, values: Floats, chain: Chain, share: Floats) -> tuple[Floats, Floats]:
     """Deviation (n, axes of all) and sway (n, 6) by the growth of the stages' members by shares (n, axes of all)."""
     parts, at, deviations, sway = stage_transforms(values, chain), 0, [], np.zeros((len(share), 6))
     for (stage, own), part, back in zip(stages_and_values(values, chain), parts, stage_tangent_maps(parts)):
@@ -172,17 +173,17 @@ def growth_deviation_and_sway(
     return np.concatenate(deviations, axis=1), sway
 
 
-def axis_changes(T: RigidTransform, values: np.ndarray, chain: Chain) -> np.ndarray:
+def axis_changes(T: RigidTransform, values: Floats, chain: Chain) -> Floats:
     """(n, axes of all, 6) least change of the axes with the pose's tangent, at values (n, axes of all)."""
     return np.asarray(np.linalg.pinv(jacobian(values, chain)))
 
 
-def singularity_rows(T: RigidTransform, values: np.ndarray, chain: Chain) -> np.ndarray:
+def singularity_rows(T: RigidTransform, values: Floats, chain: Chain) -> Floats:
     """(n, axes of all, 6) the columns of the Jacobian at values (n, axes of all)."""
     return np.swapaxes(jacobian(values, chain), 1, 2)
 
 
-def link_points(values: np.ndarray, chain: Chain) -> None:
+def link_points(values: Floats, chain: Chain) -> None:
     """None for values (n, axes) m or rad: a chain is drawn as no links."""
     return None
 

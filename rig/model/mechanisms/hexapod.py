@@ -1,13 +1,15 @@
 """Hexapod (Gough-Stewart platform): forward and inverse kinematics, Jacobian, strut limits and loads."""
 
 from functools import lru_cache
+from typing import cast
 
 import numpy as np
 from scipy.linalg import lu
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.arrays import Floats, Integers
 from rig.errors import NotConverged
-from rig.model.design import Hexapod
+from rig.model.mechanism_geometry import Hexapod
 from rig.model.mechanisms import hexapod_kernels
 from rig.model.pose import transform_points
 
@@ -18,7 +20,7 @@ MAX_TURN = 0.4  # rad per step: keeps Newton from jumping into another assembly
 CHUNK = 4096  # poses at a time, so that the work stays in the cache
 
 
-def inverse(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarray:
+def inverse(T_base_platform: RigidTransform, hexapod: Hexapod) -> Floats:
     """Inverse kinematics: commanded strut lengths of a pose, joint centre to joint centre less strut zeros.
 
     T_base_platform : RigidTransform (...); hexapod : Hexapod
@@ -36,7 +38,7 @@ def inverse(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarray:
     return out.reshape(*matrix.shape[:-2], 6)
 
 
-def jacobian(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarray:
+def jacobian(T_base_platform: RigidTransform, hexapod: Hexapod) -> Floats:
     """Jacobian of the strut lengths with the pose's tangent on the right.
 
     T_base_platform : RigidTransform (...)
@@ -47,7 +49,7 @@ def jacobian(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarray:
     return _rows(matrix[..., :3, :3], matrix[..., :3, 3], hexapod)[1]
 
 
-def forward(lengths: np.ndarray, hexapod: Hexapod, guess: RigidTransform | None = None) -> RigidTransform:
+def forward(lengths: Floats, hexapod: Hexapod, guess: RigidTransform | None = None) -> RigidTransform:
     """Forward kinematics: the platform pose of commanded strut lengths, by Newton on SE(3) in batches.
 
     lengths : (..., 6) m, as commanded (the strut zeros are added here)
@@ -82,65 +84,63 @@ def forward(lengths: np.ndarray, hexapod: Hexapod, guess: RigidTransform | None 
     )  # of unit quaternions, normal as it is
 
 
-def limits(lengths: np.ndarray, hexapod: Hexapod) -> np.ndarray:
+def limits(lengths: Floats, hexapod: Hexapod) -> Floats:
     """Excess of commanded lengths over their limits, (..., 6) m: negative below, positive above, 0 inside."""
     low, high = hexapod.strut_range.T
     return np.minimum(lengths - low, 0) + np.maximum(lengths - high, 0)
 
 
-def travel(hexapod: Hexapod) -> np.ndarray:
+def travel(hexapod: Hexapod) -> Floats:
     """Travel (6, 2) m of the struts: shortest and longest commanded length."""
     return hexapod.strut_range
 
 
-def home(hexapod: Hexapod) -> np.ndarray:
+def home(hexapod: Hexapod) -> Floats:
     """Home lengths (6,) m: commanded lengths at the home pose."""
     return inverse(hexapod.home, hexapod)
 
 
-def loads(T: RigidTransform, lengths: np.ndarray, hexapod: Hexapod, wrench: np.ndarray) -> np.ndarray:
+def loads(T: RigidTransform, lengths: Floats, hexapod: Hexapod, wrench: Floats) -> Floats:
     """Loads (n, 6) N of the struts, pushing, that hold a wrench (n, 6) on the platform: J^T f + w = 0.
 
     Source: Merlet, Parallel Robots, 2nd ed., ch. 9
     """
-    return np.linalg.solve(np.swapaxes(jacobian(T, hexapod), 1, 2), -wrench[..., None])[..., 0]
+    return cast(Floats, np.linalg.solve(np.swapaxes(jacobian(T, hexapod), 1, 2), -wrench[..., None])[..., 0])
 
 
-def links(T: RigidTransform, lengths: np.ndarray, hexapod: Hexapod, gravity: np.ndarray) -> np.ndarray:
+def links(T: RigidTransform, lengths: Floats, hexapod: Hexapod, gravity: Floats) -> Floats:
     """Loads of the links' own weight: none (n, 6, 0), the base carries the struts."""
     return np.zeros((*np.shape(lengths), 0))
 
 
 def growth_deviation_and_sway(
-    T: RigidTransform, lengths: np.ndarray, hexapod: Hexapod, share: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    T: RigidTransform, lengths: Floats, hexapod: Hexapod, share: Floats
+) -> tuple[Floats, Floats]:
     """Deviation (n, 6) m and sway (n, 6) by the growth of struts by shares (n, 6) of their length: no sway."""
     return share * lengths, np.zeros((len(share), 6))
 
 
-def axis_changes(T: RigidTransform, lengths: np.ndarray, hexapod: Hexapod) -> np.ndarray:
+def axis_changes(T: RigidTransform, lengths: Floats, hexapod: Hexapod) -> Floats:
     """(n, 6, 6) change of the strut lengths with the pose's tangent, at poses T (n,)."""
     return jacobian(T, hexapod)
 
 
-def singularity_rows(T: RigidTransform, lengths: np.ndarray, hexapod: Hexapod) -> np.ndarray:
+def singularity_rows(T: RigidTransform, lengths: Floats, hexapod: Hexapod) -> Floats:
     """(n, 6, 6) the rows of the Jacobian at poses T (n,), which fall together where the machine is singular."""
     return jacobian(T, hexapod)
 
 
-def link_points(lengths: np.ndarray, hexapod: Hexapod) -> None:
+def link_points(lengths: Floats, hexapod: Hexapod) -> None:
     """None for lengths (n, axes) m: struts are no links."""
     return None
 
 
-def ends(T: RigidTransform, hexapod: Hexapod) -> tuple[np.ndarray, np.ndarray]:
+def ends(T: RigidTransform, hexapod: Hexapod) -> tuple[Floats, Floats]:
     """Ends of the struts: base joints (6, 3) and platform joints (n, 6, 3) m, base frame, at poses T (n,)."""
     return hexapod.base_joints, transform_points(T, hexapod.platform_joints)
 
 
-def _side_by_side(
-    lengths: np.ndarray, start: np.ndarray, hexapod: Hexapod, out: tuple[np.ndarray, np.ndarray, np.ndarray]
-) -> None:
+def _side_by_side(lengths: Floats, start: Floats, hexapod: Hexapod, out: tuple[Floats, Floats, Floats]) -> None:
     """Fill out, the matrix (n, 4, 4), residual (n,) m and crossed (n,) of lengths (n, 6) m, from start (n or 1, 4,
     4).
     """
@@ -162,12 +162,12 @@ def _side_by_side(
 
 
 @lru_cache(64)
-def _order(hexapod: Hexapod) -> np.ndarray:
+def _order(hexapod: Hexapod) -> Floats:
     """(6,) struts in the order in which elimination with pivots takes the Jacobian's rows at home."""
     return np.argmax(lu(jacobian(hexapod.home, hexapod))[0], axis=0)
 
 
-def _rows(R: np.ndarray, t: np.ndarray, hexapod: Hexapod) -> tuple[np.ndarray, np.ndarray]:
+def _rows(R: Floats, t: Floats, hexapod: Hexapod) -> tuple[Floats, Floats]:
     """Strut lengths (..., 6) and their Jacobian (..., 6, 6) at rotation R (..., 3, 3) and position t (..., 3)."""
     struts = hexapod.platform_joints @ np.swapaxes(R, -1, -2) + t[..., None, :] - hexapod.base_joints
     length = np.sqrt(np.einsum("...ij,...ij->...i", struts, struts))
@@ -181,7 +181,7 @@ def _rows(R: np.ndarray, t: np.ndarray, hexapod: Hexapod) -> tuple[np.ndarray, n
     return length, J
 
 
-def _newton(matrix: np.ndarray, lengths: np.ndarray, hexapod: Hexapod) -> np.ndarray:
+def _newton(matrix: Floats, lengths: Floats, hexapod: Hexapod) -> Floats:
     """Move matrix (n, 4, 4) in place until its strut lengths are those wanted (n, 6); returns the residual (n,) m."""
     residual = np.full(len(matrix), np.inf)
     open_ = np.arange(len(matrix))
@@ -204,22 +204,17 @@ def _newton(matrix: np.ndarray, lengths: np.ndarray, hexapod: Hexapod) -> np.nda
         turn, move = np.linalg.norm(step[:, 3:], axis=1), np.linalg.norm(step[:, :3], axis=1)
         step /= np.maximum(1.0, np.maximum(turn / MAX_TURN, move / reach))[:, None]
         matrix[open_, :3, 3] = t + (R @ step[:, :3, None])[..., 0]
-        matrix[open_, :3, :3] = R @ _rotation(step[:, 3:])
+        matrix[open_, :3, :3] = R @ _rotation(cast(Floats, step[:, 3:]))
     return residual
 
 
-def _rotation(rotvec: np.ndarray) -> np.ndarray:
+def _rotation(rotvec: Floats) -> Floats:
     """(n, 3, 3) rotation matrices of rotation vectors (n, 3) rad."""
     return Rotation.from_rotvec(rotvec).as_matrix()
 
 
 def _check(
-    matrix: np.ndarray,
-    start: np.ndarray,
-    residual: np.ndarray,
-    lengths: np.ndarray,
-    hexapod: Hexapod,
-    doubtful: np.ndarray,
+    matrix: Floats, start: Floats, residual: Floats, lengths: Floats, hexapod: Hexapod, doubtful: Integers
 ) -> None:
     """Raise NotConverged for poses (n, 4, 4) without a solution, or of those doubtful (k,), solved beyond a
     singularity.

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.compute.numba_kernels import njit
 from rig.compute.worker_processes import worker_count
 
@@ -26,9 +27,9 @@ class Struts(NamedTuple):
     turn : rad, likewise.
     """
 
-    base: np.ndarray
-    platform: np.ndarray
-    order: np.ndarray
+    base: Floats
+    platform: Floats
+    order: Floats
     reach: float
     turn: float
 
@@ -49,9 +50,7 @@ def run_in_threads(kernel: Callable[[slice], None], count: int, items_per_thread
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def compute_strut_lengths(
-    matrices: np.ndarray, base: np.ndarray, platform: np.ndarray, zeros: np.ndarray, out: np.ndarray
-) -> None:
+def compute_strut_lengths(matrices: Floats, base: Floats, platform: Floats, zeros: Floats, out: Floats) -> None:
     """Compute commanded strut lengths, out (n, 6) m, of poses, matrices (n, 4, 4)."""
     for n in range(len(matrices)):
         for i in range(6):
@@ -65,7 +64,7 @@ def compute_strut_lengths(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _loops(R: np.ndarray, t: np.ndarray, wanted: np.ndarray, struts: Struts, M: np.ndarray, worst: np.ndarray) -> None:
+def _loops(R: Floats, t: Floats, wanted: Floats, struts: Struts, M: Floats, worst: Floats) -> None:
     """Into M (6, 7, lanes) the Jacobian's rows and what each strut lacks, in the elimination's order; into worst
     (lanes,) the largest lack.
     """
@@ -91,7 +90,7 @@ def _loops(R: np.ndarray, t: np.ndarray, wanted: np.ndarray, struts: Struts, M: 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _eliminate(M: np.ndarray, factor: np.ndarray, determinant: np.ndarray) -> None:
+def _eliminate(M: Floats, factor: Floats, determinant: Floats) -> None:
     """M (6, 7, lanes) becomes upper triangular with a unit diagonal; its determinants into determinant (lanes,)."""
     for v in range(WIDTH):
         determinant[v] = 1.0
@@ -111,7 +110,7 @@ def _eliminate(M: np.ndarray, factor: np.ndarray, determinant: np.ndarray) -> No
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _rotations(q: np.ndarray, R: np.ndarray) -> None:
+def _rotations(q: Floats, R: Floats) -> None:
     """Rotation matrices into R (9, lanes) of unit quaternions q (4, lanes), the real part first."""
     for v in range(WIDTH):
         w, x, y, z = q[0, v], q[1, v], q[2, v], q[3, v]
@@ -121,9 +120,7 @@ def _rotations(q: np.ndarray, R: np.ndarray) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _step(
-    q: np.ndarray, t: np.ndarray, R: np.ndarray, M: np.ndarray, limits: tuple[float, float, float], worst: np.ndarray
-) -> None:
+def _step(q: Floats, t: Floats, R: Floats, M: Floats, limits: tuple[float, float, float], worst: Floats) -> None:
     """Move poses q (4, lanes), t (3, lanes) by the step that M leads to where they have not settled; limits : (reach,
     turn, tolerance).
     """
@@ -151,13 +148,13 @@ def _step(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def solve_poses(
-    wanted: np.ndarray,
+    wanted: Floats,
     struts: Struts,
-    start: tuple[np.ndarray, np.ndarray],
+    start: tuple[Floats, Floats],
     tolerance: float,
-    matrices: np.ndarray,
-    residual: np.ndarray,
-    crossed: np.ndarray,
+    matrices: Floats,
+    residual: Floats,
+    crossed: Floats,
 ) -> None:
     """Solve poses, matrices (n, 4, 4), for strut lengths (n, 6) m, zeros included, by Newton from a start.
 

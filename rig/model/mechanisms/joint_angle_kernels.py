@@ -11,6 +11,7 @@ from math import atan2, sqrt
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.compute.numba_kernels import njit
 
 SLACK = 1e-10  # m or rad; by so much a pose may lie beyond the edge of the reach before it counts as unreachable
@@ -23,7 +24,7 @@ Vector = tuple[float, float, float]
 
 
 @njit(cache=True, error_model="numpy")
-def matrix_row(m: np.ndarray, i: int) -> Vector:
+def matrix_row(m: Floats, i: int) -> Vector:
     """Row i of a matrix (n, 3)."""
     return m[i, 0], m[i, 1], m[i, 2]
 
@@ -126,7 +127,7 @@ def elbow_points(
 
 
 @njit(cache=True, error_model="numpy")
-def forward_hand_points(q: np.ndarray, points: np.ndarray, axes: np.ndarray, hand: np.ndarray) -> np.ndarray:
+def forward_hand_points(q: Floats, points: Floats, axes: Floats, hand: Floats) -> Floats:
     """Hand points A, B, C (m, 3, 3) of joint angles q (m, 6), by forward rotation from zero."""
     out = np.empty((len(q), 3, 3))
     for m in range(len(q)):

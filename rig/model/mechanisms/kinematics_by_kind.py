@@ -3,11 +3,11 @@
 from functools import cache
 from typing import Any, Protocol, TypeVar
 
-import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats
 from rig.errors import RigError
-from rig.model.design import Arm, Chain, Free, Hexapod, Planar2
+from rig.model.mechanism_geometry import Arm, Chain, Free, Hexapod, Planar2
 from rig.model.mechanisms import arm, chain, hexapod, two_strut_plane
 
 M = TypeVar("M", contravariant=True)  # the geometry of rig.model.design that a kind moves
@@ -26,62 +26,62 @@ class Kind(Protocol[M]):
     AXIS: str
     UNIT: str
 
-    def forward(self, values: np.ndarray, mechanism: M, guess: RigidTransform | None = None, /) -> RigidTransform:
+    def forward(self, values: Floats, mechanism: M, guess: RigidTransform | None = None, /) -> RigidTransform:
         """T_base_platform (...) of commanded values (..., axes)."""
         ...
 
-    def inverse(self, T_base_platform: RigidTransform, mechanism: M, /) -> np.ndarray:
+    def inverse(self, T_base_platform: RigidTransform, mechanism: M, /) -> Floats:
         """Commanded values (..., axes) that give poses T_base_platform (...)."""
         ...
 
-    def limits(self, values: np.ndarray, mechanism: M, /) -> np.ndarray:
+    def limits(self, values: Floats, mechanism: M, /) -> Floats:
         """How far commanded values (..., axes) lie outside the travel: negative below, positive above, 0 inside."""
         ...
 
-    def travel(self, mechanism: M, /) -> np.ndarray:
+    def travel(self, mechanism: M, /) -> Floats:
         """(axes, 2) least and greatest value that can be commanded."""
         ...
 
-    def home(self, mechanism: M, /) -> np.ndarray:
+    def home(self, mechanism: M, /) -> Floats:
         """(axes,) commanded values from which strokes count."""
         ...
 
-    def loads(self, T: RigidTransform, values: np.ndarray, mechanism: M, wrench: np.ndarray, /) -> np.ndarray:
+    def loads(self, T: RigidTransform, values: Floats, mechanism: M, wrench: Floats, /) -> Floats:
         """(n, axes) force or torque that the axes exert, in the direction of growing values, to hold a wrench (n, 6) on
         the platform.
         """
         ...
 
-    def links(self, T: RigidTransform, values: np.ndarray, mechanism: M, gravity: np.ndarray, /) -> np.ndarray:
+    def links(self, T: RigidTransform, values: Floats, mechanism: M, gravity: Floats, /) -> Floats:
         """(n, axes, c) the same per unit of what the machine's own moving members weigh, c numbers of mass (kg) and
         mass moment (kg m); c = 0 where their weight is not borne by the axes."""
         ...
 
     def growth_deviation_and_sway(
-        self, T: RigidTransform, values: np.ndarray, mechanism: M, share: np.ndarray, /
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, T: RigidTransform, values: Floats, mechanism: M, share: Floats, /
+    ) -> tuple[Floats, Floats]:
         """(deviation (n, axes), sway (n, 6)) of the machine whose axes' members have grown by shares (n, axes) of their
         length.
         """
         ...
 
-    def axis_changes(self, T: RigidTransform, values: np.ndarray, mechanism: M, /) -> np.ndarray:
+    def axis_changes(self, T: RigidTransform, values: Floats, mechanism: M, /) -> Floats:
         """(n, axes, 6) change of the axes (m or rad) with the pose's tangent (m, rad) at poses T (n,), values (n,
         axes).
         """
         ...
 
-    def singularity_rows(self, T: RigidTransform, values: np.ndarray, mechanism: M, /) -> np.ndarray:
+    def singularity_rows(self, T: RigidTransform, values: Floats, mechanism: M, /) -> Floats:
         """(n, axes, 6) a row for each axis, that fall together where the machine is singular, at poses T (n,), values
         (n, axes).
         """
         ...
 
-    def link_points(self, values: np.ndarray, mechanism: M, /) -> np.ndarray | None:
+    def link_points(self, values: Floats, mechanism: M, /) -> Floats | None:
         """(n, points, 3) m of the line along a machine's links, in the base frame; None for a machine without links."""
         ...
 
-    def ends(self, T: RigidTransform, mechanism: M, /) -> tuple[np.ndarray, np.ndarray] | None:
+    def ends(self, T: RigidTransform, mechanism: M, /) -> tuple[Floats, Floats] | None:
         """(base joints (axes, 3), platform joints (n, axes, 3)) m in the base frame; None for a machine that has no
         struts.
         """

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import Arm
+from rig.arrays import Booleans, Floats
+from rig.model.mechanism_geometry import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
 
@@ -43,10 +44,10 @@ def reachable_direction_counts(arm: Arm) -> DirectionCounts:
 def nearest_joint_values(
     T_base_platform: RigidTransform,
     arm: Arm,
-    start: np.ndarray,
+    start: Floats,
     directions: DirectionCounts,
-    effective: Callable[[np.ndarray], np.ndarray] | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    effective: Callable[[Floats], Floats] | None = None,
+) -> tuple[Floats, Floats, Booleans]:
     """Joint values q (m, n) nearest to poses (m,) from a start (m, n), the rest (m, 6), settled (m,) bool.
 
     directions : Directions in which it may be led; rest : tangent on the right, in the hand, that still leads to the
@@ -66,7 +67,7 @@ def nearest_joint_values(
     return q, pose_difference(mechanism.forward(effective(q), arm), T_base_platform), size < SETTLED
 
 
-def _step(J: np.ndarray, error: np.ndarray, count: DirectionCounts) -> np.ndarray:
+def _step(J: Floats, error: Floats, count: DirectionCounts) -> Floats:
     """(m, n) joints' step of Jacobians (m, 6, n) towards what is missing (m, 6): position first, rotation with what
     keeps it.
     """
@@ -77,7 +78,7 @@ def _step(J: np.ndarray, error: np.ndarray, count: DirectionCounts) -> np.ndarra
     return first + _led(J[:, 3:] @ keeps, left, count.rotation)[0]
 
 
-def _led(A: np.ndarray, error: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+def _led(A: Floats, error: Floats, count: int) -> tuple[Floats, Floats]:
     """(step (m, n) by which A (m, 3, n) makes up for errors (m, 3) in its `count` best directions, (m, n, n) motions
     that do not touch these).
     """
@@ -101,8 +102,8 @@ class Solutions(NamedTuple):
     near the nearest comes.
     """
 
-    q: np.ndarray
-    rest: np.ndarray
+    q: Floats
+    rest: Floats
     missed: tuple[float, float]
 
 
@@ -126,7 +127,7 @@ def inverse_solutions(T_base_platform: RigidTransform, arm: Arm, starts: int = S
     return Solutions(q[kept], rest[kept], (float(place[nearest]), float(turn[nearest])))
 
 
-def _once(q: np.ndarray, order: list[int], arm: Arm) -> list[int]:
+def _once(q: Floats, order: list[int], arm: Arm) -> list[int]:
     """Of indices into q (m, n) in an order those that are apart, whole turns aside."""
     kept: list[int] = []
     for k in order:

@@ -14,8 +14,10 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats, Integers
 from rig.errors import RigError
-from rig.model.design import Hexapod, MeasuringLimbs
+from rig.model.design import MeasuringLimbs
+from rig.model.mechanism_geometry import Hexapod
 from rig.model.mechanisms import hexapod as mechanism
 
 SIX = 6
@@ -31,14 +33,14 @@ class Legs:
         zero, leg by leg"""
 
     names: tuple[str, ...]
-    base: np.ndarray
-    platform: np.ndarray
-    zeros: np.ndarray
+    base: Floats
+    platform: Floats
+    zeros: Floats
     home: RigidTransform
-    sigma: np.ndarray
-    covariance: np.ndarray
+    sigma: Floats
+    covariance: Floats
 
-    def six(self, chosen: np.ndarray) -> Hexapod:
+    def six(self, chosen: Floats | Integers) -> Hexapod:
         """The Hexapod of six of the legs (6,)."""
         length = np.linalg.norm(self.home.apply(self.platform[chosen]) - self.base[chosen], axis=1)
         return Hexapod(
@@ -58,16 +60,14 @@ class Closures:
         this explains"""
 
     T_base_platform: RigidTransform
-    checks: np.ndarray
-    error: np.ndarray
-    covariance: np.ndarray
-    off: np.ndarray
-    share: np.ndarray
+    checks: Integers
+    error: Floats
+    covariance: Floats
+    off: Floats
+    share: Floats
 
 
-def combine_legs(
-    parts: list[tuple[str, Hexapod | MeasuringLimbs, np.ndarray, np.ndarray]], home: RigidTransform
-) -> Legs:
+def combine_legs(parts: list[tuple[str, Hexapod | MeasuringLimbs, Floats, Floats]], home: RigidTransform) -> Legs:
     """Legs combined from sets of legs, each (letter, geometry, sigma, covariance), about one home pose.
 
     home : T_base_platform, about which they are looked for
@@ -95,7 +95,7 @@ def combine_legs(
     )
 
 
-def leg_length_jacobians(legs: Legs, T: RigidTransform) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def leg_length_jacobians(legs: Legs, T: RigidTransform) -> tuple[Floats, Floats, Floats]:
     """Leg lengths (n, k) m, their Jacobians (n, k, 6) with the pose, and with the base joints (n, k, 3)."""
     matrix = T.as_matrix()
     R, place = matrix[:, :3, :3], matrix[:, :3, 3]
@@ -106,13 +106,13 @@ def leg_length_jacobians(legs: Legs, T: RigidTransform) -> tuple[np.ndarray, np.
     return length - legs.zeros, np.concatenate([own, np.cross(legs.platform, own)], axis=2), -unit
 
 
-def leg_parameter_jacobians(legs: Legs, T: RigidTransform) -> np.ndarray:
+def leg_parameter_jacobians(legs: Legs, T: RigidTransform) -> Floats:
     """Jacobians (n, k, 7 k) of leg lengths with each leg's parameters: base joint, platform joint, zero."""
     own = _slope(leg_length_jacobians(legs, T)[2], T)
     return (np.eye(own.shape[1])[:, :, None] * own[:, :, None]).reshape(*own.shape[:2], -1)
 
 
-def _slope(to_base: np.ndarray, T: RigidTransform) -> np.ndarray:
+def _slope(to_base: Floats, T: RigidTransform) -> Floats:
     """(n, k, 7) of what each leg reads with its own base joint, platform joint and zero. to_base : (n, k, 3), of the
     first
     """
@@ -122,7 +122,7 @@ def _slope(to_base: np.ndarray, T: RigidTransform) -> np.ndarray:
     )
 
 
-def best_six_legs(legs: Legs, T: RigidTransform) -> np.ndarray:
+def best_six_legs(legs: Legs, T: RigidTransform) -> Integers:
     """(6,) indices of the six legs that determine poses T (n,) best in the worst direction and pose.
     Raises RigError
     where none of them holds the platform
@@ -140,7 +140,7 @@ def best_six_legs(legs: Legs, T: RigidTransform) -> np.ndarray:
     return sets[int(least.argmax())]
 
 
-def leg_closures(legs: Legs, lengths: np.ndarray, six: np.ndarray) -> Closures:
+def leg_closures(legs: Legs, lengths: Floats, six: Integers) -> Closures:
     """Closures of leg lengths (n, k) m: errors of the other legs at poses from the chosen six (6,).
     Raises RigError where the six leave the platform loose at a pose
     """
@@ -165,7 +165,7 @@ def leg_closures(legs: Legs, lengths: np.ndarray, six: np.ndarray) -> Closures:
     return Closures(T, checks, error, covariance, *_off(by, error, covariance))
 
 
-def _off(by: np.ndarray, error: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _off(by: Floats, error: Floats, covariance: Floats) -> tuple[Floats, Floats]:
     """(off (k,) m, share (k,)): each leg's offset that explains the errors best alone, and the share of their squares
     that goes with it.
     """

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.arrays import Floats
 from rig.errors import RigError, Unreachable
-from rig.model.design import Arm
+from rig.model.mechanism_geometry import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import joint_angle_kernels, six_joint_inverse_kernels
 
@@ -43,10 +44,10 @@ class SixR:
 
     arm: Arm
     kind: str
-    points: np.ndarray
-    axes: np.ndarray
-    key: np.ndarray
-    hand: np.ndarray
+    points: Floats
+    axes: Floats
+    key: Floats
+    hand: Floats
     frame: RigidTransform
 
 
@@ -57,11 +58,11 @@ class Branches:
         was taken)
     reason : (...) 0 or why there is no branch at all (REASONS); gap : (...) m or rad by which it fails."""
 
-    q: np.ndarray
-    there: np.ndarray
-    singular: np.ndarray
-    reason: np.ndarray
-    gap: np.ndarray
+    q: Floats
+    there: Floats
+    singular: Floats
+    reason: Floats
+    gap: Floats
 
     def why(self, index: int) -> str:
         """A line on pose `index` (of the flat batch): which singularities it touches, or why it cannot be reached."""
@@ -105,7 +106,7 @@ def global_frame(arm: Arm) -> RigidTransform:
     )
 
 
-def _kind(o: np.ndarray, u: np.ndarray) -> tuple[str, np.ndarray]:
+def _kind(o: Floats, u: Floats) -> tuple[str, Floats]:
     def skewed(i: int, j: int) -> float:
         return float(np.linalg.norm(np.cross(u[i], u[j])))
 
@@ -123,14 +124,14 @@ def _kind(o: np.ndarray, u: np.ndarray) -> tuple[str, np.ndarray]:
     )
 
 
-def _nearest(o: np.ndarray, u: np.ndarray, p: np.ndarray, v: np.ndarray) -> np.ndarray:
+def _nearest(o: Floats, u: Floats, p: Floats, v: Floats) -> Floats:
     """The point of line (o, u) nearest to line (p, v); o itself where they are parallel."""
     n = np.cross(u, v)
     square = n @ n
     return o + u * (np.cross(p - o, v) @ n / square) if square > EXACT**2 else o
 
 
-def _hand(matrix: np.ndarray, six: SixR) -> np.ndarray:
+def _hand(matrix: Floats, six: SixR) -> Floats:
     """(..., 3, 3) m, A, B, C of the hand at poses (..., 4, 4), in the global frame."""
     start = mechanism.frames(np.zeros(6), six.arm)[-1]
     F = six.frame.as_matrix()
@@ -139,7 +140,7 @@ def _hand(matrix: np.ndarray, six: SixR) -> np.ndarray:
     return np.stack([a, a + R[..., 2], a + R[..., 1]], axis=-2)
 
 
-def forward(q: np.ndarray, six: SixR) -> RigidTransform:
+def forward(q: Floats, six: SixR) -> RigidTransform:
     """Forward kinematics: T_base_platform (...) of joint angles q (..., 6) rad, by the hand's points."""
     q = np.asarray(q, float)
     abc = joint_angle_kernels.forward_hand_points(
@@ -155,7 +156,7 @@ def forward(q: np.ndarray, six: SixR) -> RigidTransform:
     return RigidTransform.from_matrix(out.reshape(*q.shape[:-1], 4, 4))
 
 
-def inverse(T_base_platform: RigidTransform, six: SixR, near: np.ndarray | None = None) -> Branches:
+def inverse(T_base_platform: RigidTransform, six: SixR, near: Floats | None = None) -> Branches:
     """Inverse kinematics in closed form: Branches of poses (...), singular and unreachable ones marked.
 
     near : (6,) rad, zero by default: what a joint takes that a singular pose leaves free
@@ -179,7 +180,7 @@ def inverse(T_base_platform: RigidTransform, six: SixR, near: np.ndarray | None 
     )
 
 
-def nearest_solution(T_base_platform: RigidTransform, six: SixR, guess: np.ndarray) -> np.ndarray:
+def nearest_solution(T_base_platform: RigidTransform, six: SixR, guess: Floats) -> Floats:
     """Nearest inverse solution (..., 6) rad to a guess, of all branches and turns within the limits.
 
     Raises Unreachable with the index of poses out of reach, or whose solutions all leave the limits

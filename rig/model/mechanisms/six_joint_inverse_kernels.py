@@ -6,6 +6,7 @@ patent CN111488654A, claim 5 (there for parallel axes 2, 3, 4; the spherical wri
 
 import numpy as np
 
+from rig.arrays import Floats, Integers
 from rig.compute.numba_kernels import njit
 from rig.model.mechanisms.joint_angle_kernels import (
     ELBOW,
@@ -33,7 +34,7 @@ from rig.model.mechanisms.joint_angle_kernels import (
     wrap_angle,
 )
 
-Found = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # solutions, their flags, reasons, gaps
+Found = tuple[Floats, Integers, Integers, Floats]  # solutions, their flags, reasons, gaps
 
 
 @njit(cache=True, error_model="numpy")
@@ -49,7 +50,7 @@ def _set(t: float) -> tuple[float, float, float, float]:
 
 
 @njit(cache=True, error_model="numpy")
-def _hand(hands: np.ndarray, m: int, key: Vector) -> tuple[Vector, Vector, Vector, Vector]:
+def _hand(hands: Floats, m: int, key: Vector) -> tuple[Vector, Vector, Vector, Vector]:
     """(key point, hand's x, y, z) where the hand's points number m are; key : from A, at zero."""
     A = matrix_row(hands[m], 0)
     ez, ey = add_scaled(matrix_row(hands[m], 1), A, -1.0), add_scaled(matrix_row(hands[m], 2), A, -1.0)
@@ -78,7 +79,7 @@ def _wrist(axis: Vector, v: Vector, bend: tuple[float, float, float, float]) -> 
 
 @njit(cache=True, error_model="numpy")
 def spherical_wrist_inverse(
-    hands: np.ndarray, points: np.ndarray, axes: np.ndarray, hand: np.ndarray, key: np.ndarray, near: np.ndarray
+    hands: Floats, points: Floats, axes: Floats, hand: Floats, key: Floats, near: Floats
 ) -> Found:
     """Inverse of arms with a spherical wrist (axes 4, 5, 6 cross in `key`), axes 2 and 3 parallel.
 
@@ -172,7 +173,7 @@ def _within(turn: float, point: Vector, last: Vector, u: Vector, upper: float, f
 
 @njit(cache=True, error_model="numpy")
 def parallel_axes_inverse(
-    hands: np.ndarray, points: np.ndarray, axes: np.ndarray, hand: np.ndarray, key: np.ndarray, near: np.ndarray
+    hands: Floats, points: Floats, axes: Floats, hand: Floats, key: Floats, near: Floats
 ) -> Found:
     """Inverse of arms whose axes 2, 3, 4 are parallel and 5 and 6 cross in `key`: q (m, 8, 6), flags, reasons."""
     q, flags = np.full((len(hands), 8, 6), np.nan), np.full((len(hands), 8), -1)

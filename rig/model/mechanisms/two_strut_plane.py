@@ -1,21 +1,24 @@
 """Two struts to one hinge in the plane z = 0: kinematics of the configuration-space patent's example."""
 
+from typing import cast
+
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.arrays import Floats
 from rig.errors import NotConverged
-from rig.model.design import Planar2
+from rig.model.mechanism_geometry import Planar2
 
 AXIS, UNIT = "strut", "m"
 
 
-def inverse(T_base_platform: RigidTransform, planar: Planar2) -> np.ndarray:
+def inverse(T_base_platform: RigidTransform, planar: Planar2) -> Floats:
     """Inverse kinematics: commanded strut lengths (..., 2) m of a pose (...), from its x and y."""
     position = T_base_platform.translation[..., None, :2]
     return np.linalg.norm(position - planar.base_joints, axis=-1) - planar.strut_zeros
 
 
-def jacobian(T_base_platform: RigidTransform, planar: Planar2) -> np.ndarray:
+def jacobian(T_base_platform: RigidTransform, planar: Planar2) -> Floats:
     """Jacobian (..., 2, 6) of the strut lengths with the pose's tangent on the right."""
     matrix = T_base_platform.as_matrix()
     struts = matrix[..., None, :2, 3] - planar.base_joints
@@ -26,7 +29,7 @@ def jacobian(T_base_platform: RigidTransform, planar: Planar2) -> np.ndarray:
     return J
 
 
-def forward(lengths: np.ndarray, planar: Planar2, guess: RigidTransform | None = None) -> RigidTransform:
+def forward(lengths: Floats, planar: Planar2, guess: RigidTransform | None = None) -> RigidTransform:
     """Forward kinematics: hinge position, unrotated RigidTransform (...), of commanded lengths (..., 2) m.
 
     guess : unused; the hinge is on the left of the line from base joint 1 to base joint 2
@@ -56,54 +59,56 @@ def forward(lengths: np.ndarray, planar: Planar2, guess: RigidTransform | None =
     return RigidTransform.from_translation(position)
 
 
-def limits(lengths: np.ndarray, planar: Planar2) -> np.ndarray:
+def limits(lengths: Floats, planar: Planar2) -> Floats:
     """Excess of commanded lengths over their limits, (..., 2) m: negative below, positive above, 0 inside."""
     low, high = planar.strut_range.T
     return np.minimum(lengths - low, 0) + np.maximum(lengths - high, 0)
 
 
-def travel(planar: Planar2) -> np.ndarray:
+def travel(planar: Planar2) -> Floats:
     """Travel (2, 2) m of the struts: shortest and longest commanded length."""
     return planar.strut_range
 
 
-def home(planar: Planar2) -> np.ndarray:
+def home(planar: Planar2) -> Floats:
     """Home lengths (2,) m: the middle of the strut ranges."""
     return planar.strut_range.mean(axis=1)
 
 
-def loads(T: RigidTransform, lengths: np.ndarray, planar: Planar2, wrench: np.ndarray) -> np.ndarray:
+def loads(T: RigidTransform, lengths: Floats, planar: Planar2, wrench: Floats) -> Floats:
     """Loads (n, 2) N of the struts, pushing, that hold a wrench (n, 6) on the hinge; a guide takes the rest."""
-    return np.linalg.solve(np.swapaxes(jacobian(T, planar)[..., :2], 1, 2), -wrench[..., :2, None])[..., 0]
+    return cast(
+        Floats, np.linalg.solve(np.swapaxes(jacobian(T, planar)[..., :2], 1, 2), -wrench[..., :2, None])[..., 0]
+    )
 
 
-def links(T: RigidTransform, lengths: np.ndarray, planar: Planar2, gravity: np.ndarray) -> np.ndarray:
+def links(T: RigidTransform, lengths: Floats, planar: Planar2, gravity: Floats) -> Floats:
     """Loads of the links' own weight: none (n, 2, 0), the base carries the struts."""
     return np.zeros((*np.shape(lengths), 0))
 
 
 def growth_deviation_and_sway(
-    T: RigidTransform, lengths: np.ndarray, planar: Planar2, share: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    T: RigidTransform, lengths: Floats, planar: Planar2, share: Floats
+) -> tuple[Floats, Floats]:
     """Deviation (n, 2) m and sway (n, 6) by the growth of struts by shares (n, 2) of their length: no sway."""
     return share * lengths, np.zeros((len(share), 6))
 
 
-def axis_changes(T: RigidTransform, lengths: np.ndarray, planar: Planar2) -> np.ndarray:
+def axis_changes(T: RigidTransform, lengths: Floats, planar: Planar2) -> Floats:
     """(n, 2, 6) change of the strut lengths with the pose's tangent, at poses T (n,)."""
     return jacobian(T, planar)
 
 
-def singularity_rows(T: RigidTransform, lengths: np.ndarray, planar: Planar2) -> np.ndarray:
+def singularity_rows(T: RigidTransform, lengths: Floats, planar: Planar2) -> Floats:
     """(n, 2, 6) the rows of the Jacobian at poses T (n,), which fall together where the machine is singular."""
     return jacobian(T, planar)
 
 
-def link_points(lengths: np.ndarray, planar: Planar2) -> None:
+def link_points(lengths: Floats, planar: Planar2) -> None:
     """None for lengths (n, axes) m: struts are no links."""
     return None
 
 
-def ends(T: RigidTransform, planar: Planar2) -> tuple[np.ndarray, np.ndarray]:
+def ends(T: RigidTransform, planar: Planar2) -> tuple[Floats, Floats]:
     """Ends of the struts: base joints (2, 3) and the hinge (n, 2, 3) m, base frame, at poses T (n,)."""
     return np.pad(planar.base_joints, ((0, 0), (0, 1))), np.repeat(T.translation[:, None], 2, axis=1)

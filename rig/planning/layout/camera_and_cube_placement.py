@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.arrays import Floats
 from rig.errors import RigError
 from rig.model.design import DICTIONARIES
 from rig.model.pose import pose_to_vector
@@ -22,7 +23,7 @@ class Ring(NamedTuple):
     the first cube
     """
 
-    centre: np.ndarray
+    centre: Floats
     radius: float
     edge: float
     turn: float
@@ -41,7 +42,7 @@ def check_layout(radius: float, cameras: int, cubes: int, dictionary: str) -> No
         )
 
 
-def camera_ring_lines(centre: np.ndarray, reach: float, count: int, width: int, height: int) -> list[str]:
+def camera_ring_lines(centre: Floats, reach: float, count: int, width: int, height: int) -> list[str]:
     """rig.toml lines of a ring of cameras evenly around a centre (3,) m, with a field of view of `reach` m.
     width, height : px
     """
@@ -58,7 +59,7 @@ def camera_ring_lines(centre: np.ndarray, reach: float, count: int, width: int, 
     return lines
 
 
-def camera_pose(position: np.ndarray, view_direction: np.ndarray) -> RigidTransform:
+def camera_pose(position: Floats, view_direction: Floats) -> RigidTransform:
     """Camera pose at a position (3,) m with a view direction (3,), level, OpenCV axes."""
     right = np.cross(view_direction, [0, 0, 1.0] if abs(view_direction[2]) < 0.999 else [0, 1.0, 0])
     right /= np.linalg.norm(right)

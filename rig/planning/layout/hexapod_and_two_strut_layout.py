@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.planning.layout.camera_and_cube_placement import (
     Ring,
     camera_ring_lines,
@@ -88,12 +89,12 @@ def hexapod_layout_rig_toml(
     return "\n".join(lines) + "\n"
 
 
-def _joints(radius: float, half_angle: float, turn: float) -> np.ndarray:
+def _joints(radius: float, half_angle: float, turn: float) -> Floats:
     angles = [turn + 2 * np.pi * k / 3 + side * half_angle for k in range(3) for side in (-1, 1)]
     return radius * np.array([[np.cos(a), np.sin(a), 0.0] for a in angles])
 
 
-def _limb_joints(radius: float, half_angle: float, count: int) -> np.ndarray:
+def _limb_joints(radius: float, half_angle: float, count: int) -> Floats:
     """(count, 3) m of measuring limbs: three pairs as struts have them; those beyond six stand inside, each pair turned
     on from the last.
     """

@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.arrays import Floats
 from rig.errors import RigError
 from rig.formats.rig_toml import design_file
-from rig.model.design import Arm, Design
+from rig.model.design import Design
+from rig.model.mechanism_geometry import Arm
 from rig.model.mechanism_kinds import require_arm
 from rig.model.mechanisms import arm as mechanism
 from rig.planning.configuration_sets import sobol_configurations
@@ -129,7 +131,7 @@ def _narrowed(text: str, arm: Arm) -> str:
 
 
 def _cubes_in_hand(
-    middle: np.ndarray, reach: float, cameras: int, size: tuple[int, int], cubes: int, dictionary: str
+    middle: Floats, reach: float, cameras: int, size: tuple[int, int], cubes: int, dictionary: str
 ) -> list[str]:
     edge_platform, edge_base = (share * reach * (2 / np.sqrt(max(cubes, 4))) for share in (0.24, 0.3))
     low = middle - [0, 0, 0.8 * reach - edge_base / 2]

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig.arrays import Floats
 from rig.report.pages.svg_elements import TEXT, WIDTH, escape_html, svg_figure, svg_text, tooltip
 
 TOP = TEXT + 11.0
-Placed = Callable[[np.ndarray], np.ndarray]  # (n, 2) of the plane -> (n, 2) of the figure
+Placed = Callable[[Floats], Floats]  # (n, 2) of the plane -> (n, 2) of the figure
 MOST = 3000  # arrows that are drawn: of more, evenly chosen ones
 MARKED = 0.25  # of a diagonal, drawn from an outline's first corner
 FEWEST = 5  # values of a patch that is drawn
@@ -20,8 +21,8 @@ class Arrows:
     of a figure's Series
     """
 
-    at: np.ndarray
-    by: np.ndarray
+    at: Floats
+    by: Floats
     enlarged: float
     unit: str
     colour: int = 1
@@ -33,8 +34,8 @@ class Cells:
     shade
     """
 
-    centre: np.ndarray
-    values: np.ndarray
+    centre: Floats
+    values: Floats
     size: float
     unit: str
 
@@ -45,7 +46,7 @@ class Quads:
     figure's Series, -1 for grey
     """
 
-    corners: np.ndarray
+    corners: Floats
     colour: int = -1
 
 
@@ -54,7 +55,7 @@ def image_plane_figure(
     caption: str,
     size: tuple[float, float],
     layers: Sequence[Arrows | Cells | Quads],
-    dots: np.ndarray | None = None,
+    dots: Floats | None = None,
 ) -> str:
     """Figure of the image plane with layers. caption : below; size : (width, height) px; dots : (n, 2) px, or None"""
     width, height = size
@@ -65,7 +66,7 @@ def image_plane_figure(
         f'<rect class="frame" x="4" y="{TOP:.1f}" width="{WIDTH - 8}" height="{tall:.1f}"/>',
     ]
 
-    def placed(points: np.ndarray) -> np.ndarray:
+    def placed(points: Floats) -> Floats:
         return points * scale + [4 + scale / 2, TOP + scale / 2]
 
     for layer in layers:
@@ -80,7 +81,7 @@ def image_plane_figure(
     return svg_figure(int(TOP + tall + 24), f"{title}: {caption}", parts)
 
 
-def patch_means(uv: np.ndarray, values: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
+def patch_means(uv: Floats, values: Floats, cell: float) -> tuple[Floats, Floats]:
     """Patch means (centres (c, 2), means (c, k)) of values (n, k) at uv (n, 2) >= 0. cell : a square's side, as uv"""
     keys, index, count = np.unique((uv // cell).astype(int) @ [1, 1000], return_inverse=True, return_counts=True)
     centre = np.stack([keys % 1000, keys // 1000], axis=1) * cell + cell / 2

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from rig.arrays import Floats, Integers
 from rig.report.pages.svg_elements import (
     TEXT,
     escape_html,
@@ -34,7 +35,7 @@ class Scale:
     log: bool = False
     whole: bool = False
 
-    def at(self, values: np.ndarray | float) -> np.ndarray:
+    def at(self, values: Floats | Integers | float) -> Floats:
         """Places of values, any shape."""
         v = np.asarray(values, float)
         low, high = self.low, self.high
@@ -66,7 +67,7 @@ class Scale:
 
 
 def scale_of_values(
-    values: np.ndarray,
+    values: Floats,
     ends: tuple[float, float],
     log: bool = False,
     limits: tuple[float, float] | None = None,
@@ -103,12 +104,12 @@ class Series:
     kind : dots, crosses, line, rings (with `half`, (n,) half of an interval); colour : 0 .. COLOURS - 1, or -1 for
         grey"""
 
-    x: np.ndarray
-    y: np.ndarray
+    x: Floats | Integers
+    y: Floats
     name: str = ""
     kind: str = "dots"
     colour: int = 0
-    half: np.ndarray | None = None
+    half: Floats | None = None
 
 
 def panel_row(*figures: str) -> str:

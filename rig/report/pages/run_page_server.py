@@ -21,6 +21,7 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from rig.errors import RigError
+from rig.formats.json_tree import Json
 
 HOST = "127.0.0.1"
 FILES = {
@@ -57,7 +58,7 @@ class PageServer:
     def __init__(self, stop: Callable[[], None], port: int = 0) -> None:
         self.token = secrets.token_urlsafe(24)
         self._stop = stop
-        self._draw: Callable[[], dict] = dict
+        self._draw: Callable[[], Json] = dict
         self._images: dict[str, Callable[[], bytes]] = {}
         self._changed, self._number, self._open, self._lines = threading.Condition(), 0, True, 0
         self._drawing, self._drawn = (
@@ -74,7 +75,7 @@ class PageServer:
         self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True)
         self._thread.start()
 
-    def show(self, event: Callable[[], dict], images: dict[str, Callable[[], bytes]] | None = None) -> None:
+    def show(self, event: Callable[[], Json], images: dict[str, Callable[[], bytes]] | None = None) -> None:
         """Have every browser told. Both are called only if one looks, once for all of them, and from any thread.
 
         event : makes what JSON can hold; images : {camera: makes its JPEG} in place of those before, or None

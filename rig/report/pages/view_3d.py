@@ -3,9 +3,12 @@
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from rig.arrays import Floats, Integers
+from rig.formats.json_tree import Json
 from rig.report.pages.html_elements import inline_html, note
 from rig.report.pages.page_and_svg_templates import read_asset
 
@@ -21,7 +24,7 @@ class Effect:
 
     name: str
     sizes: tuple[str, ...]
-    shifts: np.ndarray
+    shifts: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,17 +36,17 @@ class Scene:
     errors : {name: (n, 6) tangent on the right}, two at the most; effects; middle : (3,) m, and size m, of what is
         shown"""
 
-    frames: np.ndarray
-    poses: np.ndarray
-    fixed: Sequence[dict]
-    moved: Sequence[dict]
+    frames: Integers
+    poses: Floats
+    fixed: Sequence[Json]
+    moved: Sequence[Json]
     middle: Sequence[float]
     size: float
-    base: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    platform: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    links: np.ndarray | None = None
-    ends: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
-    errors: dict[str, np.ndarray] = field(default_factory=dict)
+    base: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    platform: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    links: Floats | None = None
+    ends: Floats = field(default_factory=lambda: np.zeros((1, 3)))
+    errors: dict[str, Floats] = field(default_factory=dict)
     effects: Sequence[Effect] = ()
 
 
@@ -101,10 +104,10 @@ def _controls(stage: Scene, count: int) -> str:
     return "".join(rows)
 
 
-def _tree(stage: Scene, chosen: np.ndarray) -> dict:
+def _tree(stage: Scene, chosen: Integers) -> Json:
     """What the page's script reads, of the frames chosen (k,)."""
 
-    def lines(parts: Sequence[dict]) -> list[dict]:
+    def lines(parts: Sequence[Json]) -> list[Json]:
         return [{**part, "points": _short(part["points"])} for part in parts]
 
     errors = [
@@ -133,5 +136,5 @@ def _tree(stage: Scene, chosen: np.ndarray) -> dict:
     }
 
 
-def _short(values: object, digits: int = DIGITS) -> list:
+def _short(values: object, digits: int = DIGITS) -> list[Any]:
     return np.round(np.asarray(values, float), digits).tolist()

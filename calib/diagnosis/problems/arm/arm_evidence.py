@@ -43,9 +43,11 @@ from calib.diagnosis.problems.requested_effects import RequestedEffects, require
 from calib.diagnosis.problems.temperature_smoothing import smooth_temperatures
 from calib.models.arm.held_out_scatter import UNSTATED
 from calib.samples.recording_samples import Sampled, sample_recording
+from rig.arrays import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
-from rig.model.design import Arm, Design
+from rig.model.design import Design
+from rig.model.mechanism_geometry import Arm
 from rig.recording.recording_folder import Recording
 from rig.recording.time_origin import Origin
 from vision.pose_uncertainty_prediction import predict_pose_uncertainty
@@ -68,7 +70,7 @@ class ArmEvidence:
     requested: RequestedEffects = RequestedEffects()
     given: StatedTerms = NO_STATED_TERMS
     stretches: tuple[int, ...] = (FINE, COARSE)
-    log_errors: Mapping[str, np.ndarray] = field(default_factory=dict)
+    log_errors: Mapping[str, Floats] = field(default_factory=dict)
 
     @property
     def family(self) -> Family:
@@ -134,7 +136,7 @@ class ArmEvidence:
         fit = selection.fit
         return [int(frame) for frame in fit.arms.frame[fit.aside]]
 
-    def contributions(self, selection: ArmSelection) -> tuple[np.ndarray, list[str], np.ndarray]:
+    def contributions(self, selection: ArmSelection) -> tuple[Integers, list[str], Floats]:
         fit, names, sizes = selection.fit, [], []
         for finding in selection.findings:
             candidate, moved = fit.terms[finding.number].candidate, fit.part(finding.number)

@@ -34,6 +34,7 @@ from calib.diagnosis.problems.arm.term_simplification import (
     simplify_profiles,
 )
 from calib.samples.pose_samples import time_block_folds
+from rig.arrays import Booleans, Floats, Integers
 
 ALIASES = 3  # other orders of a sinusoid that are looked at
 KNOWN = 0.5  # numbers that data must determine of a term for it to be tested
@@ -49,7 +50,7 @@ class ArmProblem:
 
     arms: Arms
     candidates: list[JointCandidate]
-    train: np.ndarray | None = None
+    train: Booleans | None = None
     policy: SelectionPolicy = ARM
     given: StatedTerms = StatedTerms()
     geometry: Geometry | None = None
@@ -152,7 +153,7 @@ class ArmProblem:
         angles = self.arms.q[fit.used]
         return [self._validations(fit, numbers, q) for q in angles.T]
 
-    def _validations(self, now: Fit, numbers: list[int], along: np.ndarray | None = None) -> list[CrossValidation]:
+    def _validations(self, now: Fit, numbers: list[int], along: Floats | None = None) -> list[CrossValidation]:
         """CrossValidation of each term alone; misfit in m, RMS of a position per axis.
 
         along : (m,) what the poses used are put in order by, stretches of which are held out whole; None for time, in
@@ -171,7 +172,7 @@ class ArmProblem:
             now.information,
         )
 
-        def figures(gone: np.ndarray) -> tuple[np.ndarray, float]:
+        def figures(gone: Integers) -> tuple[Floats, float]:
             white = target.copy()
             for part, at, size in zip(parts, rows, sizes(gone)):
                 white[at] -= part.at(size[:, None])[..., 0]

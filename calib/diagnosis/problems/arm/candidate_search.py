@@ -19,6 +19,7 @@ from calib.diagnosis.engine.linear_model import Column
 from calib.diagnosis.engine.selection_inputs import Node
 from calib.diagnosis.problems.arm.joint_candidates import Form, JointCandidate, JointScore
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
+from rig.arrays import Floats, Integers
 
 CHUNK = 96  # nodes at a time
 REFINE, FINER = 4, 2  # rounds about the best order, each with a step so many times as fine
@@ -69,7 +70,7 @@ def score_column(fit: Fit, score: JointScore) -> Column:
     return Column(((_directions(fit, score.candidate.joint) @ w[..., None]).reshape(-1, 1),))
 
 
-def _directions(fit: Fit, joint: int | None) -> np.ndarray:
+def _directions(fit: Fit, joint: int | None) -> Floats:
     """(m, k, a) whitened, of the used poses."""
     return fit.W[fit.used] @ fit.arms.directions(joint)[fit.used]
 
@@ -103,7 +104,7 @@ def _score(
     )
 
 
-def _node_weights(fit: Fit, candidate: JointCandidate, node: Node) -> np.ndarray:
+def _node_weights(fit: Fit, candidate: JointCandidate, node: Node) -> Floats:
     """(m, a, q) weights of the used poses at a node."""
     return candidate.weights(node)[fit.used]
 
@@ -155,12 +156,12 @@ class LongGrid(NamedTuple):
     """Of s nodes: b (s, q) projections of the residual, G (s, q, q) Gram matrices with the nuisances still in
     onto : indices (c,) -> (c, q, r) products of these nodes with the nuisances' orthonormal basis"""
 
-    b: np.ndarray
-    G: np.ndarray
-    onto: Callable[[np.ndarray], np.ndarray]
+    b: Floats
+    G: Floats
+    onto: Callable[[Integers], Floats]
 
 
-def _orders(candidate: JointCandidate, q: np.ndarray, products: FrameProducts) -> LongGrid:
+def _orders(candidate: JointCandidate, q: Floats, products: FrameProducts) -> LongGrid:
     """LongGrid of sine and cosine at every order of a candidate, multiples of its step."""
     at = np.round([node[candidate.sought] / candidate.step for node in candidate.grid]).astype(int)
     beta, gamma, kappa = products.beta, products.gamma[:, 0, 0], products.kappa[:, 0]
@@ -170,23 +171,23 @@ def _orders(candidate: JointCandidate, q: np.ndarray, products: FrameProducts) -
     whole = gamma.sum()
     G = np.stack([whole - twice.real, twice.imag, twice.imag, whole + twice.real], axis=1).reshape(-1, 2, 2) / 2
 
-    def onto(chosen: np.ndarray) -> np.ndarray:
+    def onto(chosen: Integers) -> Floats:
         low, span = at[chosen].min(), np.ptp(at[chosen]) + 1
         return products.onto(_sine_cosine(sinusoid_sums(q, kappa, candidate.step, low, span)[at[chosen] - low]))
 
     return LongGrid(b, G, onto)
 
 
-def _sine_cosine(table: np.ndarray) -> np.ndarray:
+def _sine_cosine(table: Floats) -> Floats:
     """(s, 2, p) sums with sine and cosine, of sums (s, p) with a complex exponential."""
     return np.stack([table.imag, table.real], axis=1)
 
 
-def _steps(candidate: JointCandidate, t: np.ndarray, products: FrameProducts) -> LongGrid:
+def _steps(candidate: JointCandidate, t: Floats, products: FrameProducts) -> LongGrid:
     """LongGrid of a step at each of a candidate's times."""
     at = np.searchsorted(t, [node[candidate.sought] for node in candidate.grid])
 
-    def later(part: np.ndarray) -> np.ndarray:
+    def later(part: Floats) -> Floats:
         return np.concatenate([np.cumsum(part[::-1], axis=0)[::-1], np.zeros((1, *part.shape[1:]))])
 
     b, G = later(products.beta[:, 0])[at], later(products.gamma[:, 0, 0])[at]
@@ -195,7 +196,7 @@ def _steps(candidate: JointCandidate, t: np.ndarray, products: FrameProducts) ->
     )
 
 
-def _promising(long: LongGrid, prior: np.ndarray, least: float) -> Solved:
+def _promising(long: LongGrid, prior: Floats, least: float) -> Solved:
     """Solved of a LongGrid. Nuisances are taken out of the first nodes, which they may swallow nearly whole, and of
     those that explain most with the nuisances in, as far as `least` is in sight; the others explain at least what they
     do with these in."""

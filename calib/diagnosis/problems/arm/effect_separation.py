@@ -5,6 +5,7 @@ import numpy as np
 
 from calib.diagnosis.engine.hypothesis_separation import Separation, _signal_separation
 from calib.models.geometric_parameters import geometric_parameters
+from rig.arrays import Floats
 from rig.effects.framework.effect import Effect
 from rig.model import motion_simulation
 from rig.model.design import Design
@@ -16,7 +17,7 @@ def arm_effect_separation(
     plan_name: str,
     design: Design,
     commands: Commands,
-    t: np.ndarray,
+    t: Floats,
     sensors: Sensors | None,
     effects: list[Effect],
     sigma: tuple[float, float],

@@ -6,22 +6,19 @@ import numpy as np
 
 from calib.models.arm import error_model
 from calib.models.arm.identification import independent_arm_parameters
+from rig.arrays import Floats
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
 from rig.model import motion_simulation
-from rig.model.design import Arm, Design
+from rig.model.design import Design
+from rig.model.mechanism_geometry import Arm
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Sensors
 
 
 def arm_effect_signal_to_noise(
-    true_design: Design,
-    commands: Commands,
-    t: np.ndarray,
-    sigma: np.ndarray,
-    effects: tuple[Effect, ...],
-    sensors: Sensors,
-) -> np.ndarray:
+    true_design: Design, commands: Commands, t: Floats, sigma: Floats, effects: tuple[Effect, ...], sensors: Sensors
+) -> Floats:
     """(effects,) signal-to-noise of each effect in an arm's poses, the arm's parameters projected out.
 
     true_design : Design as it really is; commands, t (n,) s : what was commanded, and when it was measured; sensors :

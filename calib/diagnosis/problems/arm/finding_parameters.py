@@ -15,6 +15,7 @@ from calib.diagnosis.problems.arm.joint_candidates import SPAN, Form, JointCandi
 from calib.diagnosis.problems.arm.linearised_poses import Arms
 from calib.diagnosis.problems.arm.nonlinear_parameters import onset_time_interval, term_parameter_covariance
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
+from rig.arrays import Floats
 from rig.model import motion_simulation
 from rig.recording.recording_folder import Sensors
 from rig.recording.time_origin import Origin
@@ -22,9 +23,7 @@ from rig.recording.time_origin import Origin
 SMALL = 1e-4  # step of an order, for its derivative
 
 
-def finding_parameters(
-    fit: Fit, finding: Finding[JointCandidate], origin: Origin, added: np.ndarray
-) -> dict[str, Value]:
+def finding_parameters(fit: Fit, finding: Finding[JointCandidate], origin: Origin, added: Floats) -> dict[str, Value]:
     """{name: Value} of a finding of a Fit; intervals allow for the dispersion seen.
 
     origin : of the clock that tells moments; added : (c, c) covariance of the sizes by what the fit took to be exact
@@ -78,7 +77,7 @@ def axis_unit(fit: Fit, joint: int | None) -> str:
     return "rad" if joint is None else fit.arms.context.moved().units[joint]
 
 
-def _scaled(moved: np.ndarray, theta: np.ndarray, covariance: np.ndarray, one: Term, unit: str) -> Value:
+def _scaled(moved: Floats, theta: Floats, covariance: Floats, one: Term, unit: str) -> Value:
     """The RMS, about its mean, of what a term does to its joint, with an interval to first order."""
     w = one.weights[:, 0] - one.weights[:, 0].mean(axis=0)
     value = float((moved - moved.mean()).std())
@@ -87,7 +86,7 @@ def _scaled(moved: np.ndarray, theta: np.ndarray, covariance: np.ndarray, one: T
     return Value(value, unit, [max(value - Z95 * sigma, 0.0), value + Z95 * sigma])
 
 
-def _cycle(fit: Fit, finding: Finding[JointCandidate], theta: np.ndarray) -> dict[str, Value]:
+def _cycle(fit: Fit, finding: Finding[JointCandidate], theta: Floats) -> dict[str, Value]:
     """amplitude, phase and order of a sinusoid, their joint covariance with all else free."""
     number = finding.number
     one = fit.terms[number]
@@ -114,7 +113,7 @@ def _cycle(fit: Fit, finding: Finding[JointCandidate], theta: np.ndarray) -> dic
     }
 
 
-def temperature_offsets(fit: Fit, number: int, log_errors: Mapping[str, np.ndarray]) -> np.ndarray:
+def temperature_offsets(fit: Fit, number: int, log_errors: Mapping[str, Floats]) -> Floats:
     """(c, q) by which a term's sizes are off for each standard deviation of temperatures' own errors.
 
     log_errors : {channel: (rows, r)} of the log, as `smooth_temperatures` gives them
@@ -144,11 +143,11 @@ def _under(arms: Arms, sensors: Sensors) -> Arms:
     return replace(arms, context=replace(context, sensors=sensors, motion=moved))
 
 
-def _leaning(fit: Fit, other: Arms) -> np.ndarray:
+def _leaning(fit: Fit, other: Arms) -> Floats:
     """(p + c, 1) by which all sizes change for what the terms would do at other Arms."""
     seen = np.zeros((len(other), fit.left.shape[1], 1))
     for number, term in enumerate(fit.terms):
         change = joint_candidate(term.candidate.specs, other).weights(term.node) - term.weights
         seen += other.directions(term.candidate.joint) @ (change @ fit.theta[fit.slices[number]])[..., None]
-    leaning: np.ndarray = cho_solve((fit.half, False), fit.X.onto((fit.W @ seen)[fit.used]))
+    leaning: Floats = cho_solve((fit.half, False), fit.X.onto((fit.W @ seen)[fit.used]))
     return leaning

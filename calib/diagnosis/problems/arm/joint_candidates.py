@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from calib.diagnosis.engine.candidate_score import Score
 from calib.diagnosis.engine.selection_inputs import Candidate, Node, NotAsked
 from calib.diagnosis.problems.arm.linearised_poses import Arms
 from calib.diagnosis.problems.requested_effects import RequestedEffects
+from rig.arrays import Floats
 from rig.effects.framework.diagnosis_interface import COUNT, QUADRATURE
 from rig.effects.framework.effect import Candidate as EffectCandidate
 from rig.effects.framework.effect import Effect
@@ -50,8 +52,8 @@ class JointCandidate(Candidate):
 
     joint: int | None
     specs: tuple[EffectCandidate, ...]
-    weights: Callable[[Node], np.ndarray]
-    prior: Callable[[Node], np.ndarray]
+    weights: Callable[[Node], Floats]
+    prior: Callable[[Node], Floats]
     form: Form = Form.OTHER
     step: float = 0.0
 
@@ -65,7 +67,7 @@ class JointCandidate(Candidate):
         """The one parameter that the grid goes through."""
         return next(iter(self.grid[0]))
 
-    def effect(self, node: Node, coefficients: np.ndarray) -> Effect:
+    def effect(self, node: Node, coefficients: Floats) -> Effect:
         """The effect of a node with coefficients (q,); where the size is in the node, the coefficient is it."""
         spec = _spec(self.specs, node)
         return (
@@ -161,7 +163,7 @@ def _bounds(spec: EffectCandidate) -> list[tuple[float, float]]:
     ]
 
 
-def _prior(spec: EffectCandidate) -> np.ndarray:
+def _prior(spec: EffectCandidate) -> Floats:
     """(q,) sizes that rigs show of the coefficients."""
     by = {p.name: p for p in spec.kind.parameters_at(spec.place)}
     names = [column.name for column in spec.linear] or [next(iter(spec.grid[0]))]
@@ -170,7 +172,7 @@ def _prior(spec: EffectCandidate) -> np.ndarray:
     return np.array([1 / p.usual[0] if p.role == "inverse" else p.usual[1] for p in used])
 
 
-def _weights(spec: EffectCandidate, node: Node, joint: int | None, arms: Arms) -> np.ndarray:
+def _weights(spec: EffectCandidate, node: Node, joint: int | None, arms: Arms) -> Floats:
     """(n, a, q) of a node, see JointCandidate."""
     motion = arms.context.moved()
     if joint is None and spec.kind.retimes():
@@ -188,7 +190,7 @@ def _weights(spec: EffectCandidate, node: Node, joint: int | None, arms: Arms) -
     return (out if spec.linear else out / next(iter(node.values())))[:, None, :]
 
 
-def _retimed(spec: EffectCandidate, node: Node, arms: Arms) -> np.ndarray:
+def _retimed(spec: EffectCandidate, node: Node, arms: Arms) -> Floats:
     """(n, joints, q) rad by which the commands reached change, per unit of the coefficients."""
     steps = [column.step for column in spec.linear] or [1.0]
     units = np.eye(len(spec.linear)) * steps if spec.linear else [np.zeros(0)]
@@ -197,11 +199,11 @@ def _retimed(spec: EffectCandidate, node: Node, arms: Arms) -> np.ndarray:
     )
 
 
-def _kept(weights: Callable[[Node], np.ndarray]) -> Callable[[Node], np.ndarray]:
+def _kept(weights: Callable[[Node], Floats]) -> Callable[[Node], Floats]:
     """The function of a node, the last answers kept: histories are long, and asked for in every search."""
-    known: dict[tuple, np.ndarray] = {}
+    known: dict[tuple[Any, ...], Floats] = {}
 
-    def answer(node: Node) -> np.ndarray:
+    def answer(node: Node) -> Floats:
         key = tuple(sorted(node.items()))
         if key not in known:
             if len(known) > MOST:

@@ -6,6 +6,7 @@ from calib.diagnosis.engine.lack_of_fit import ALPHA, LackOfFit, Test, significa
 from calib.diagnosis.problems.arm.candidate_search import joint_products
 from calib.diagnosis.problems.arm.linearised_poses import Arms
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
+from rig.arrays import Floats
 from rig.effects.catalogue.compliance import independent_columns
 
 KNOTS = 8  # of a smooth function of time
@@ -31,7 +32,7 @@ def lack_of_fit(fit: Fit, cluster: int = 1, place: str | None = None, alpha: flo
     )
 
 
-def _bases(arms: Arms, j: int) -> list[tuple[str, np.ndarray]]:
+def _bases(arms: Arms, j: int) -> list[tuple[str, Floats]]:
     """[(depends on, (n, q) smooth functions of it)] for a joint."""
     others = np.delete(arms.q, j, axis=1)
     moves = np.sign(np.diff(arms.q[:, j], prepend=arms.q[0, j]))
@@ -47,6 +48,6 @@ def _bases(arms: Arms, j: int) -> list[tuple[str, np.ndarray]]:
     return out + [(name, ((v - v.mean()) / v.std())[:, None]) for name, v in arms.channels.items() if np.ptp(v) > 0]
 
 
-def _hats(t: np.ndarray) -> np.ndarray:
+def _hats(t: Floats) -> Floats:
     x = np.linspace(t[0], t[-1], KNOTS)
     return np.stack([np.interp(t, x, row) for row in np.eye(KNOTS)[1:]], axis=1)

@@ -13,10 +13,13 @@ from calib.models.arm.instrument_observations import observation_jacobian, sampl
 from calib.models.chain import error_model as chains
 from calib.models.chain.identification import identify_chain
 from calib.samples.pose_samples import Samples
-from rig.effects.framework.effect import Context, Effect
+from rig.arrays import Floats, Integers
+from rig.effects.framework.diagnosis_interface import Context
+from rig.effects.framework.effect import Effect
 from rig.errors import NotEnoughData, RigError
 from rig.model import motion_simulation
-from rig.model.design import Arm, Chain, Design
+from rig.model.design import Design
+from rig.model.mechanism_geometry import Arm, Chain
 from rig.model.mechanism_kinds import require_arm, require_chain
 from rig.model.mechanisms import chain as mechanism
 from rig.model.pose import pose_difference
@@ -38,13 +41,13 @@ class Arms:
     sight : of poses that cameras measure, T_base_platform (m,) -> Foreseen of others that they have yet to see; None of
         an instrument's"""
 
-    frame: np.ndarray
-    t: np.ndarray
-    q: np.ndarray
-    left: np.ndarray
-    freedoms: np.ndarray
-    joints: np.ndarray
-    own: np.ndarray
+    frame: Integers
+    t: Floats
+    q: Floats
+    left: Floats
+    freedoms: Floats
+    joints: Floats
+    own: Floats
     commands: Commands
     context: Context
     sight: Callable[[RigidTransform], PredictedUncertainty] | None = None
@@ -53,7 +56,7 @@ class Arms:
     def __len__(self) -> int:
         return len(self.t)
 
-    def directions(self, joint: int | None) -> np.ndarray:
+    def directions(self, joint: int | None) -> Floats:
         """(n, k, a) change of what is measured with a joint's angle (index, a = 1), or with the measured tangents
         themselves (None, a = k).
         """
@@ -63,18 +66,18 @@ class Arms:
             else self.joints[..., joint : joint + 1]
         )
 
-    def measured(self, tangents: np.ndarray) -> np.ndarray:
+    def measured(self, tangents: Floats) -> Floats:
         """(n, k) what is measured of tangents (n, 6) by which the tool is displaced."""
         return tangents[:, : self.left.shape[1]]
 
-    def reached(self, effect: Effect) -> np.ndarray:
+    def reached(self, effect: Effect) -> Floats:
         """(n, joints) rad, commands reached at the exposures under an effect of clock or path."""
         return motion_simulation.motion_of_commands(
             self.context.design, self.commands, self.t, (effect,), self.context.sensors
         ).lengths
 
     @property
-    def channels(self) -> dict[str, np.ndarray]:
+    def channels(self) -> dict[str, Floats]:
         """{sensor's channel: (n,)} at the exposures."""
         sensors = self.context.sensors
         return {} if sensors is None else {name: sensors.at(self.t, name) for name in sensors.channels}
@@ -87,10 +90,10 @@ class Geometry:
     move : (p,) step -> the mechanism with its parameters moved"""
 
     mechanism: Arm | Chain
-    basis: np.ndarray
-    move: Callable[[np.ndarray], Arm | Chain]
+    basis: Floats
+    move: Callable[[Floats], Arm | Chain]
 
-    def at(self, sizes: np.ndarray) -> Arm | Chain:
+    def at(self, sizes: Floats) -> Arm | Chain:
         """The mechanism with its freedoms moved by sizes (f,)."""
         return self.move(self.basis @ sizes)
 
@@ -132,7 +135,7 @@ def linearise_poses(
 
 
 def linearise_planned_poses(
-    arms: Arms, geometry: Geometry, commands: Commands, t: np.ndarray, sensors: Sensors | None
+    arms: Arms, geometry: Geometry, commands: Commands, t: Floats, sensors: Sensors | None
 ) -> Arms:
     """Arms of a recording of the same arm that is not there yet, exposed at t (n,) s, of which nothing is left; its
     instrument sees as before.
@@ -169,9 +172,7 @@ def linearise_planned_poses(
     return Arms(frame, t, q, np.zeros((len(t), k)), freedoms, joints, own, commands, context, arms.sight)
 
 
-Linear = tuple[
-    Geometry, np.ndarray, np.ndarray, np.ndarray, np.ndarray
-]  # with what is left, freedoms, joints and own of Arms
+Linear = tuple[Geometry, Floats, Floats, Floats, Floats]  # with what is left, freedoms, joints and own of Arms
 
 
 def _of_arm(samples: Samples, design: Design) -> Linear:

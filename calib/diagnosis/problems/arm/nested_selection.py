@@ -13,6 +13,7 @@ from calib.diagnosis.engine.term_selection import fit_selected_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.projected_pose_residuals import fit_poses
 from calib.diagnosis.problems.measured_evidence import HeldOutPoses
+from rig.arrays import Floats
 from rig.compute.parallel_map import parallel_map
 
 PARTS = 3
@@ -27,7 +28,7 @@ def nested_held_out_poses(
     arms, kept = problem.arms, np.ones(len(problem.arms), bool) if problem.train is None else problem.train
     parts = [time_stretch_folds(len(arms), count) % PARTS for count in counts]
 
-    def predicted(one: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    def predicted(one: tuple[int, int]) -> tuple[Floats, Floats, tuple[str, ...]]:
         part = parts[one[0]] == one[1]
         with threadpool_limits(1):
             chosen, bare = fit_selected_terms(replace(problem, train=kept & ~part)), fit_poses(arms, (), kept & ~part)
@@ -58,7 +59,7 @@ def nested_held_out_poses(
     return out
 
 
-def _farthest(q: np.ndarray, fitted: np.ndarray) -> np.ndarray:
+def _farthest(q: Floats, fitted: Floats) -> Floats:
     """(m,) rad: over the joints, the greatest distance of angles q (m, joints) from the nearest of fitted (n,
     joints).
     """

@@ -16,6 +16,7 @@ from calib.diagnosis.engine.selection_inputs import Node
 from calib.diagnosis.problems.arm.candidate_search import joint_products, solved_nodes
 from calib.diagnosis.problems.arm.joint_candidates import Form, JointCandidate
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
+from rig.arrays import Floats
 from rig.effects.framework.parameter import Parameter
 
 SEARCHED = ("size", "log", "even")  # roles of parameters that have a value between those of a grid
@@ -30,7 +31,7 @@ class TermCovariance(NamedTuple):
     """names : of r nonlinear parameters; covariance : (q + r, q + r) of the sizes and of these, all else free."""
 
     names: tuple[str, ...]
-    covariance: np.ndarray
+    covariance: Floats
 
 
 def _continuous_parameters(term: Term) -> tuple[Parameter, ...]:
@@ -106,7 +107,7 @@ def onset_time_interval(fit: Fit, number: int, dispersion: float) -> tuple[float
     return float(likely.min()), float(likely.max())
 
 
-def _seen(fit: Fit, term: Term, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _seen(fit: Fit, term: Term, columns: Floats) -> tuple[Floats, Floats]:
     """(whitened columns (m, r) with all that the fit has free taken out, their leaning (p + c, r) on that), of columns
     (n, a, r) as weights are.
     """
@@ -115,7 +116,7 @@ def _seen(fit: Fit, term: Term, columns: np.ndarray) -> tuple[np.ndarray, np.nda
     return (u - fit.X.at(leaning)).reshape(-1, columns.shape[2]), leaning
 
 
-def _slope(term: Term, p: Parameter, theta: np.ndarray) -> np.ndarray:
+def _slope(term: Term, p: Parameter, theta: Floats) -> Floats:
     """(n, a) change of what a term does with a parameter; of a term whose size is the parameter, of its weights."""
     value = term.node[p.name]
     step = SMALL if p.role == "even" else SMALL * value

@@ -6,6 +6,7 @@ from calib.diagnosis.engine.excluded_outliers import Crowd, LeftOut, Outliers
 from calib.diagnosis.problems.arm.linearised_poses import Arms
 from calib.diagnosis.problems.remainder_covariates import axis_speeds, time_cosines
 from calib.identify.robust_fit import MIDDLE, MOST, outlier_rows, robust_fit
+from rig.arrays import Floats
 
 GROSS, GATE = (
     20.0,
@@ -19,7 +20,7 @@ REASON = (
 )
 
 
-def outlier_poses(arms: Arms, residuals: np.ndarray, gate: float) -> Outliers:
+def outlier_poses(arms: Arms, residuals: Floats, gate: float) -> Outliers:
     """Outliers by residuals left (n, k), m and rad, beyond a gate."""
     W = np.linalg.inv(np.linalg.cholesky(arms.own))
     columns = np.concatenate([arms.freedoms, _smooth(arms)], axis=2)[..., : residuals.size // ROWS]
@@ -37,7 +38,7 @@ def outlier_poses(arms: Arms, residuals: np.ndarray, gate: float) -> Outliers:
     return Outliers(frozenset(arms.frame[far].tolist()), left_out=tuple(told))
 
 
-def _relative(residual: np.ndarray) -> np.ndarray:
+def _relative(residual: Floats) -> Floats:
     """(n, k) whitened residuals over one scatter of positions and one of rotations, by their middle length: what a
     joint does shows along other axes in every pose."""
     out = np.empty_like(residual)
@@ -49,7 +50,7 @@ def _relative(residual: np.ndarray) -> np.ndarray:
     return out
 
 
-def _smooth(arms: Arms) -> np.ndarray:
+def _smooth(arms: Arms) -> Floats:
     """(n, k, q) what joints may do besides their geometry to what is measured, the plainest first."""
     path = arms.context.moved().path
     functions = [path.direction, axis_speeds(arms.commands, arms.t), path.last_step]
@@ -58,6 +59,6 @@ def _smooth(arms: Arms) -> np.ndarray:
     return np.concatenate([arms.joints * values[:, None, :] for values in scaled], axis=2)
 
 
-def _varying(arms: Arms) -> list[np.ndarray]:
+def _varying(arms: Arms) -> list[Floats]:
     """[(n,)] of the log's channels that vary, about their means."""
     return [values - values.mean() for values in arms.channels.values() if np.ptp(values) > 0]

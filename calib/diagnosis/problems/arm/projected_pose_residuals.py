@@ -18,6 +18,7 @@ from calib.diagnosis.problems.arm.joint_candidates import JointCandidate, JointS
 from calib.diagnosis.problems.arm.linearised_poses import Arms
 from calib.diagnosis.problems.arm.whitened_columns import Columns, Part
 from calib.identify.robust_fit import excess_scatter, robust_weights
+from rig.arrays import Booleans, Floats
 
 ROUNDS = 6  # of weighing anew
 SETTLED = 1e-3  # share by which the scatter may still change
@@ -33,10 +34,10 @@ class Weighing:
     off.
     """
 
-    scatter: np.ndarray
-    tail: np.ndarray
+    scatter: Floats
+    tail: Floats
 
-    def whitening(self, own: np.ndarray) -> np.ndarray:
+    def whitening(self, own: Floats) -> Floats:
         """(n, k, k) that makes residuals of the instrument's covariance (n, k, k) and the scatter white, and wild ones
         small.
         """
@@ -58,8 +59,8 @@ class Term:
 
     candidate: JointCandidate
     node: Node
-    weights: np.ndarray
-    prior: np.ndarray
+    weights: Floats
+    prior: Floats
     level: float | None = None
 
     def stale(self, scatter: float) -> bool:
@@ -101,24 +102,24 @@ class Fit:
 
     arms: Arms
     terms: tuple[Term, ...]
-    used: np.ndarray
-    W: np.ndarray
+    used: Booleans
+    W: Floats
     X: Columns
-    right: np.ndarray
-    half: np.ndarray
-    theta: np.ndarray
-    left: np.ndarray
-    y: np.ndarray
+    right: Floats
+    half: Floats
+    theta: Floats
+    left: Floats
+    y: Floats
     weighing: Weighing
     slices: tuple[slice, ...]
 
     @property
-    def scatter(self) -> np.ndarray:
+    def scatter(self) -> Floats:
         """(k,) m and rad beyond the instrument's own."""
         return self.weighing.scatter
 
     @property
-    def aside(self) -> np.ndarray:
+    def aside(self) -> Booleans:
         """(n,) bool, poses of those used that agree with no model and count for next to nothing."""
         return self.used & (self.weighing.tail < ASIDE)
 
@@ -137,16 +138,16 @@ class Fit:
         return LinearModel((block,), Column((self.X.operator(),)), self.inverse, self.size)
 
     @cached_property
-    def information(self) -> np.ndarray:
+    def information(self) -> Floats:
         """(p + c, p + c), priors included."""
         return self.half.T @ self.half
 
     @cached_property
-    def inverse(self) -> np.ndarray:
+    def inverse(self) -> Floats:
         """(p + c, p + c) upper triangular R, R R.T the covariance of the sizes."""
         return solve_triangular(self.half, np.eye(len(self.half)), lower=False, check_finite=False)
 
-    def covariance(self, number: int) -> np.ndarray:
+    def covariance(self, number: int) -> Floats:
         """(c, c) of one term's sizes."""
         part = self.inverse[self.slices[number]]
         return part @ part.T
@@ -156,7 +157,7 @@ class Fit:
         prior = self.prior()
         return float((prior > 0).sum() - prior @ (self.inverse**2).sum(axis=1))
 
-    def prior(self) -> np.ndarray:
+    def prior(self) -> Floats:
         """(p + c,) inverse squares of the sizes that priors expect, 0 for the freedoms."""
         return np.concatenate([np.zeros(self.arms.freedoms.shape[2])] + [1 / term.prior**2 for term in self.terms])
 
@@ -188,11 +189,11 @@ class Fit:
         return self._solved((*self.terms, *terms), self.X.with_parts(more.parts), H, right)
 
     @property
-    def target(self) -> np.ndarray:
+    def target(self) -> Floats:
         """(n, k) whitened, what the geometry left."""
         return (self.W @ self.arms.left[..., None])[..., 0]
 
-    def _solved(self, terms: tuple[Term, ...], X: Columns, H: np.ndarray, right: np.ndarray) -> "Fit":
+    def _solved(self, terms: tuple[Term, ...], X: Columns, H: Floats, right: Floats) -> "Fit":
         factor = cho_factor(H)
         theta = cho_solve(factor, right)
         left = self.arms.left - term_columns(self.arms, terms).at(theta[:, None])[..., 0]
@@ -213,7 +214,7 @@ class Fit:
         """Bayesian information criterion with its weights as they are."""
         return self.cost() + (self.known() + sum(one.candidate.extra for one in self.terms)) * np.log(self.size)
 
-    def part(self, number: int) -> np.ndarray:
+    def part(self, number: int) -> Floats:
         """(n,) rad by which a term turns its joint in every pose, or m by which it moves the tool where it acts on the
         whole arm.
         """
@@ -224,7 +225,7 @@ class Fit:
 def fit_poses(
     arms: Arms,
     terms: Sequence[Term] = (),
-    train: np.ndarray | None = None,
+    train: Booleans | None = None,
     start: Weighing | None = None,
     rounds: int = ROUNDS,
 ) -> Fit:
@@ -258,7 +259,7 @@ def fit_poses(
     )
 
 
-def _weighed(arms: Arms, left: np.ndarray, used: np.ndarray, share: float) -> Weighing:
+def _weighed(arms: Arms, left: Floats, used: Booleans, share: float) -> Weighing:
     scatter = excess_scatter(left[used], arms.own[used], share)
     white = np.linalg.solve(np.linalg.cholesky(arms.own + np.diag(scatter**2)), left[..., None])[..., 0]
     return Weighing(scatter, robust_weights((white**2).sum(axis=1), left.shape[1]))

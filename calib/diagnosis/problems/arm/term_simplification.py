@@ -4,13 +4,12 @@ for the others.
 
 from dataclasses import replace
 
-import numpy as np
-
 from calib.diagnosis.engine.selection_inputs import NO_STATED_TERMS, SelectionPolicy, StatedTerms
 from calib.diagnosis.problems.arm.candidate_search import search_candidates
 from calib.diagnosis.problems.arm.joint_candidates import OWN_ANGLE, SPAN, Form, JointCandidate
 from calib.diagnosis.problems.arm.nonlinear_parameters import has_continuous_parameters, optimise_nonlinear_parameters
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_poses
+from rig.arrays import Booleans
 from rig.effects.framework.diagnosis_interface import COUNT
 
 FINE = 0.3  # step between orders, of what a joint's travel resolves
@@ -54,7 +53,7 @@ def _resolved_order(profile: JointCandidate, now: Fit) -> float:
 def merge_sinusoids_into_profiles(
     fit: Fit,
     candidates: list[JointCandidate],
-    train: np.ndarray | None,
+    train: Booleans | None,
     policy: SelectionPolicy,
     stated_terms: StatedTerms = NO_STATED_TERMS,
 ) -> Fit:
@@ -82,7 +81,7 @@ def merge_sinusoids_into_profiles(
     return fit
 
 
-def refine_profiles(fit: Fit, train: np.ndarray | None, policy: SelectionPolicy) -> Fit:
+def refine_profiles(fit: Fit, train: Booleans | None, policy: SelectionPolicy) -> Fit:
     """The Fit with profiles of as many knots, and terms with as exact parameters, as the data support.
 
     A term is looked at again once the scatter has changed to speak of. train : (n,) bool, or None for all poses
@@ -125,7 +124,7 @@ def _about(one: Term) -> JointCandidate:
 def simplify_profiles(
     fit: Fit,
     candidates: list[JointCandidate],
-    train: np.ndarray | None,
+    train: Booleans | None,
     policy: SelectionPolicy,
     stated_terms: StatedTerms = NO_STATED_TERMS,
 ) -> Fit:

@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse.linalg import LinearOperator
 
+from rig.arrays import Booleans, Floats
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
@@ -18,7 +20,7 @@ class Part:
     """
 
     joint: int | None
-    values: np.ndarray
+    values: Floats
 
     @property
     def count(self) -> int:
@@ -30,7 +32,7 @@ class Part:
 class Columns:
     """directions : (n, k, joints) by which a joint's turn changes what is measured; parts : the columns, in order."""
 
-    directions: np.ndarray
+    directions: Floats
     parts: tuple[Part, ...]
 
     @property
@@ -38,11 +40,11 @@ class Columns:
         """How many columns there are."""
         return sum(part.count for part in self.parts)
 
-    def take(self, rows: np.ndarray) -> "Columns":
+    def take(self, rows: Booleans) -> "Columns":
         """Of some of the poses, an index or mask (n,)."""
         return Columns(self.directions[rows], tuple(replace(part, values=part.values[rows]) for part in self.parts))
 
-    def whitened(self, W: np.ndarray) -> "Columns":
+    def whitened(self, W: Floats) -> "Columns":
         """The same with every pose's numbers weighed by W (n, k, k)."""
         return Columns(
             W @ self.directions, tuple(replace(p, values=W @ p.values) if p.joint is None else p for p in self.parts)
@@ -56,7 +58,7 @@ class Columns:
         """Without some parts."""
         return replace(self, parts=tuple(part for i, part in enumerate(self.parts) if i not in numbers))
 
-    def at(self, sizes: np.ndarray) -> np.ndarray:
+    def at(self, sizes: Floats) -> Floats:
         """(n, k, r) what sizes (p, r) come to."""
         n, k, joints = self.directions.shape
         out, turns, start = np.zeros((n, k, sizes.shape[1])), np.zeros((n, joints, sizes.shape[1])), 0
@@ -69,7 +71,7 @@ class Columns:
             start += part.count
         return out + self.directions @ turns
 
-    def along(self, moved: np.ndarray) -> np.ndarray:
+    def along(self, moved: Floats) -> Floats:
         """(n, a, p) products of directions (n, k, a) with the columns, pose by pose."""
         turned = np.swapaxes(moved, 1, 2)
         turns = turned @ self.directions
@@ -83,7 +85,7 @@ class Columns:
             start += part.count
         return out
 
-    def onto(self, moved: np.ndarray) -> np.ndarray:
+    def onto(self, moved: Floats) -> Floats:
         """(p, r) products of the columns with what moves (n, k, r), summed over poses."""
         turns = np.swapaxes(self.directions, 1, 2) @ moved
         flat = moved.reshape(-1, moved.shape[2])
@@ -96,12 +98,12 @@ class Columns:
             ]
         )
 
-    def cross(self, other: "Columns") -> np.ndarray:
+    def cross(self, other: "Columns") -> Floats:
         """(p, p') products with other columns along the same directions, summed over poses."""
         gram = np.swapaxes(self.directions, 1, 2) @ self.directions
         return np.block([[_product(a, b, self.directions, gram) for b in other.parts] for a in self.parts])
 
-    def gram(self) -> np.ndarray:
+    def gram(self) -> Floats:
         """(p, p) products with each other, summed over poses."""
         gram = np.swapaxes(self.directions, 1, 2) @ self.directions
         count = len(self.parts)
@@ -116,10 +118,10 @@ class Columns:
         """The columns (n k, p) as an operator."""
         n, k, _ = self.directions.shape
 
-        def matmat(sizes: np.ndarray) -> np.ndarray:
+        def matmat(sizes: Floats) -> Floats:
             return self.at(sizes).reshape(n * k, -1)
 
-        def rmatmat(moved: np.ndarray) -> np.ndarray:
+        def rmatmat(moved: Floats) -> Floats:
             return self.onto(moved.reshape(n, k, -1))
 
         return LinearOperator(
@@ -132,7 +134,7 @@ class Columns:
         )
 
 
-def _product(a: Part, b: Part, directions: np.ndarray, gram: np.ndarray) -> np.ndarray:
+def _product(a: Part, b: Part, directions: Floats, gram: Floats) -> Floats:
     """(p, q) of two parts. directions : (n, k, joints); gram : (n, joints, joints) of these"""
     if a.joint is None and b.joint is None:
         return a.values.reshape(-1, a.count).T @ b.values.reshape(-1, b.count)

@@ -15,8 +15,9 @@ from calib.diagnosis.problems.platform import corner_sum_kernels, vibration_freq
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore, Reach
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
+from rig.arrays import Floats, Integers
 from rig.compute.parallel_map import Progress, parallel_map
-from rig.effects.framework.effect import Motion
+from rig.effects.framework.machine_motion import Motion
 from rig.effects.framework.place import Place
 from vision.bundle.corner_jacobians import corner_jacobians
 
@@ -42,7 +43,7 @@ def search_candidates(
     mounts: dict[str, FrameProducts] = {}
     held = set(sensitivities.pixels)
 
-    def ask(candidate: PlatformCandidate) -> tuple[PlatformScore, dict]:
+    def ask(candidate: PlatformCandidate) -> tuple[PlatformScore, dict[tuple[Any, ...], tuple[Integers, Floats]]]:
         if candidate.reach in (Reach.SPECTRUM, Reach.AXES):
             if axes is None or motion is None:
                 raise ValueError(f"{candidate.name}: what moves struts is asked of a recording without commands")
@@ -100,7 +101,7 @@ def axis_products(model: LinearisedModel) -> FrameProducts:
     return FrameProducts(np.einsum("fij,fi->fj", W, y), np.swapaxes(W, 1, 2) @ W, np.einsum("fij,fip->fjp", W, Q))
 
 
-def corner_products(model: LinearisedModel, pixels: np.ndarray) -> FrameProducts:
+def corner_products(model: LinearisedModel, pixels: Floats) -> FrameProducts:
     """FrameProducts of corner displacements (n, 2, a) px, in the observations' order, frame by frame.
 
     The residual and the basis stand square to each frame's own poses, so the displacements need not be freed of them
@@ -130,9 +131,7 @@ def corner_products(model: LinearisedModel, pixels: np.ndarray) -> FrameProducts
     return FrameProducts(beta, gamma, kappa)
 
 
-def constant_displacement_normal(
-    model: LinearisedModel, displaced_corners: np.ndarray, pixels: np.ndarray
-) -> inner.Normal:
+def constant_displacement_normal(model: LinearisedModel, displaced_corners: Integers, pixels: Floats) -> inner.Normal:
     """Normal of one candidate with a constant displacement, the same in every frame, of observed corners (h,)."""
     k, c = model.point, model.corners
     at = np.empty(len(c.order), int)
@@ -163,7 +162,7 @@ def constant_displacement_normal(
     return inner.Normal(b[None], (G - K.T @ K)[None], np.diag(G)[None].copy())
 
 
-def mount_pixels(model: LinearisedModel, place: str) -> np.ndarray:
+def mount_pixels(model: LinearisedModel, place: str) -> Floats:
     """(n, 2, 6) px of corner displacement per unit tangent of a camera's mount."""
     k = model.point
     o = k.observed.observations
@@ -214,7 +213,7 @@ def _mounted(
     )
 
 
-def _share(model: LinearisedModel, candidate: PlatformCandidate, node: Node) -> np.ndarray:
+def _share(model: LinearisedModel, candidate: PlatformCandidate, node: Node) -> Floats:
     """(F,) share of its motion that a mount has made by each frame."""
     camera = model.point.stated.camera(Place.parse(candidate.place).name)
     return candidate.effect(node, np.r_[1.0, np.zeros(5)]).mount(camera, model.point.t, model.point.logged)[:, 0]

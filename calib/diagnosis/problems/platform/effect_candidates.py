@@ -9,9 +9,10 @@ from calib.diagnosis.engine.candidate_score import Score
 from calib.diagnosis.engine.selection_inputs import Candidate, Node, NotAsked, Role, UsualRange
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from calib.diagnosis.problems.requested_effects import RequestedEffects
-from rig.effects.framework.diagnosis_interface import QUADRATURE
+from rig.arrays import Floats
+from rig.effects.framework.diagnosis_interface import QUADRATURE, Context
 from rig.effects.framework.effect import Candidate as EffectCandidate
-from rig.effects.framework.effect import Context, Effect
+from rig.effects.framework.effect import Effect
 from rig.effects.framework.place import Place
 from rig.errors import FileError, RigError
 
@@ -57,11 +58,11 @@ class PlatformCandidate(Candidate):
         whole = [column.entry for column in self.spec.linear] == list(range(6))  # its columns are the six of one motion
         return Reach.MOUNT if self.kind.mount is not Effect.mount and whole else Reach.VIEW
 
-    def effect(self, node: Node, coefficients: np.ndarray) -> Effect:
+    def effect(self, node: Node, coefficients: Floats) -> Effect:
         """The effect of a node with coefficients (q,) of its linear parameters."""
         return self.spec.effect(node, coefficients)
 
-    def allowed(self, coefficients: np.ndarray) -> np.ndarray:
+    def allowed(self, coefficients: Floats) -> Floats:
         """Coefficients (q,) within the bounds; a sinusoid's all together within its amplitude's."""
         if not len(coefficients) or not any(column.name == QUADRATURE for column in self.spec.linear):
             return Candidate.allowed(self, coefficients)
@@ -69,7 +70,7 @@ class PlatformCandidate(Candidate):
         high, size = amplitude.bounds[1], abs(float(getattr(self.effect({}, coefficients), amplitude.name)))
         return coefficients * ((1 - ROUNDED) * high / size if size > high else 1.0)
 
-    def numbers(self, node: Node, coefficients: np.ndarray) -> dict[str, float]:
+    def numbers(self, node: Node, coefficients: Floats) -> dict[str, float]:
         """{name: value} of what `usual` speaks of."""
         effect = self.effect(node, coefficients)
         return {u.name: getattr(effect, u.name) for u in self.usual or ()}
@@ -160,7 +161,7 @@ def platform_candidate(spec: EffectCandidate) -> PlatformCandidate:
     )
 
 
-def coefficient_bounds(spec: EffectCandidate) -> tuple[np.ndarray, np.ndarray]:
+def coefficient_bounds(spec: EffectCandidate) -> tuple[Floats, Floats]:
     """(low (q,), high (q,)) bounds of the linear coefficients, from the parameters' bounds."""
     by, ends = {p.name: p for p in spec.kind.parameters_at(spec.place)}, []
     for column in spec.linear:

@@ -1,13 +1,17 @@
 """Sensitivities of axes and corners to effects and their parameters: the columns of the linear model."""
 
 from dataclasses import dataclass, field
+from typing import Any, cast
 
 import numpy as np
 
 from calib.diagnosis.engine.selection_inputs import Node
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
-from rig.effects.framework.effect import COUNT, Effect, Linear, Motion
+from rig.arrays import Floats, Integers
+from rig.effects.framework.diagnosis_interface import COUNT, Linear
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.machine_motion import Motion
 from rig.effects.framework.place import Place
 
 
@@ -18,13 +22,13 @@ class Sensitivities:
     """
 
     point: OperatingPoint
-    pixels: dict[tuple, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    pixels: dict[tuple[Any, ...], tuple[Integers, Floats]] = field(default_factory=dict)
 
     def at(self, point: OperatingPoint) -> "Sensitivities":
         """The same for another OperatingPoint of the same corners; what was kept stays."""
         return Sensitivities(point, self.pixels if point.seen is self.point.seen else {})
 
-    def deviation(self, candidate: PlatformCandidate, node: Node, motion: Motion) -> np.ndarray:
+    def deviation(self, candidate: PlatformCandidate, node: Node, motion: Motion) -> Floats:
         """(F, axes, q) m per unit of each linear parameter; (F, axes, 1) m whole where the size is in the node.
 
         motion : Motion with the admitted effects, so that it need not be made again
@@ -41,7 +45,7 @@ class Sensitivities:
             out.append(self._change(candidate.effect(node, unit), motion) / step)
         return np.stack(out, axis=-1)
 
-    def _change(self, effect: Effect, motion: Motion) -> np.ndarray:
+    def _change(self, effect: Effect, motion: Motion) -> Floats:
         kind, k = type(effect), self.point
         if not kind.retimes():
             out = effect.deviation(motion)
@@ -49,7 +53,7 @@ class Sensitivities:
             return out + k.swayed(sway) if sway.any() else out
         return k.effective((*k.effects, effect)) - k.effective()
 
-    def seen(self, candidate: PlatformCandidate, node: Node) -> tuple[np.ndarray, np.ndarray]:
+    def seen(self, candidate: PlatformCandidate, node: Node) -> tuple[Integers, Floats]:
         """(sighting rows (s,), (s, 4, 2, q) px per unit of each linear parameter) of what is seen at a node; rows that
         cannot change are left out.
         """
@@ -59,7 +63,7 @@ class Sensitivities:
         parts = [self.derivative(candidate.kind, candidate.place, column, node) for column in candidate.spec.linear]
         return parts[0][0], np.stack([quads for _, quads in parts], axis=-1)
 
-    def _bending(self, candidate: PlatformCandidate) -> tuple[np.ndarray, np.ndarray] | None:
+    def _bending(self, candidate: PlatformCandidate) -> tuple[Integers, Floats] | None:
         """The same of what bends one camera's image and says how, None for anything else."""
         place = Place.parse(candidate.place)
         if place.kind != "camera":
@@ -70,7 +74,7 @@ class Sensitivities:
         )
         return None if found is None else (rows, found)
 
-    def derivative(self, kind: type[Effect], place: str, column: Linear, node: Node) -> tuple[np.ndarray, np.ndarray]:
+    def derivative(self, kind: type[Effect], place: str, column: Linear, node: Node) -> tuple[Integers, Floats]:
         """(sighting rows (s,), (s, 4, 2) px per unit) of one linear parameter of a view effect, about nothing.
 
         node : {parameter: value} of the others, and how many numbers a vector of any length has
@@ -99,13 +103,15 @@ class Sensitivities:
             self.pixels[key] = rows, (both[0] - both[1]) / (2 * step)
         return self.pixels[key]
 
-    def _quads(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _quads(self, rows: Integers) -> tuple[Floats, Integers]:
         key = ("quads", len(rows), int(rows[0]) if len(rows) else 0)
         if key not in self.pixels:
-            self.pixels[key] = self.point.pixels(None, rows), self.point.observed.sightings.camera[rows]
-        return self.pixels[key]
+            self.pixels[key] = cast(
+                tuple[Integers, Floats], (self.point.pixels(None, rows), self.point.observed.sightings.camera[rows])
+            )
+        return cast(tuple[Floats, Integers], self.pixels[key])
 
-    def _rows(self, place: str) -> np.ndarray:
+    def _rows(self, place: str) -> Integers:
         s, at = self.point.observed.sightings, Place.parse(place)
         if at.kind == "camera":
             names = [c.name for c in self.point.design.cameras]
@@ -116,14 +122,14 @@ class Sensitivities:
             return np.flatnonzero(np.array([t == at.name for t in self.point.observed.markers.target])[s.marker])
         return np.arange(len(s.frame))
 
-    def corners(self, rows: np.ndarray, quads: np.ndarray) -> np.ndarray:
+    def corners(self, rows: Integers, quads: Floats) -> Floats:
         """(n, 2, q) px of all observed corners from those of some sightings."""
         hit, moved = self.touched(rows, quads)
         out = np.zeros((len(self.point.observed.row), 2, quads.shape[-1]))
         out[hit] = moved
         return out
 
-    def touched(self, rows: np.ndarray, quads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def touched(self, rows: Integers, quads: Floats) -> tuple[Integers, Floats]:
         """(observed corners (h,), (h, 2, q) px of them) of some sightings rows (s,), whose four are quads (s, 4, 2, q)
         px.
         """

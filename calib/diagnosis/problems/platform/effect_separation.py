@@ -6,10 +6,12 @@ import numpy as np
 
 from calib.diagnosis.engine.hypothesis_separation import Separation, _signal_separation
 from calib.models.platform.identification import PRIOR, loop_closure_jacobian
+from rig.arrays import Floats
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
 from rig.model import motion_simulation
-from rig.model.design import Design, Hexapod
+from rig.model.design import Design
+from rig.model.mechanism_geometry import Hexapod
 from rig.model.mechanisms import hexapod
 from rig.recording.recording_folder import Commands, Sensors
 
@@ -18,7 +20,7 @@ def platform_effect_separation(
     plan_name: str,
     design: Design,
     commands: Commands,
-    t: np.ndarray,
+    t: Floats,
     sensors: Sensors | None,
     effects: list[Effect],
     sigma: tuple[float, float],

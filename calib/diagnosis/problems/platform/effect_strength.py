@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.diagnosis.problems.platform.linearised_residuals import linearise
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint, group_sightings
+from rig.arrays import Floats
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
 from rig.model import motion_simulation
@@ -20,7 +21,7 @@ from vision.targets import marker_map
 
 def platform_effect_signal_to_noise(
     recording: Recording, true_design: Design, noise: float, effects: tuple[Effect, ...], sensors: Sensors
-) -> np.ndarray:
+) -> Floats:
     """(effects,) signal-to-noise of each effect in a platform's corners, cameras and geometry projected out.
 
     recording : Recording with corners; true_design : Design as it really is; noise : px, standard deviation of a corner

@@ -2,12 +2,15 @@
 stated of them.
 """
 
+from typing import cast
+
 import numpy as np
 
 from calib.diagnosis.engine.lack_of_fit import LackOfFit, detect_excess_scatter
 from calib.diagnosis.problems.platform.lack_of_fit import is_at_place
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel
 from calib.models.platform.identification import geometric_parameters
+from rig.arrays import Floats
 from rig.effects.framework.place import Place
 
 MIDDLE = 5.6 / 2  # a middle square has so many times the variance of a mean square over as many numbers
@@ -29,16 +32,16 @@ def excess_scatter(model: LinearisedModel, left: list[LackOfFit]) -> list[LackOf
     ]
 
 
-def closure_residuals(model: LinearisedModel) -> np.ndarray:
+def closure_residuals(model: LinearisedModel) -> Floats:
     """(F, axes) m that a model as it is leaves of the closures."""
     return closures_in_metres(model, model.closure_residual)
 
 
-def closures_in_metres(model: LinearisedModel, closures: np.ndarray) -> np.ndarray:
+def closures_in_metres(model: LinearisedModel, closures: Floats) -> Floats:
     """(F, axes) m of whitened closures (F axes + .,)."""
     F, axes = model.frames, model.point.axes
     return (
-        np.linalg.solve(model.closures.W, closures[: F * axes].reshape(F, axes, 1))[..., 0]
+        cast(Floats, np.linalg.solve(model.closures.W, closures[: F * axes].reshape(F, axes, 1))[..., 0])
         if axes
         else np.zeros((F, 0))
     )

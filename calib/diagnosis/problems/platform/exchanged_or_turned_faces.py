@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
+from rig.arrays import Floats
 from rig.effects.catalogue.marker_swap import MarkerSwap
 from rig.effects.framework.place import Place
 from vision.predict import predict_sightings
@@ -59,7 +60,7 @@ def correct_marker_swaps(point: OperatingPoint, marker_swaps: list[MarkerSwap]) 
     return replace(point, seen=replace(seen, observations=o, markers=markers))
 
 
-def _distance(point: OperatingPoint, effects: tuple[MarkerSwap, ...]) -> np.ndarray:
+def _distance(point: OperatingPoint, effects: tuple[MarkerSwap, ...]) -> Floats:
     """(sightings,) px, the middle corner's distance from where effects put it."""
     seen = point.observed
     quads = predict_sightings(seen.sightings, point.state, seen.markers, point.t, effects, point.sensors)

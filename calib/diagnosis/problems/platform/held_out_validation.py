@@ -1,6 +1,7 @@
 """Held-out validation of a platform's effects, in px of corners or m of closures."""
 
 from collections.abc import Sequence
+from typing import cast
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from calib.diagnosis.problems.platform.linearised_corners import edge_bias_freed
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refined
 from calib.samples.pose_samples import time_block_folds
+from rig.arrays import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
 
 
@@ -34,7 +36,7 @@ def cross_validate_blocks(refined: Refined, numbers: set[int], blocks: tuple[int
     return _compared(refined.model, before, after, blocks)
 
 
-def cross_validate_region(refined: Refined, number: int, block: int, along: np.ndarray) -> CrossValidation:
+def cross_validate_region(refined: Refined, number: int, block: int, along: Floats) -> CrossValidation:
     """CrossValidation of one admitted effect in a block, whole regions held out in turn.
 
     along : (F,) what frames are put in order by
@@ -46,7 +48,7 @@ def cross_validate_region(refined: Refined, number: int, block: int, along: np.n
     return _compared(refined.model, before, after, (block,), order)[0]
 
 
-def _both(refined: Refined, numbers: set[int], fold: np.ndarray | None = None) -> tuple[HeldOut, HeldOut, np.ndarray]:
+def _both(refined: Refined, numbers: set[int], fold: Integers | None = None) -> tuple[HeldOut, HeldOut, Integers]:
     """(held out without the effects, with them, folds (F,)). fold : stretches of time where None"""
     model, k = refined.model, refined.point
     asked = [k.effects[i] for i in sorted(numbers)]
@@ -63,7 +65,7 @@ def _both(refined: Refined, numbers: set[int], fold: np.ndarray | None = None) -
     return held_out_residuals(bare.linear, grown, fold), after, fold
 
 
-def sides_of_sudden_changes(effects: Sequence[Effect], t: np.ndarray) -> list[np.ndarray]:
+def sides_of_sudden_changes(effects: Sequence[Effect], t: Floats) -> list[Booleans]:
     """[(F,) bool] sides, after and before, of each sudden change of what is seen, at times t (F,) s."""
     moments = [
         getattr(e, p.name)
@@ -85,7 +87,7 @@ def residual_change_column(model: LinearisedModel, effects: Sequence[Effect]) ->
 
 
 def _compared(
-    model: LinearisedModel, before: HeldOut, after: HeldOut, blocks: tuple[int, ...], order: np.ndarray | None = None
+    model: LinearisedModel, before: HeldOut, after: HeldOut, blocks: tuple[int, ...], order: Integers | None = None
 ) -> tuple[CrossValidation, ...]:
     """CrossValidation in each block. order : (F,) in which frames are neighbours, time's where None"""
     F, axes = model.frames, model.point.axes
@@ -101,7 +103,7 @@ def _compared(
     known = [held.beforehand[CLOSURES][finder] for held in (before, after)]  # priors' rows stand behind the closures
     fall = squares[0] - squares[1]
     gain = summed_gain_in_standard_errors(
-        fall if order is None else fall[order], known[0] @ known[0] - known[1] @ known[1]
+        fall if order is None else fall[order], cast(float, known[0] @ known[0] - known[1] @ known[1])
     )
     return tuple(
         _corners(model, before, after, gain) if block == CORNERS else _closures(model, before, after, gain)

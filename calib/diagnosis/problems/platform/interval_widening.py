@@ -14,6 +14,7 @@ from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refined
 from calib.diagnosis.problems.platform.temperature_alternatives import WARM
 from calib.diagnosis.problems.platform.tolerance_columns import TOGETHER, ToleranceModel, tolerance_model
+from rig.arrays import Floats
 
 MOST = 2.0  # of what is tolerated, that a kind of it is taken to vary by
 ROUNDS, SETTLED = 100, 1e-3  # of the fixed point; the part of what is tolerated by which it may still change
@@ -27,7 +28,7 @@ def widen_intervals(refined: Refined, sensitivities: Sensitivities) -> Refined:
     return replace(refined, covariance=refined.covariance + sum(half @ half.T for half in added))
 
 
-def temperature_log_errors(refined: Refined) -> np.ndarray | None:
+def temperature_log_errors(refined: Refined) -> Floats | None:
     """(c, k) errors of the coordinates per standard deviation of temperature log errors, or None."""
     k, sensors, parts = refined.point, refined.point.sensors, []
     if sensors is None or refined.column is None:
@@ -49,7 +50,7 @@ def temperature_log_errors(refined: Refined) -> np.ndarray | None:
     return refined.covariance @ refined.model.linear.project(both).gram[:own, own:]
 
 
-def tolerance_errors(refined: Refined, sensitivities: Sensitivities) -> np.ndarray | None:
+def tolerance_errors(refined: Refined, sensitivities: Sensitivities) -> Floats | None:
     """(c, q) errors of the coordinates per standard deviation of what tolerances do, or None.
     What an effect is the size of is nothing that it
     is off by.
@@ -70,7 +71,7 @@ def tolerance_errors(refined: Refined, sensitivities: Sensitivities) -> np.ndarr
     return off
 
 
-def observed_tolerance_sigmas(seen: Projection, found: ToleranceModel) -> np.ndarray:
+def observed_tolerance_sigmas(seen: Projection, found: ToleranceModel) -> Floats:
     """(q,) standard deviations of what tolerances do, of each kind as the residuals show it, at the most MOST
 
     Source: MacKay, Bayesian interpolation, Neural Computation 4, 1992, sec. 4

@@ -28,6 +28,7 @@ from calib.diagnosis.problems.platform.smooth_functions import (
     view_time_functions,
     warp_pixels,
 )
+from rig.arrays import Floats, Integers
 from rig.compute.parallel_map import parallel_map
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.catalogue.lens_distortion import LensDistortion
@@ -156,7 +157,7 @@ def _apart(k: OperatingPoint, place: str, count: int) -> list[slice]:
     return [slice(6 * count), slice(6 * count, None)]
 
 
-def _marker(model: LinearisedModel, edges: np.ndarray, number: int, count: int) -> list[LackOfFit | None]:
+def _marker(model: LinearisedModel, edges: Floats, number: int, count: int) -> list[LackOfFit | None]:
     """Of a marker seen so many times. edges : see `edge_pixels`"""
     hit, moved = marker_corner_pixels(model.point, edges, number)
     return [
@@ -172,7 +173,7 @@ def _marker(model: LinearisedModel, edges: np.ndarray, number: int, count: int) 
 
 
 def _still(
-    model: LinearisedModel, hit: np.ndarray, moved: np.ndarray, place: str, depends: str, information: float
+    model: LinearisedModel, hit: Integers, moved: Floats, place: str, depends: str, information: float
 ) -> LackOfFit | None:
     """LackOfFit of displacements (h, 2, q) px of observed corners (h,) that are the same in every frame; where they are
     likely by chance, as without dispersion."""
@@ -190,7 +191,7 @@ def _still(
     return test_lack_of_fit(model.linear, products, Test(place, "px", (depends,), weights, information))
 
 
-def _following(products: FrameProducts, order: np.ndarray, place: str, information: float) -> LackOfFit:
+def _following(products: FrameProducts, order: Integers, place: str, information: float) -> LackOfFit:
     """LackOfFit of a camera that moves in any way by which exposures that follow each other look alike."""
     beta, gamma = products.beta[order], products.gamma[order]
     scale = np.sqrt(np.maximum(np.einsum("faa->a", gamma), 1e-300))

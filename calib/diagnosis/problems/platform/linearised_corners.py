@@ -6,18 +6,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
+from rig.arrays import Floats, Integers
 from rig.effects.catalogue.edge_bias import EdgeBias
 from rig.effects.framework.place import Place
 from rig.model.design import Design
 from rig.model.manufacturing_tolerances import FINDER, SEAT
 from vision import lens
-from vision.bundle.bundle_adjustment import stated_lens_sigmas
 from vision.bundle.corner_jacobians import (
     corner_jacobians,
     iterate_camera_jacobians,
     rotate_jacobian,
     small_motion_jacobian,
 )
+from vision.bundle.unknown_priors import stated_lens_sigmas
 from vision.corner_observations import Observations, find_repeated_base_corners, group_sums
 
 EDGES = "edges"  # name of that freedom of each camera: a bias of all its edges, which the corner finder brings
@@ -39,13 +40,13 @@ class CornerRows:
     names : (camera, what) of the nuisances; priors : (p,) 1 / standard deviation; camera_columns : {camera's index: its
         nuisances}"""
 
-    order: np.ndarray
-    edges: np.ndarray
-    whiten: np.ndarray
-    rows: np.ndarray
-    own: np.ndarray
-    local: np.ndarray
-    to_local: np.ndarray
+    order: Integers
+    edges: Integers
+    whiten: Floats
+    rows: Floats
+    own: Floats
+    local: Floats
+    to_local: Floats
     names: list[tuple[str, str]]
     priors: list[float]
     camera_columns: dict[int, list[int]]
@@ -57,14 +58,12 @@ class _Nuisances:
     """
 
     def __init__(self) -> None:
-        self.shared: list[tuple[np.ndarray, np.ndarray]] = []
+        self.shared: list[tuple[Integers, Floats]] = []
         self.names: list[tuple[str, str]] = []
         self.priors: list[float] = []
         self.camera_columns: dict[int, list[int]] = {}
 
-    def add(
-        self, rows: np.ndarray, block: np.ndarray, camera: str, labels: tuple[str, ...], priors: list[float]
-    ) -> None:
+    def add(self, rows: Integers, block: Floats, camera: str, labels: tuple[str, ...], priors: list[float]) -> None:
         """Derivatives (m, 2, p) of corners (m,) rows with nuisances of a camera; priors : (p,) 1 / standard
         deviation
         """
@@ -119,7 +118,7 @@ def corner_rows(point: OperatingPoint) -> CornerRows:
     )
 
 
-def _add_finder(k: OperatingPoint, found: _Nuisances, at: np.ndarray, whitener: np.ndarray) -> None:
+def _add_finder(k: OperatingPoint, found: _Nuisances, at: Integers, whitener: Floats) -> None:
     """Add each camera's bias of edges that small that it is the corner finder's own. at : (n,) rows of corners;
     whitener : (n, 2, 2)
     """
@@ -141,7 +140,7 @@ def _add_finder(k: OperatingPoint, found: _Nuisances, at: np.ndarray, whitener: 
         )
 
 
-def _add_seats(k: OperatingPoint, found: _Nuisances, at: np.ndarray, whitener: np.ndarray) -> None:
+def _add_seats(k: OperatingPoint, found: _Nuisances, at: Integers, whitener: Floats) -> None:
     """Add where each cube sits that was put back, as far as remounting may move it. at : (n,) rows of corners;
     whitener : (n, 2, 2)
     """
@@ -161,7 +160,7 @@ def _add_seats(k: OperatingPoint, found: _Nuisances, at: np.ndarray, whitener: n
         found.add(at[rows], whitener[rows] @ block, seat.place, SEAT_LABELS, np.repeat(1 / np.array(SEAT), 3).tolist())
 
 
-def _own_basis(J_local: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _own_basis(J_local: Floats, edges: Integers) -> tuple[Floats, Floats]:
     """((2n, L) orthonormal basis of each frame's own poses, (F, L, L) from its coordinates to tangents) of derivatives
     (2n, L).
     """
@@ -191,7 +190,7 @@ def seat_freedoms(names: Sequence[tuple[str, str | int]]) -> dict[str, list[int]
     return out
 
 
-def _weights(o: Observations, k: OperatingPoint) -> np.ndarray:
+def _weights(o: Observations, k: OperatingPoint) -> Floats:
     """(n, 2, 2) px^2 by which corners count: their covariance, and n times what comes back in all n repeats of a corner
     that stands still.
     """

@@ -6,6 +6,7 @@ search over thousands of hypotheses runs on inner products alone.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from calib.models.platform.identification import (
     loop_closure_jacobian,
     strut_length_jacobian,
 )
+from rig.arrays import Floats, Integers
 from rig.compute.parallel_map import thread_map
 from rig.model.manufacturing_tolerances import FINDER, SEAT
 
@@ -47,12 +49,12 @@ class CornerFrames:
         above their squares
     """
 
-    order: np.ndarray
-    edges: np.ndarray
-    whiten: np.ndarray
-    local: np.ndarray
-    to_local: np.ndarray
-    inner: np.ndarray
+    order: Integers
+    edges: Integers
+    whiten: Floats
+    local: Floats
+    to_local: Floats
+    inner: Floats
     sigma: float = 1.0
     excess: float = 0.0
 
@@ -63,9 +65,9 @@ class ClosureFrames:
     closures
     scatter : (axes,) m of struts beyond the poses' noise"""
 
-    W: np.ndarray
-    to_rows: np.ndarray
-    scatter: np.ndarray
+    W: Floats
+    to_rows: Floats
+    scatter: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,8 +78,8 @@ class Nuisances:
 
     names: tuple[tuple[str, str | int], ...]
     camera_columns: dict[int, list[int]]
-    solve: np.ndarray
-    at_rest: np.ndarray
+    solve: Integers
+    at_rest: Integers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,16 +105,16 @@ class LinearisedModel:
         return self.linear.size
 
     @property
-    def corner_residual(self) -> np.ndarray:
+    def corner_residual(self) -> Floats:
         """(2n,) whitened, frame by frame."""
         return self.linear.blocks[CORNERS].residual
 
     @property
-    def closure_residual(self) -> np.ndarray:
+    def closure_residual(self) -> Floats:
         """(m,) whitened: F axes, then one row for each prior."""
         return self.linear.blocks[CLOSURES].residual
 
-    def fold(self, pixels: np.ndarray) -> Column:
+    def fold(self, pixels: Floats) -> Column:
         """Column of corner displacements (n, 2, k) px in the observations' order: what poses swallow goes to the
         closures.
         """
@@ -126,17 +128,17 @@ class LinearisedModel:
         )
         return Column((out, closures), inner)
 
-    def lengthened(self, deviation: np.ndarray) -> Column:
+    def lengthened(self, deviation: Floats) -> Column:
         """Column of struts longer by deviation (F, axes, k) m."""
         return Column((None, self.on_closures(self.closures.W @ deviation)))
 
-    def on_closures(self, rows: np.ndarray) -> np.ndarray:
+    def on_closures(self, rows: Floats) -> Floats:
         """(m, k) from rows (F, axes, k), the priors' rows empty."""
         out = self.nothing(rows.shape[-1])
         out[: self.frames * self.point.axes] = rows.reshape(self.frames * self.point.axes, -1)
         return out
 
-    def nothing(self, k: int) -> np.ndarray:
+    def nothing(self, k: int) -> Floats:
         """(m, k) zeros of the closures' block."""
         return np.zeros((len(self.closure_residual), k))
 
@@ -144,7 +146,7 @@ class LinearisedModel:
         """The model with the directions of a Column (k) among the nuisances."""
         return replace(self, linear=self.linear.marginalise(column))
 
-    def strut_noise(self) -> np.ndarray:
+    def strut_noise(self) -> Floats:
         """(F, axes) m^2, variance of each strut's closure: the poses' noise and its own scatter."""
         inverse = np.linalg.inv(self.closures.W)
         return np.einsum("fij,fij->fi", inverse, inverse)
@@ -203,12 +205,12 @@ class _Closures:
     """Of F frames: covariance (F, axes, axes) m^2 by the poses' noise; rows (F, axes, 1 + p) m, the residual and the
     change with the nuisances; to_length (F, axes, L) from frames' own coordinates to lengths, m"""
 
-    covariance: np.ndarray
-    rows: np.ndarray
-    to_length: np.ndarray
+    covariance: Floats
+    rows: Floats
+    to_length: Floats
 
 
-def _without_poses(k: OperatingPoint, rows: CornerRows) -> tuple[CornerFrames, np.ndarray]:
+def _without_poses(k: OperatingPoint, rows: CornerRows) -> tuple[CornerFrames, Floats]:
     """(CornerFrames, (2n, 1 + p) residual and nuisances with each frame's own poses taken out, in units of the corners'
     noise).
     """
@@ -241,12 +243,12 @@ def _closures(k: OperatingPoint, frames: CornerFrames) -> _Closures:
     return _Closures(covariance, rows, to_length)
 
 
-def _no_closures(k: OperatingPoint, frames: CornerFrames, table: np.ndarray) -> _Closures:
+def _no_closures(k: OperatingPoint, frames: CornerFrames, table: Floats) -> _Closures:
     F = len(k.t)
     return _Closures(np.zeros((F, 0, 0)), np.zeros((F, 0, table.shape[1])), np.zeros((F, 0, frames.to_local.shape[1])))
 
 
-def _split(rows: np.ndarray, local: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _split(rows: Floats, local: Floats, edges: Integers) -> tuple[Floats, Floats]:
     """(coordinates in each frame's own basis (F, L, k), what is orthogonal to it (2n, k)) of rows (2n, k), which are
     overwritten.
     """
@@ -257,7 +259,7 @@ def _split(rows: np.ndarray, local: np.ndarray, edges: np.ndarray) -> tuple[np.n
     return inner, rows
 
 
-def _noise(left: np.ndarray, V: np.ndarray, priors: list[float], own: np.ndarray, lost: int) -> float:
+def _noise(left: Floats, V: Floats, priors: list[float], own: Floats, lost: int) -> float:
     """What standard deviations must be multiplied by, from the middle of the corners' residuals where covariances are
     corners' own.
     """
@@ -274,10 +276,10 @@ def _noise(left: np.ndarray, V: np.ndarray, priors: list[float], own: np.ndarray
 def _weighed(
     k: OperatingPoint,
     frames: CornerFrames,
-    table: np.ndarray,
+    table: Floats,
     closures: _Closures,
-    beforehand: np.ndarray,
-    names: tuple,
+    beforehand: Floats,
+    names: tuple[Any, ...],
     camera_columns: dict[int, list[int]],
 ) -> LinearisedModel:
     """LinearisedModel with the struts weighed by the poses' noise and by what they scatter beyond.
@@ -323,7 +325,7 @@ def _weighed(
     )
 
 
-def _scatter(left: np.ndarray, S: np.ndarray) -> np.ndarray:
+def _scatter(left: Floats, S: Floats) -> Floats:
     """(axes,) m: what each strut scatters beyond the poses' own noise, 0 where that suffices; by the middle, not the
     extremes.
     """

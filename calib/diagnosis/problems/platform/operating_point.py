@@ -10,13 +10,16 @@ from calib.certification.calibration import Calibration
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.problems.temperature_smoothing import smooth_temperatures
 from calib.samples.recording_samples import Sampled, sample_recording
+from rig.arrays import Booleans, Floats, Integers
 from rig.effects.catalogue.cube_misplacement import CubeMisplacement
 from rig.effects.catalogue.edge_bias import EdgeBias
-from rig.effects.framework.effect import Effect, Motion
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.machine_motion import Motion
 from rig.effects.framework.place import Place
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms, motion_simulation
-from rig.model.design import Camera, Design, Hexapod, Planar2
+from rig.model.design import Camera, Design
+from rig.model.mechanism_geometry import Hexapod, Planar2
 from rig.model.mechanism_kinds import Struts
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Recording, Sensors
@@ -44,10 +47,10 @@ class SeenCorners:
     observations: Observations
     markers: MarkerMap
     sightings: Sightings
-    row: np.ndarray
+    row: Integers
     stated: float | None = None
 
-    def take(self, rows: np.ndarray) -> "SeenCorners":
+    def take(self, rows: Booleans) -> "SeenCorners":
         """The same with only the corners of an index or mask (n,)."""
         return replace(group_sightings(self.observations.take(rows), self.markers), stated=self.stated)
 
@@ -72,19 +75,19 @@ class OperatingPoint:
 
     design: Design
     stated: Design
-    frames: np.ndarray
-    t: np.ndarray
+    frames: Integers
+    t: Floats
     T: RigidTransform
     moving: dict[int, RigidTransform]
-    own: np.ndarray | None
+    own: Floats | None
     commands: Commands | None
     sensors: Sensors | None
     seen: SeenCorners | None
     effects: tuple[Effect, ...] = ()
     finder: tuple[float, ...] = ()
     standing: float = 0.0
-    known: tuple[Hexapod, np.ndarray] | None = None
-    log_errors: dict[str, np.ndarray] = field(default_factory=dict)
+    known: tuple[Hexapod, Floats] | None = None
+    log_errors: dict[str, Floats] = field(default_factory=dict)
     seats: tuple[CubeMisplacement, ...] = ()
     assumed: bool = False
 
@@ -100,7 +103,7 @@ class OperatingPoint:
             raise ValueError("these poses come without corners")
         return self.seen
 
-    def logged(self, *names: str) -> np.ndarray:
+    def logged(self, *names: str) -> Floats:
         """(F,) values of the first of some sensor channels that there is. Raises RigError where there is none"""
         if self.sensors is None:
             raise RigError(f"this takes a sensor channel {' or '.join(map(repr, names))}, and there are no sensors")
@@ -131,18 +134,18 @@ class OperatingPoint:
             motion_simulation.motion_of_commands(self.design, self.commanded, self.t, effects, self.sensors), T=self.T
         )
 
-    def effective(self, effects: tuple[Effect, ...] | None = None) -> np.ndarray:
+    def effective(self, effects: tuple[Effect, ...] | None = None) -> Floats:
         """(F, axes) m that commands become under effects (those admitted, by default), sway counted as struts'
         length.
         """
         effects = self.effects if effects is None else effects
         return motion_simulation.effective_commands(self.design, self.commanded, self.t, self.T, effects, self.sensors)
 
-    def swayed(self, sway: np.ndarray) -> np.ndarray:
+    def swayed(self, sway: Floats) -> Floats:
         """(F, axes) m by which struts seem longer where the platform is displaced by tangents (F, 6)."""
         return motion_simulation.apparent_strut_elongations(self.design, self.T, sway)
 
-    def closures(self) -> np.ndarray:
+    def closures(self) -> Floats:
         """(F, axes) m by which measured poses ask for longer struts than commands and effects give them."""
         m = self.design.mechanism
         return mechanisms.kinematics_of(m).inverse(self.T, m) - self.effective()
@@ -161,9 +164,9 @@ class OperatingPoint:
     def pixels(
         self,
         effects: tuple[Effect, ...] | None = None,
-        rows: np.ndarray | None = None,
+        rows: Integers | None = None,
         run: motion_simulation.Run | None = None,
-    ) -> np.ndarray:
+    ) -> Floats:
         """(n, 2) px where the observed corners should be under effects (those admitted, by default).
 
         rows : indices of sightings to which it is confined, then (k, 4, 2) px of those
@@ -274,7 +277,7 @@ def cube_seats(design: Design, known: Sequence[CubeMisplacement] = ()) -> tuple[
     return tuple(own.get(place, CubeMisplacement(place)) for place in places)
 
 
-def _known(recording: Recording, calibration: Calibration) -> tuple[Hexapod, np.ndarray]:
+def _known(recording: Recording, calibration: Calibration) -> tuple[Hexapod, Floats]:
     """(mechanism, root of the information) that a calibration says of a hexapod's joints. Raises RigError for another
     kind.
     """
@@ -311,7 +314,7 @@ def group_sightings(observations: Observations, markers: MarkerMap) -> SeenCorne
     return SeenCorners(observations, markers, sightings, row)
 
 
-def move_operating_point(point: OperatingPoint, cameras: list[Camera], local: np.ndarray) -> OperatingPoint:
+def move_operating_point(point: OperatingPoint, cameras: list[Camera], local: Floats) -> OperatingPoint:
     """OperatingPoint with cameras replaced and each frame's poses moved by local (F, 6 + 6 per moving camera)
     tangents.
     """

@@ -20,6 +20,7 @@ from calib.identify.robust_fit import (
     robust_fit,
 )
 from calib.models.platform.identification import loop_closure_jacobian, strut_length_jacobian
+from rig.arrays import Floats
 from rig.effects.framework.place import Place
 from rig.model import mechanisms
 from rig.recording.recording_folder import PAYLOAD
@@ -37,7 +38,7 @@ ALONE = (
 MISREAD = "its corners are off as those of this marker before and after are not, nor any near them: it was misread"
 
 
-def _find_outliers(point: OperatingPoint, covariance: np.ndarray) -> Outliers:
+def _find_outliers(point: OperatingPoint, covariance: Floats) -> Outliers:
     """Outliers of an OperatingPoint, with the effects that it has. covariance : (F, 6, 6) of its poses"""
     wild = _wild_corners(point) if point.seen is not None else Outliers()
     if not point.axes:
@@ -70,7 +71,7 @@ def _without_outliers(point: OperatingPoint, wild: Outliers) -> OperatingPoint:
     )
 
 
-def _wild_frames(k: OperatingPoint, covariance: np.ndarray) -> Outliers:
+def _wild_frames(k: OperatingPoint, covariance: Floats) -> Outliers:
     """Outliers of frames whose struts' closures are far off what geometry, moves, load and time may do smoothly, in
     more than one strut. What geometry
     may do is asked at the poses that commands give: at a pose that is wild it may do anything."""
@@ -96,7 +97,7 @@ def _wild_frames(k: OperatingPoint, covariance: np.ndarray) -> Outliers:
     return Outliers(frozenset(k.frames[far].tolist()), left_out=tuple(told))
 
 
-def _smooth(k: OperatingPoint) -> np.ndarray:
+def _smooth(k: OperatingPoint) -> Floats:
     """(F, axes, q) what may lengthen struts besides their geometry, the plainest first."""
     path = k.motion(()).path
     pace = axis_speeds(k.commanded, k.t)
@@ -160,7 +161,7 @@ def _wild_corners(k: OperatingPoint) -> Outliers:
     return Outliers(sightings=keys, left_out=told)
 
 
-def _near(k: OperatingPoint, middle: np.ndarray, i: int) -> np.ndarray:
+def _near(k: OperatingPoint, middle: Floats, i: int) -> Floats:
     """Indices of the sightings that would show what sighting i does, were it no mistake of its own. middle : (s, 2)
     px
     """

@@ -6,7 +6,9 @@ from calib.diagnosis.engine.linear_model import Column, join_columns
 from calib.diagnosis.problems.platform.effect_candidates import affects_images_only
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel
-from rig.effects.framework.effect import COUNT, Effect, Linear
+from rig.arrays import Floats, Integers
+from rig.effects.framework.diagnosis_interface import COUNT, Linear
+from rig.effects.framework.effect import Effect
 from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of_effects
 
 
@@ -38,7 +40,7 @@ def parameter_directions(
     return coordinates, join_columns(parts) if parts else None
 
 
-def _still(effect: Effect, c: Coordinate, sensitivities: Sensitivities) -> tuple[np.ndarray, np.ndarray]:
+def _still(effect: Effect, c: Coordinate, sensitivities: Sensitivities) -> tuple[Integers, Floats]:
     """(sightings, (s, 4, 2, 1) px per unit) of a linear parameter of a view effect that is the same in every frame."""
     node = {p.name: getattr(effect, p.name) for p in effect.parameters if p.role != "linear"}
     if c.index is not None:

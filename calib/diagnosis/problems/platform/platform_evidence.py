@@ -47,6 +47,7 @@ from calib.diagnosis.problems.platform.unlisted_strut_effects import suggest_str
 from calib.diagnosis.problems.repeated_commands import repeated_pairs, repeats_of_pairs
 from calib.diagnosis.problems.requested_effects import RequestedEffects, require_assumed_effects_testable
 from calib.samples.recording_samples import Sampled
+from rig.arrays import Floats
 from rig.effects.catalogue.face_misplacement import FaceMisplacement
 from rig.effects.catalogue.marker_swap import MarkerSwap
 from rig.effects.framework.effect import AT_REST, Effect
@@ -67,7 +68,7 @@ class PlatformEvidence:
         is stated, measured before all else and taken as measured"""
 
     point: OperatingPoint
-    covariance: np.ndarray
+    covariance: Floats
     source: str
     requested: RequestedEffects
     given: StatedTerms
@@ -263,5 +264,5 @@ def _exchange_asked(effect: MarkerSwap, requested: RequestedEffects) -> bool:
     )
 
 
-def _length(covariance: np.ndarray) -> float:
+def _length(covariance: Floats) -> float:
     return float(np.sqrt(np.trace(covariance, axis1=1, axis2=2).mean()))

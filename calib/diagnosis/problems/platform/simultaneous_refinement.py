@@ -6,6 +6,7 @@ it there.
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any, cast
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -25,6 +26,7 @@ from calib.diagnosis.problems.platform.operating_point import OperatingPoint, mo
 from calib.diagnosis.problems.platform.parameter_directions import parameter_directions
 from calib.identify.least_squares import bounded_least_squares_step
 from calib.models.platform.identification import geometric_parameters, mechanism_with_parameters
+from rig.arrays import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_validity import check_effect
 from rig.effects.framework.fit_coordinates import Coordinate, constrained_sums, cost_of_priors, prior_precision
@@ -45,8 +47,8 @@ class Refined:
     point: OperatingPoint
     model: LinearisedModel
     coordinates: list[Coordinate]
-    values: np.ndarray
-    covariance: np.ndarray
+    values: Floats
+    covariance: Floats
     column: Column | None
 
     @property
@@ -73,11 +75,11 @@ class Refined:
         precision = np.linalg.pinv(block / scale[:, None] / scale, rcond=1e-10, hermitian=True) / scale[:, None] / scale
         return float(theta @ precision[np.ix_(size, size)] @ theta), int(size.sum())
 
-    def intervals(self, effect: int) -> dict[str, tuple]:
+    def intervals(self, effect: int) -> dict[str, tuple[Any, ...]]:
         """{parameter: (value, low, high)} at 95 % of effect number `effect`, within the parameter's bounds; vectors as
         lists.
         """
-        out: dict[str, tuple] = {}
+        out: dict[str, tuple[Any, ...]] = {}
         for i, c in enumerate(self.coordinates):
             if c.effect != effect:
                 continue
@@ -110,11 +112,11 @@ class _Freedom:
     low, high : (c,) bounds; kept : (k, c) sums of them that stay"""
 
     column: Column
-    values: np.ndarray
-    loose: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    kept: np.ndarray
+    values: Floats
+    loose: Floats
+    low: Floats
+    high: Floats
+    kept: Floats
 
     @staticmethod
     def of(coordinates: list[Coordinate], effects: tuple[Effect, ...], column: Column) -> "_Freedom":
@@ -215,7 +217,7 @@ def refine_at_fixed_repeated_error(point: OperatingPoint, sensitivities: Sensiti
     return Refined(point, model, coordinates, last.values, _step(model, last)[1], column)
 
 
-def _step(model: LinearisedModel, free: _Freedom) -> tuple[np.ndarray, np.ndarray]:
+def _step(model: LinearisedModel, free: _Freedom) -> tuple[Floats, Floats]:
     """Step (c,) of coordinates, to a bound at the most, and their covariance (c, c), of which bounds know nothing."""
     found = model.linear.project(free.column)
     b, G = found.right - free.loose**2 * free.values, found.gram + np.diag(free.loose**2)
@@ -223,7 +225,7 @@ def _step(model: LinearisedModel, free: _Freedom) -> tuple[np.ndarray, np.ndarra
 
 
 def _try(
-    model: LinearisedModel, coordinates: list[Coordinate], step: np.ndarray, column: Column | None
+    model: LinearisedModel, coordinates: list[Coordinate], step: Floats | Integers, column: Column | None
 ) -> LinearisedModel | None:
     """LinearisedModel after as much of the step as lowers the cost, or None."""
     k = model.point
@@ -237,7 +239,7 @@ def _try(
             _apply(
                 model,
                 model.nuisances.solve @ z,
-                share * step,
+                cast(Floats, share * step),
                 column,
                 [check_effect(effect.written()) for effect in effects],
             )
@@ -257,7 +259,7 @@ def _comparable(model: LinearisedModel) -> float:
 
 
 def _apply(
-    model: LinearisedModel, freedoms: np.ndarray, step: np.ndarray, column: Column | None, effects: list[Effect]
+    model: LinearisedModel, freedoms: Floats, step: Floats, column: Column | None, effects: list[Effect]
 ) -> OperatingPoint:
     """OperatingPoint with nuisances (p,) and each frame's own poses moved to where the fit puts them."""
     k, whole = model.point, model.corners.inner

@@ -15,6 +15,7 @@ from calib.diagnosis.problems.remainder_covariates import (
     scaled_to_unit_interval,
     time_cosines,
 )
+from rig.arrays import Floats, Integers
 from rig.effects.catalogue.lens_distortion import chebyshev_products
 from rig.effects.framework.place import Place
 from rig.model.pose import pose_difference
@@ -25,7 +26,7 @@ ROUNDS = 3  # of taking what smooth functions explain off the corners
 SEEN = 1e-3  # share of a function's square that the nuisances must leave for it to be taken off
 
 
-def smooth_strut_functions(point: OperatingPoint) -> list[tuple[str, list[tuple[str, np.ndarray]]]]:
+def smooth_strut_functions(point: OperatingPoint) -> list[tuple[str, list[tuple[str, Floats]]]]:
     """[(depends on, [(place, (F, axes, q) m)])] of smooth functions of struts at an OperatingPoint."""
     F, ones = len(point.t), np.ones(point.axes)
     bases = [
@@ -65,7 +66,7 @@ def smooth_strut_functions(point: OperatingPoint) -> list[tuple[str, list[tuple[
     return out
 
 
-def view_pixels(model: LinearisedModel, place: str) -> np.ndarray:
+def view_pixels(model: LinearisedModel, place: str) -> Floats:
     """(n, 2, 7) px of corners, per unit tangent of a camera's mount and per unit share of its focal length."""
     k = model.point
     o = k.observed.observations
@@ -76,12 +77,12 @@ def view_pixels(model: LinearisedModel, place: str) -> np.ndarray:
     return out
 
 
-def view_time_functions(point: OperatingPoint, count: int) -> np.ndarray:
+def view_time_functions(point: OperatingPoint, count: int) -> Floats:
     """(F, 7, 7 count) cosines of time for each view parameter of `view_pixels`."""
     return np.einsum("fk,ab->fabk", time_cosines(point.t, count), np.eye(7)).reshape(len(point.t), 7, -1)
 
 
-def warp_pixels(point: OperatingPoint, camera: int) -> np.ndarray:
+def warp_pixels(point: OperatingPoint, camera: int) -> Floats:
     """(n, 2, q) px of corners under smooth warps of camera i's image; where corners should be, since where they are
     seen holds their noise.
     """
@@ -93,7 +94,7 @@ def warp_pixels(point: OperatingPoint, camera: int) -> np.ndarray:
     return pixels
 
 
-def _marker_pixels(k: OperatingPoint, ids: np.ndarray) -> np.ndarray:
+def _marker_pixels(k: OperatingPoint, ids: Integers) -> Floats:
     """(n, 2, 8 len(ids)) px of corners: each corner of each marker moved along its two edges, per side."""
     edges = edge_pixels(k)
     out = np.zeros((len(edges), 2, 8 * len(ids)))
@@ -103,7 +104,7 @@ def _marker_pixels(k: OperatingPoint, ids: np.ndarray) -> np.ndarray:
     return out
 
 
-def edge_pixels(point: OperatingPoint) -> np.ndarray:
+def edge_pixels(point: OperatingPoint) -> Floats:
     """(n, 2, 2) px of corners moved along the two edges of their marker, per side."""
     seen, quads = point.observed, point.pixels(rows=np.arange(len(point.observed.sightings.frame)))
     depth = _depths(quads)
@@ -113,7 +114,7 @@ def edge_pixels(point: OperatingPoint) -> np.ndarray:
     return edges[seen.row, seen.observations.corner]
 
 
-def marker_corner_pixels(point: OperatingPoint, edges: np.ndarray, marker: int) -> tuple[np.ndarray, np.ndarray]:
+def marker_corner_pixels(point: OperatingPoint, edges: Floats, marker: int) -> tuple[Integers, Floats]:
     """(observed corners (h,), (h, 2, 8) px of them) of one marker: each of its corners moved along its edges, as
     `edge_pixels` has them.
     """
@@ -125,7 +126,7 @@ def marker_corner_pixels(point: OperatingPoint, edges: np.ndarray, marker: int) 
     return rows, out
 
 
-def _distortions() -> np.ndarray:
+def _distortions() -> Floats:
     """(8, 5) of what `_marker_pixels` moves a marker's corners by: what no shift nor turn of the marker in its plane
     does, which is no printing.
     """
@@ -135,7 +136,7 @@ def _distortions() -> np.ndarray:
     return null_space(np.einsum("csd,cdr->csr", edges, rigid).reshape(8, 3).T)
 
 
-def _depths(quads: np.ndarray) -> np.ndarray:
+def _depths(quads: Floats) -> Floats:
     """(s, 4) depths of the corners of squares seen as quads (s, 4, 2), the first one's 1. Source: Heckbert,
     Fundamentals of texture mapping and image warping, 1989, 2.2.3"""
     a, b = quads[:, 1] - quads[:, 2], quads[:, 3] - quads[:, 2]
@@ -145,9 +146,7 @@ def _depths(quads: np.ndarray) -> np.ndarray:
     return np.stack([np.ones(len(g)), 1 + g, 1 + g + h, 1 + h], axis=1)
 
 
-def smooth_function_columns(
-    model: LinearisedModel, left: list[LackOfFit]
-) -> tuple[np.ndarray | None, np.ndarray | None]:
+def smooth_function_columns(model: LinearisedModel, left: list[LackOfFit]) -> tuple[Floats | None, Floats | None]:
     """(pixels (n, 2, q) or None, weights (F, axes, r) or None) of all smooth functions of what is left depends on: at
     all struts where it is struts, at all markers where it is one, else at the cameras themselves."""
     k = model.point
@@ -179,7 +178,7 @@ def smooth_function_columns(
 
 
 def model_with_smooth_functions(
-    model: LinearisedModel, pixels: np.ndarray | None, weights: np.ndarray | None
+    model: LinearisedModel, pixels: Floats | None, weights: Floats | None
 ) -> LinearisedModel:
     """LinearisedModel with smooth functions, pixels (n, 2, q) and weights (F, axes, r) as `smooth_function_columns`
     gives them, among the nuisances.
@@ -202,12 +201,12 @@ def model_with_smooth_functions(
     return model if weights is None else model.marginalise(model.lengthened(weights))
 
 
-def _alike(basis: np.ndarray, ones: np.ndarray) -> np.ndarray:
+def _alike(basis: Floats, ones: Floats) -> Floats:
     """(F, axes, q): the same functions (F, q) at every strut."""
     return ones[None, :, None] * basis[:, None, :]
 
 
-def _pose(k: OperatingPoint) -> np.ndarray:
+def _pose(k: OperatingPoint) -> Floats:
     """(F, q) polynomials of the pose up to the second degree, and pure cubes, of what lies between it and its mean."""
     x = pose_difference(k.T.mean(), k.T)
     x = x / np.maximum(np.abs(x).max(axis=0), 1e-300)

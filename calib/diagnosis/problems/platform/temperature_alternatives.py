@@ -2,6 +2,7 @@
 
 import inspect
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -21,9 +22,9 @@ from calib.diagnosis.problems.platform.platform_problem import PlatformProblem, 
 from calib.diagnosis.problems.platform.smooth_functions import SLOW
 from calib.diagnosis.problems.remainder_covariates import time_cosines
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.framework.effect import AXES, REFERENCE_TEMPERATURE, Effect
+from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
 from rig.effects.framework.effect import Candidate as EffectCandidate
-from rig.effects.framework.place import Place
+from rig.effects.framework.place import AXES, Place
 from rig.recording.recording_folder import Sensors
 
 WARM = tuple(
@@ -60,8 +61,8 @@ def _unlogged_temperature_alternatives(problem: PlatformProblem, selection: Plat
 
 
 def _beside_temperatures(
-    problem: PlatformProblem, selection: PlatformSelection, finding: Finding, asked: list[tuple[type[Effect], str]]
-) -> Finding:
+    problem: PlatformProblem, selection: PlatformSelection, finding: Finding[Any], asked: list[tuple[type[Effect], str]]
+) -> Finding[Any]:
     model, alternatives = problem.beside(selection.fit, finding.number), list(finding.alternatives)
     alone = problem.marginalised(model)
     own = finding.score.delta_chi2 * finding.score.dispersion

@@ -3,6 +3,7 @@ matters.
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -70,7 +71,7 @@ def _remark(slight: SignificantTolerance) -> Remark:
     return Remark(slight.site.effect, slight.site.place, parameters, slight.site.tolerance.reason, slight.p_value)
 
 
-def _reason(problem: PlatformProblem, selection: PlatformSelection, finding: Finding, known: bool) -> str | None:
+def _reason(problem: PlatformProblem, selection: PlatformSelection, finding: Finding[Any], known: bool) -> str | None:
     """Why a Finding is a remark, None where it matters. known : whether tolerances were among the nuisances when it was
     found
     """
@@ -99,7 +100,7 @@ def _reason(problem: PlatformProblem, selection: PlatformSelection, finding: Fin
     return next(own, REASON_TOGETHER)
 
 
-def _weaken_score(score: Score, share: float) -> Score:
+def _weaken_score(score: Score[Any], share: float) -> Score[Any]:
     """A Score of which tolerances leave a share of its delta chi-square."""
     delta = score.delta_chi2 * min(share, 1.0)
     chance = float(scipy.special.chdtrc(score.freedom, delta))

@@ -18,9 +18,10 @@ from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, COR
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.smooth_functions import SLOW
 from calib.diagnosis.problems.remainder_covariates import time_cosines
+from rig.arrays import Floats, Integers
 from rig.effects.catalogue.face_misplacement import FaceMisplacement
 from rig.effects.catalogue.print_scale import PrintScale
-from rig.effects.framework.effect import Linear
+from rig.effects.framework.diagnosis_interface import Linear
 from rig.effects.framework.place import Place
 from rig.model import mechanisms
 from rig.model.manufacturing_tolerances import PLACES, SIDES, STEEL, THERMOMETER, Tolerance
@@ -55,11 +56,11 @@ class ToleranceModel:
     kinds : (q,) those of one kind vary alike: VARIED of a marker, TOGETHER, WARMED"""
 
     corners: csr_array
-    inner: np.ndarray
-    closures: np.ndarray
-    sigma: np.ndarray
+    inner: Floats
+    closures: Floats
+    sigma: Floats
     sites: tuple[Site, ...]
-    kinds: np.ndarray
+    kinds: Floats
 
     def column(self, model: LinearisedModel) -> Column:
         """Column (q) at the linearisation, written out."""
@@ -78,7 +79,7 @@ class ToleranceModel:
         gram = (self.corners.T @ self.corners).toarray() - inner.T @ inner + self.closures.T @ self.closures
         return Projection(onto, right, gram - onto.T @ onto)
 
-    def with_column(self, column: Column) -> np.ndarray:
+    def with_column(self, column: Column) -> Floats:
         """(k, q) inner products of a Column (k) with the tolerances' one, nuisances still in."""
         seen = [part.T @ own for part, own in zip(column.parts, (self.corners, self.closures)) if part is not None]
         return np.sum(seen, axis=0)
@@ -89,8 +90,8 @@ class SignificantTolerance:
     """What a recording shows of a Site beyond chance: values, sigma (q,) of its numbers; p_value : over all sites."""
 
     site: Site
-    values: np.ndarray
-    sigma: np.ndarray
+    values: Floats
+    sigma: Floats
     p_value: float
 
 
@@ -128,9 +129,9 @@ def _markers(model: LinearisedModel, kept: Sensitivities) -> tuple[list[Site], l
     o, ids, at = k.observed, k.observed.markers.id, np.argsort(model.corners.order)
     sites: list[Site] = []
     sigma: list[float] = []
-    entries: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    entries: list[tuple[Floats, Floats, Floats]] = []
 
-    def add(site: Site, sizes: list[float], hit: np.ndarray, pixels: np.ndarray) -> None:
+    def add(site: Site, sizes: list[float], hit: Integers, pixels: Floats) -> None:
         moved = np.einsum("hij,hjq->hiq", c.whiten[at[hit]], pixels) / c.sigma
         rows, columns = 2 * at[hit][:, None, None] + np.arange(2)[:, None], len(sigma) + np.arange(len(sizes))
         value, row, column = np.broadcast_arrays(moved, rows, columns)
@@ -166,18 +167,18 @@ def _markers(model: LinearisedModel, kept: Sensitivities) -> tuple[list[Site], l
     return sites, sigma, csr_array((values, (at_rows, at_columns)), (2 * len(c.order), len(sigma)))
 
 
-def _courses(k: OperatingPoint) -> np.ndarray:
+def _courses(k: OperatingPoint) -> Floats:
     """(F, axes, axes SLOW) of each strut on its own, longer as slow cosines of time."""
     return np.einsum("fs,ab->fabs", time_cosines(k.t, SLOW), np.eye(k.axes)).reshape(len(k.t), k.axes, -1)
 
 
-def tolerances_explain_residuals(seen: Projection, sigma: np.ndarray) -> bool:
+def tolerances_explain_residuals(seen: Projection, sigma: Floats) -> bool:
     """Whether tolerances together, each within its sigma (q,), explain a model's residuals."""
     solved = solve_with_prior(Normal(seen.right[None], seen.gram[None], np.diag(seen.gram)[None]), sigma)
     return bool(scipy.special.chdtrc(max(solved.rank[0], 1.0), solved.delta_chi2[0]) < ALPHA)
 
 
-def tolerance_log_likelihood_ratio(seen: Projection, sigma: np.ndarray) -> float:
+def tolerance_log_likelihood_ratio(seen: Projection, sigma: Floats) -> float:
     """Twice the log likelihood ratio of a model's residuals with tolerances to those without.
 
     sigma : (n,) standard deviation of each column's tolerance, in the column's unit, as m

@@ -1,6 +1,7 @@
 """Unlisted effects of struts: formula suggestions for what the catalogue does not explain."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.parameter_directions import parameter_directions
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine
+from rig.arrays import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.formula_quantities import POSE
 from rig.effects.framework.place import Place
@@ -45,7 +47,7 @@ class Site:
 
     place: str
     struts: list[int]
-    directions: np.ndarray
+    directions: Floats
     library: Library
 
     def products(self, model: LinearisedModel) -> FrameProducts:
@@ -60,7 +62,7 @@ class Site:
         own = model.strut_noise()[:, self.struts]
         return float(np.mean(1 - model.closures.scatter[self.struts] ** 2 / own))
 
-    def deviation(self, formula: Formula) -> np.ndarray:
+    def deviation(self, formula: Formula) -> Floats:
         """(F, axes, q) m by which struts lengthen with each of a Formula's coefficients, in units of its library's
         scales.
         """
@@ -181,7 +183,7 @@ def _weighed_beside(problem: PlatformProblem, fit: PlatformFit, site: Site, form
     return replace(new, linear=_grown(new.linear, residual_change_column(bare, k.effects).parts))
 
 
-def _grown(linear: LinearModel, parts: tuple) -> LinearModel:
+def _grown(linear: LinearModel, parts: tuple[Any, ...]) -> LinearModel:
     """LinearModel with parts (one (m, 1) for each block, None for nothing) added to the residuals, nuisances taken out
     again. What a block knows beforehand besides, tolerances, stays as it is: a part may end before it."""
     added = [np.zeros(len(block.residual)) for block in linear.blocks]

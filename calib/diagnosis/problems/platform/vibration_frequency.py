@@ -1,5 +1,7 @@
 """Frequency of a vibrating platform: a coarse spectrum of all directions, then the exact score near its peak."""
 
+from typing import cast
+
 import numpy as np
 import scipy
 
@@ -13,6 +15,7 @@ from calib.diagnosis.engine.frame_inner_products import (
 )
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel
+from rig.arrays import Booleans, Floats
 from rig.effects.catalogue.vibration import rank_one_least_squares
 
 FREQUENCIES = 8  # bins of the coarse spectrum for each cycle that the highest frequency makes
@@ -24,7 +27,7 @@ TICK = 1e-4  # s, to which exposures' times are compared
 SOFT = 1e-9  # of a direction's power, added so that those that move nothing can be solved for
 
 
-def sinusoid_directions(model: LinearisedModel, frequencies: np.ndarray) -> np.ndarray:
+def sinusoid_directions(model: LinearisedModel, frequencies: Floats) -> Floats:
     """(k, F, a, 12) m of axes under the sine, then the cosine of frequencies (k,) Hz along each of six directions."""
     k = model.point
     modes = np.stack([k.swayed(np.tile(unit, (len(k.t), 1))) for unit in np.eye(6)], axis=-1)
@@ -92,7 +95,7 @@ def _bins(length: float, high: float) -> tuple[int, float]:
     return bins, length * OVERSAMPLED / bins
 
 
-def _coarse(model: LinearisedModel, products: FrameProducts, high: float) -> tuple[np.ndarray, np.ndarray]:
+def _coarse(model: LinearisedModel, products: FrameProducts, high: float) -> tuple[Floats, Floats]:
     """(delta chi-square of all directions, Hz) up to beyond `high`, nuisances and what frames weigh unevenly left
     aside.
     """
@@ -107,10 +110,12 @@ def _coarse(model: LinearisedModel, products: FrameProducts, high: float) -> tup
     bins, step = _bins(np.ptp(t) + 1e-9, high)
     at = np.rint((t - t[0]) / step).astype(int)
     series = (np.bincount(at, weights=one, minlength=bins)[:bins] for one in (beta @ half).T)
-    return np.sum([2 * np.abs(np.fft.rfft(one, bins)) ** 2 for one in series], axis=0), np.fft.rfftfreq(bins, step)
+    return np.sum([2 * np.abs(np.fft.rfft(one, bins)) ** 2 for one in series], axis=0), cast(
+        Floats, np.fft.rfftfreq(bins, step)
+    )
 
 
-def _aliased(t: np.ndarray, count: int, length: float, high: float) -> np.ndarray:
+def _aliased(t: Floats, count: int, length: float, high: float) -> Booleans:
     """(count,) bool: frequencies that look like a drift, or like none, at these times."""
     bins, step = _bins(length, high)
     window = np.abs(
@@ -121,7 +126,7 @@ def _aliased(t: np.ndarray, count: int, length: float, high: float) -> np.ndarra
     return before[np.minimum(at + reach + 1, len(window))] > before[np.maximum(at - reach, 0)]
 
 
-def _tick(t: np.ndarray) -> float:
+def _tick(t: Floats) -> float:
     """s: the step of which all times (F,) are whole multiples; a frequency and its mirror images about 1 / tick look
     the same.
     """

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.arrays import Floats
 from rig.formats.checked_entries import Entries
 from rig.formats.input_files import short_repr
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import LARGEST_IMAGE
@@ -26,8 +27,8 @@ class ForeignCamera:
 
     name: str
     size: tuple[int, int] | None
-    matrix: np.ndarray
-    distortion: np.ndarray
+    matrix: Floats
+    distortion: Floats
     T: RigidTransform | None
     at: Entries
     said: tuple[str, ...] = ()
@@ -41,7 +42,7 @@ def checked_image_size(entries: Entries, key: str) -> tuple[int, int]:
     return found[0], found[1]
 
 
-def checked_camera_matrix(entries: Entries, key: str, matrix: np.ndarray) -> np.ndarray:
+def checked_camera_matrix(entries: Entries, key: str, matrix: Floats) -> Floats:
     """Camera matrix (3, 3) px, checked. Raises FileError for a skew or an invalid matrix.
     Raises FileError for a skew, and for what is no camera's matrix.
     """
@@ -62,7 +63,7 @@ def checked_camera_matrix(entries: Entries, key: str, matrix: np.ndarray) -> np.
     return matrix
 
 
-def checked_distortion(entries: Entries, key: str, values: np.ndarray) -> np.ndarray:
+def checked_distortion(entries: Entries, key: str, values: Floats) -> Floats:
     """Distortion terms (n,), checked; none means four zeros. Raises FileError for a count that OpenCV lacks.
     Raises FileError for a number of them that OpenCV has not.
     """
@@ -77,7 +78,7 @@ def checked_distortion(entries: Entries, key: str, values: np.ndarray) -> np.nda
     return values
 
 
-def checked_camera_transform(entries: Entries, key: str, R: np.ndarray, t: np.ndarray) -> RigidTransform:
+def checked_camera_transform(entries: Entries, key: str, R: Floats, t: Floats) -> RigidTransform:
     """Camera transform (RigidTransform) of a rotation matrix R and a position t (3,) m, checked.
     Raises FileError for a matrix that is no rotation.
     """
@@ -96,8 +97,8 @@ ROUNDS = 8  # of the fit, weighted by the last one's denominator
 
 
 def rational_lens_of_fisheye(
-    entries: Entries, key: str, fisheye_terms: np.ndarray, matrix: np.ndarray, size: tuple[int, int]
-) -> tuple[np.ndarray, float]:
+    entries: Entries, key: str, fisheye_terms: Floats, matrix: Floats, size: tuple[int, int]
+) -> tuple[Floats, float]:
     """Rational lens of a fisheye: (distortion (8,) in OpenCV's order, largest deviation in px).
 
     matrix : (3, 3) px; size : (width, height) px. Raises FileError where no rational lens follows it, with how far one
@@ -145,7 +146,7 @@ def rational_lens_of_fisheye(
     return np.array([a[0], a[1], 0, 0, a[2], *d]), off
 
 
-def require_four_fisheye_terms(entries: Entries, key: str, values: np.ndarray) -> None:
+def require_four_fisheye_terms(entries: Entries, key: str, values: Floats) -> None:
     """Raise FileError unless the terms (n,) are the four of a fisheye lens."""
     if len(values) != 4:
         entries.fail(f"{entries.name(key)}: a fisheye has 4 terms, got {len(values)}", key)
@@ -161,12 +162,12 @@ def conversion_sentence(camera_name: str, error_px: float) -> str:
     )
 
 
-def _radius(r: np.ndarray, c: np.ndarray) -> np.ndarray:
+def _radius(r: Floats, c: Floats) -> Floats:
     s = r**2
     return r * (1 + s * (c[0] + s * (c[1] + s * c[2]))) / (1 + s * (c[3] + s * (c[4] + s * c[5])))
 
 
-def _fitted(r: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def _fitted(r: Floats, wanted: Floats) -> Floats:
     """(6,) of a numerator and a denominator, linear least squares in turn: each round's error is divided by the last
     one's denominator.
     """

@@ -4,8 +4,7 @@ Source: ROS, camera_calibration_parsers and sensor_msgs/CameraInfo; OpenCV,
     samples/cpp/tutorial_code/calib3d/camera_calibration
 """
 
-import numpy as np
-
+from rig.arrays import Floats
 from rig.formats.checked_entries import Entries
 from rig.formats.importers.camera_calibrations.foreign_camera_and_fisheye_lens import (
     ForeignCamera,
@@ -59,7 +58,7 @@ def _key(root: Entries, names: tuple[str, ...]) -> str | None:
     return next((name for name in names if isinstance(root.tree.get(name), dict | list)), None)
 
 
-def _matrix(root: Entries, key: str, shape: tuple[int, int] | None) -> np.ndarray:
+def _matrix(root: Entries, key: str, shape: tuple[int, int] | None) -> Floats:
     """A matrix of rows, cols and data, or of nested lists. shape : that it must have, None for one row or one column"""
     if isinstance(root.tree[key], list):
         nested = bool(root.tree[key]) and isinstance(root.tree[key][0], list)
