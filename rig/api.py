@@ -2,7 +2,6 @@
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -10,6 +9,7 @@ from rig.arrays import Floats
 from rig.checks.mistake_report import Mistake, sort_mistakes
 from rig.errors import FileError, RigError
 from rig.formats.input_files import read_bytes
+from rig.formats.json_tree import Json
 from rig.formats.output_files import Outputs, write_bytes
 from rig.model import mechanisms
 from rig.model.design import Design
@@ -148,7 +148,7 @@ class CheckResult:
         lines = [f"{'wrong' if one.spoils else 'to look at'}: {one}" for one in self.found]
         return [*(lines or ["nothing wrong or unlikely was found"]), *(f"remark: {text}" for text in self.remarks)]
 
-    def tree(self) -> dict[str, Any]:
+    def tree(self) -> Json:
         """What `rig check --json` prints."""
         return {
             "schema": "check/1",

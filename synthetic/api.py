@@ -6,7 +6,7 @@ from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_notation import Kinds, parse_effect, require_existing_place, require_nonzero_effect
 from rig.errors import RigError
+from rig.formats.json_tree import Json
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design, Sensor
 from rig.planning.plan import build_plan
@@ -43,7 +44,7 @@ class ImageOptions:
 
     def of_sensor(self, sensor: Sensor) -> Sensor:
         """A rig's Sensor with what is otherwise. Raises RigError for settings that no sensor has"""
-        changes: dict[str, Any] = dict(self.sensor)
+        changes: Json = dict(self.sensor)
         changed = replace(sensor, **changes)
         for field in fields(changed):
             if not 0 <= getattr(changed, field.name) <= LARGEST_SETTING:

@@ -7,7 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -18,6 +17,7 @@ from rig.compute import dask_cluster
 from rig.compute.worker_processes import process_map, worker_count
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
+from rig.formats.json_tree import Json
 from rig.formats.output_files import write_bytes
 from rig.model.design import Camera, Sensor
 from synthetic import rig_meshes
@@ -98,7 +98,7 @@ def is_drawable(kind: type[Effect]) -> bool:
     return kind.bend is Effect.bend and kind.print_ is Effect.print_
 
 
-_state: dict[str, Any] = {}  # of a drawing process: what it was started with
+_state: Json = {}  # of a drawing process: what it was started with
 _painter: list[ThreadPoolExecutor] = []  # of a worker of a cluster: the one thread that draws
 _opening = threading.Lock()
 

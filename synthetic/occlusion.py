@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Floats, Integers
+from rig.arrays import Booleans, Floats, Integers
 from rig.model.design import Design
 from synthetic.rig_meshes import (
     PLATE,
@@ -19,7 +19,7 @@ from synthetic.rig_meshes import (
 OWN_DEPTH = 2e-3  # m; what is nearer to the marker than this is the marker itself
 
 
-def is_occluded(design: Design, stages: list[RigidTransform], frame: Integers, eye: Floats, points: Floats) -> Floats:
+def is_occluded(design: Design, stages: list[RigidTransform], frame: Integers, eye: Floats, points: Floats) -> Booleans:
     """Whether each point (k,) is occluded from an eye: the straight line between them is blocked.
 
     design : Design as it really is; stages : where each stage's platform stands, RigidTransform (F,), the last alone
@@ -67,7 +67,7 @@ def _into(matrix: Floats, points: Floats) -> Floats:
     return ((points - matrix[:, :3, 3])[:, None] @ matrix[:, :3, :3])[:, 0]
 
 
-def _through_rod(p: Floats, q: Floats, a: Floats, b: Floats, radius: float | Floats) -> Floats:
+def _through_rod(p: Floats, q: Floats, a: Floats, b: Floats, radius: float | Floats) -> Booleans:
     """(k,) bool, whether segments p-q come within a radius of segments a-b. Source: Ericson, Real-Time Collision
     Detection, 5.1.9
     """
@@ -82,7 +82,7 @@ def _through_rod(p: Floats, q: Floats, a: Floats, b: Floats, radius: float | Flo
     return np.einsum("ki,ki->k", gap, gap) < radius**2
 
 
-def _through_disc(p: Floats, q: Floats, top: float, radius: float, thickness: float) -> Floats:
+def _through_disc(p: Floats, q: Floats, top: float, radius: float, thickness: float) -> Booleans:
     """(k,) bool, whether segments p-q cross the faces z = top or z = top - thickness within a radius of the z axis."""
     crossed = np.zeros(len(p), bool)
     for z in (top, top - thickness):
@@ -93,7 +93,7 @@ def _through_disc(p: Floats, q: Floats, top: float, radius: float, thickness: fl
     return crossed
 
 
-def _through_box(p: Floats, q: Floats, half: float | Floats) -> Floats:
+def _through_box(p: Floats, q: Floats, half: float | Floats) -> Booleans:
     """(k,) bool, whether segments p-q enter the cube |x|, |y|, |z| < half."""
     d = q - p
     d = np.where(np.abs(d) > 1e-12, d, 1e-12)

@@ -1,7 +1,6 @@
 """Rulers and legend of printed sheets, and the page that shows how cubes are assembled and where they stand."""
 
 import textwrap
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,6 +8,7 @@ from matplotlib.patches import Polygon, Rectangle
 from scipy.spatial.transform import RigidTransform
 
 from rig.arrays import Floats
+from rig.formats.json_tree import Json
 from rig.model.design import Design, Target
 
 MARGIN, LEFT, FOOT = (
@@ -24,12 +24,12 @@ def usable_area(paper: tuple[float, float]) -> tuple[float, float]:
     return paper[0] - LEFT - MARGIN, paper[1] - FOOT - 2 * MARGIN
 
 
-def cut_line_style() -> dict[str, Any]:
+def cut_line_style() -> Json:
     """Line style of a cut line, as matplotlib arguments."""
     return {"color": "black", "lw": 0.5, "ls": "-"}
 
 
-def fold_line_style() -> dict[str, Any]:
+def fold_line_style() -> Json:
     """Line style of a fold line, as matplotlib arguments."""
     return {"color": "0.45", "lw": 0.5, "ls": (0, (4, 3))}
 

@@ -5,9 +5,9 @@ verdict.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from rig.formats.input_files import read_text
+from rig.formats.json_tree import Json
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml.design_text_edits import replace_cameras, replace_target_markers
 from rig.model.pose import pose_to_vector, rms_uncertainty
@@ -89,7 +89,7 @@ class MeasurementResult:
                 folder / f"poses_stage{number}.csv", Poses(stage.frames, stage.T_base_platform, stage.covariance)
             )
 
-    def tree(self) -> dict[str, Any]:
+    def tree(self) -> Json:
         """What `rig measure --json` prints."""
         m, stated = self.measurement, self.recording.design.cameras
         cameras = [

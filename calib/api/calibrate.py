@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -34,6 +33,7 @@ from calib.samples.recording_samples import Sampled, sample_recording
 from rig.effects.texts.effect_notation import Kinds
 from rig.effects.texts.user_effect_files import catalogue_with_files
 from rig.errors import RigError
+from rig.formats.json_tree import Json
 from rig.model.design import Design
 from rig.model.mechanism_kinds import require_arm, require_chain, require_hexapod, require_struts
 from rig.recording.recording_folder import Recording
@@ -71,7 +71,7 @@ class CalibrationResult:
         """As a notebook shows it."""
         return result_html(str(self), self.verdict.rests_on) + self.calibration._repr_html_()
 
-    def tree(self) -> dict[str, Any]:
+    def tree(self) -> Json:
         """What `rig calibrate --json` prints."""
         held, claim, confounds = self.calibration.held_out, self.calibration.claim, self.calibration.confounds
         return {

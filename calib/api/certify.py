@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from calib.files.calibration_from_recording import SEED
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.recording_samples import Sampled, sample_recording
 from rig.errors import RigError
+from rig.formats.json_tree import Json
 from rig.formats.output_files import write_text
 from rig.recording.frame_content_hashes import content_hashes, frames_with_known_hashes, hashes_of_frames
 from rig.recording.recording_folder import Recording
@@ -58,7 +58,7 @@ class CertificationResult:
         """As a notebook shows it."""
         return self.certificate._repr_html_()
 
-    def tree(self) -> dict[str, Any]:
+    def tree(self) -> Json:
         """What certificate.json holds."""
         return certificate_json.certificate_dict(self.certificate)
 
@@ -82,7 +82,7 @@ def certify(
     recordings: Recording | Sequence[Recording],
     options: CertifyOptions = STANDARD,
     refutations: Sequence[Refutation] = (),
-    provenance: dict[str, Any] | None = None,
+    provenance: Json | None = None,
     name: str = "the calibration",
     progress: Progress | None = None,
 ) -> CertificationResult:

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -16,6 +15,7 @@ from calib.models.arm.correction import ArmCorrection
 from calib.models.wanted_pose_commands import Commanded, commands_along_route, route_pace
 from rig.arrays import Floats, Integers
 from rig.errors import RigError, Unreachable
+from rig.formats.json_tree import Json
 from rig.model import mechanisms
 from rig.model.pose import pose_difference
 from rig.recording.corner_and_pose_tables import Poses
@@ -124,7 +124,7 @@ class CorrectionResult:
         ]
         return result_html(str(self), lines, [("frame", *self.calibration.correction.nominal.axes), *rows])
 
-    def tree(self) -> dict[str, Any]:
+    def tree(self) -> Json:
         """What `rig correct --json` prints."""
         return {
             "schema": "corrected/1",

@@ -1,7 +1,6 @@
 """Corrections at recorded configurations extended over a space: in one go, or as one more pass on a calibration."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from calib.models.arm.certification import Certified as ArmCertified
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled
 from rig.errors import RigError
+from rig.formats.json_tree import Json
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.model import mechanisms
 from rig.model.design import Design
@@ -84,7 +84,7 @@ class Extended:
     done: Certified | ArmCertified
     tried: tuple[Tried, ...]
     claim: Claim
-    provenance: dict[str, Any]
+    provenance: Json
     misses: tuple[float, float]
     unit: str
     base: str
@@ -103,7 +103,7 @@ def certify_correction_extension(
         misses = arm_extension.single_step_errors(of_arm.correction)
         claim = claim_of(samples, of_arm, rng)
         return Extended(of_arm, tried, claim, {}, misses, mechanisms.travel_unit(arm), base)
-    provenance: dict[str, Any] = {}
+    provenance: Json = {}
     if options.onto is None:
         done, tried = certify_extended_correction(samples, require_struts(design.mechanism), ask, rng, progress)
     else:
@@ -116,7 +116,7 @@ def certify_correction_extension(
 
 def _certify_pass(
     options: ExtendOptions, before: Calibration, samples: Samples, rng: np.random.Generator, progress: Progress
-) -> tuple[Certified, tuple[Tried, ...], dict[str, Any]]:
+) -> tuple[Certified, tuple[Tried, ...], Json]:
     """(Certified, what was tried, what the provenance records of it) of one more pass."""
     space = options.space or CONFIGURATION
     configurations, poses = _parts(options.within, before.correction.nominal)

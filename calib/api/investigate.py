@@ -6,7 +6,6 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 from calib.experiment.first_plans import FIRST, LOADED, STANDING
 from calib.experiment.investigation_certificate import certify_investigation
@@ -27,6 +26,7 @@ from calib.experiment.investigation_report import (
 )
 from rig.errors import RigError
 from rig.formats import json_file
+from rig.formats.json_tree import Json
 from rig.formats.output_files import write_bytes, write_text
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design
@@ -65,7 +65,7 @@ class InvestigationResult:
         """As a notebook shows it."""
         return result_html(str(self), [text for text in (self.ended, *self.after) if text])
 
-    def tree(self) -> dict[str, Any]:
+    def tree(self) -> Json:
         """What `rig investigate --json` prints."""
         return {
             "schema": "investigated/1",

@@ -12,6 +12,7 @@ from calib.certification.platform_certification import Progress
 from calib.experiment.experiment_choice import Experiment, available_plans, choose_experiment
 from calib.experiment.experiment_information import camera_information_shares
 from calib.experiment.experiment_question import Question
+from rig.formats.json_tree import Json
 from rig.model.cube_remounting import quarter_turns
 from rig.model.design import Design
 from rig.planning import plan_construction_and_table
@@ -61,7 +62,7 @@ class NextExperiment:
             raise ValueError("there is no experiment to write")
         plan_construction_and_table.write_plan_table(path, self.experiments[0].plan, self.axes)
 
-    def tree(self) -> dict[str, Any]:
+    def tree(self) -> Json:
         """What next.json holds."""
         return {
             "schema": "next/1",

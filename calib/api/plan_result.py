@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from calib.certification.calibration import Calibration
 from calib.certification.calibration_evidence import confound_sentences
@@ -14,6 +13,7 @@ from calib.samples.confounded_conditions import Confounds
 from calib.workspace.reachable_poses import is_pose_lost
 from rig.arrays import Floats
 from rig.errors import RigError
+from rig.formats.json_tree import Json
 from rig.model.design import Design
 from rig.model.mechanism_geometry import Hexapod
 from rig.model.mechanism_kinds import has_plates
@@ -111,7 +111,7 @@ class PlanResult:
         """What it makes visible, and what its configurations confound."""
         return [*self.said, *([] if self.confounds is None else [self.confounds.line()])]
 
-    def tree(self) -> dict[str, Any]:
+    def tree(self) -> Json:
         """What `rig plan --json` prints."""
         return {
             "schema": "planned/1",

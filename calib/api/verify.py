@@ -5,7 +5,6 @@ holds.
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -34,6 +33,7 @@ from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled, sample_recording
 from rig.arrays import Floats
 from rig.errors import RigError
+from rig.formats.json_tree import Json
 from rig.model.pose import rms_uncertainty
 from rig.recording.corner_and_pose_tables import Poses
 from rig.recording.recording_folder import Recording
@@ -79,11 +79,11 @@ class VerificationResult:
         """Write the page of it."""
         write_verification_page(path, self.recording.name, self.figures, links)
 
-    def tree(self) -> dict[str, Any]:
+    def tree(self) -> Json:
         """What `rig verify --json` prints."""
         shown = self.figures
         held, same, claim = shown.held, shown.same, shown.calibration.claim
-        tree: dict[str, Any] = {
+        tree: Json = {
             "schema": "verification/1",
             "verdict": self.verdict.tree(),
             "unit": {"position": "m", "rotation": "rad"},
@@ -168,7 +168,7 @@ def _driven(
     return error_statistics(errors), rms_uncertainty(samples.total_covariance() + of_model), errors
 
 
-def _side(figures: Figures) -> dict[str, Any]:
+def _side(figures: Figures) -> Json:
     """Figures of one side, as JSON has them."""
     names = ("rms", "p95", "max", "mean")
     position, rotation = (*figures.position, figures.mean[0]), (*figures.rotation, figures.mean[1])

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from calib.report.verification_and_visit_pages import (
 )
 from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
 from calib.samples.recording_samples import sample_recording
+from rig.formats.json_tree import Json
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_elements import result_html
 from rig.report.pages.page_and_svg_templates import Link
@@ -42,7 +42,7 @@ class WatchResult:
     history: History
     visits: tuple[Visit, ...]
     confounds: tuple[Confounds | None, ...]
-    entries: tuple[dict[str, Any], ...]
+    entries: tuple[Json, ...]
     verdict: Verdict
 
     @property
@@ -70,7 +70,7 @@ class WatchResult:
             out += [*visit.lines, *([] if confounds is None else [f"  {confounds.line()}"])]
         return out
 
-    def tree(self) -> dict[str, Any]:
+    def tree(self) -> Json:
         """What `rig watch --json` prints."""
         return {"schema": "verdict/1", "verdict": self.verdict.tree(), "visits": list(self.entries)}
 
@@ -95,7 +95,7 @@ def watch(
     if not visits:
         raise ValueError("watching takes one visit at least")
     seen: list[Visit] = []
-    entries: list[dict[str, Any]] = []
+    entries: list[Json] = []
     of_each: list[Confounds | None] = []
     for k, recording in enumerate(visits):
         progress("visits", k, len(visits))
@@ -127,7 +127,7 @@ def _verified(calibration: Calibration, recording: Recording, change: ChangeVerd
     return verify_claim_on_samples(calibration, samples, np.random.default_rng(SEED))
 
 
-def _tree(verdict: ChangeVerdict, history: History, scale: float) -> dict[str, Any]:
+def _tree(verdict: ChangeVerdict, history: History, scale: float) -> Json:
     """What JSON holds of a visit's verdict."""
     named = verdict.named
     return {

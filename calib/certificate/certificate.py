@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -37,6 +36,7 @@ from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.recording_samples import Sampled
 from rig.arrays import Floats
 from rig.errors import NotEnoughData
+from rig.formats.json_tree import Json
 from rig.recording.frame_content_hashes import content_hashes, hashes_of_frames
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_elements import result_html
@@ -64,7 +64,7 @@ def calibration_certificate(
     calibration: Calibration,
     held_out_recordings: Sequence[tuple[Recording, Sampled]],
     request: CertifyOptions,
-    provenance: dict[str, Any],
+    provenance: Json,
     rng: np.random.Generator,
 ) -> Certificate:
     """Certificate of a calibration from held-out recordings. rng : numpy Generator, for the draws of shared errors
@@ -202,7 +202,7 @@ def certificate_verdict(certificate: Certificate) -> Verdict:
 
 def certificate_provenance(
     path: Path, calibration: Calibration, recordings: Sequence[Recording], arguments: Sequence[str], seed: int
-) -> dict[str, Any]:
+) -> Json:
     """dict of inputs_sha256 (of the calibration's file, of each recording's tables and of the content marks of its
     exposures), calibration, versions, seed, arguments, when it was created, and an id: of what went in and what was
     asked, not of when."""

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from calib.certification.promise_and_conformity import Cell, Conformity, Promise
 from calib.certification.uncertainty_budget import Budget
 from calib.samples.confounded_conditions import Confounds
 from rig.arrays import Floats
+from rig.formats.json_tree import Json
 from rig.model.mechanism_geometry import Arm, Hexapod
 from rig.recording.recording_folder import LIMB, PAYLOAD, Recording
 from rig.report.verdict import Evidence
@@ -168,7 +168,7 @@ class Contents:
     errors: Floats
     before: Figures
     after: Figures
-    provenance: dict[str, Any]
+    provenance: Json
     confounds: Confounds | None = None
     known: Evidence | None = None
     claims: tuple[AgainstClaim, ...] = ()

@@ -3,7 +3,6 @@
 import json
 from dataclasses import asdict
 from importlib.resources import files
-from typing import Any
 
 from calib.certificate import certificate_sentences
 from calib.certificate.certificate import Certificate, certificate_verdict
@@ -12,17 +11,18 @@ from calib.certification.held_out_errors import Figures
 from calib.certification.promise_and_conformity import Promise
 from calib.certification.uncertainty_budget import COVERAGE, Budget
 from rig.formats.json_file import nan_to_null
+from rig.formats.json_tree import Json
 
 SCHEMA = "certificate/1"
 
 
-def certificate_schema() -> dict[str, Any]:
+def certificate_schema() -> Json:
     """JSON schema of certificate.json."""
-    found: dict[str, Any] = json.loads((files("calib") / "certificate" / "certificate.schema.json").read_text())
+    found: Json = json.loads((files("calib") / "certificate" / "certificate.schema.json").read_text())
     return found
 
 
-def certificate_dict(certificate: Certificate) -> dict[str, Any]:
+def certificate_dict(certificate: Certificate) -> Json:
     """dict of a certificate as certificate.json holds it; null where something was not measured or is not known."""
     v = certificate.volume
     out = {
@@ -76,7 +76,7 @@ def certificate_text(certificate: Certificate) -> str:
     return json.dumps(certificate_dict(certificate), indent=1, allow_nan=False) + "\n"
 
 
-def _promise(p: Promise) -> dict[str, Any]:
+def _promise(p: Promise) -> Json:
     return {
         "position_m": p.position.upper,
         "rotation_rad": p.turned,
@@ -88,7 +88,7 @@ def _promise(p: Promise) -> dict[str, Any]:
     }
 
 
-def _against_claim(one: AgainstClaim) -> dict[str, Any]:
+def _against_claim(one: AgainstClaim) -> Json:
     parts = {
         name: {
             "rms": part.rms,
@@ -110,7 +110,7 @@ def _against_claim(one: AgainstClaim) -> dict[str, Any]:
     }
 
 
-def _budget(b: Budget) -> dict[str, Any]:
+def _budget(b: Budget) -> Json:
     return {
         "k": b.machine.k[0],
         "coverage": COVERAGE,
@@ -122,7 +122,7 @@ def _budget(b: Budget) -> dict[str, Any]:
     }
 
 
-def _figures(f: Figures) -> dict[str, Any]:
+def _figures(f: Figures) -> Json:
     names = ("rms", "p95", "max")
     return {
         "n": f.n,

@@ -5,7 +5,7 @@ Source: configuration-space patent, [0035]
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from calib.certification.extension_certification import (
 )
 from calib.certification.platform_certification import Certified, Progress, platform_pose_covariance, silent_progress
 from calib.certification.workspace_claim import extension_error_squares, sample_workspace
-from calib.correction.correction import Correction
+from calib.correction.correction import AnyCorrection
 from calib.correction.interpolation.field import Field
 from calib.correction.interpolation.field_combinations import RestrictedMap, SpacePart, SummedPasses
 from calib.correction.pose_space_map import PoseMap, pose_coordinates
@@ -129,7 +129,7 @@ def _with_covariance(done: Certified, before: Calibration, rng: np.random.Genera
     return replace(done, covariance=scale * before.covariance, strut_covariance=scale * struts)
 
 
-def _posed(base: Callable[[Samples], Correction[Any, Any]], part: SpacePart | None) -> Callable[[Samples], Stand]:
+def _posed(base: Callable[[Samples], AnyCorrection], part: SpacePart | None) -> Callable[[Samples], Stand]:
     """The stand of a map in pose space on a Correction by some samples."""
 
     def stand(of: Samples) -> Stand:
@@ -143,9 +143,7 @@ def _posed(base: Callable[[Samples], Correction[Any, Any]], part: SpacePart | No
     return stand
 
 
-def _again(
-    done: Correction[Any, Any], before: Correction[Any, Any], asked: Pass
-) -> Callable[[Samples], Correction[Any, Any]]:
+def _again(done: AnyCorrection, before: AnyCorrection, asked: Pass) -> Callable[[Samples], AnyCorrection]:
     """By some samples alone, the Correction with the map in the configuration space that all of them chose."""
     extension = done.extension
     field = extension.fields[-1] if isinstance(extension, SummedPasses) else extension
@@ -157,7 +155,7 @@ def _again(
     )
 
 
-def _said(field: Field, at: Samples, on: Correction[Any, Any]) -> float:
+def _said(field: Field, at: Samples, on: AnyCorrection) -> float:
     one = PoseMap(home_pose(on.nominal), pose_coordinate_indices(on.nominal), field)
     return float((one.error(on.predict(at.commanded))[:, :3] ** 2).sum(axis=1).mean())
 
@@ -166,7 +164,7 @@ def _part(field: Field | None, part: SpacePart | None) -> Field | None:
     return field if field is None or part is None else RestrictedMap(field, part)
 
 
-def _within(samples: Samples, correction: Correction[Any, Any], asked: Pass) -> Booleans:
+def _within(samples: Samples, correction: AnyCorrection, asked: Pass) -> Booleans:
     """(n,) bool, the samples in the parts asked for."""
     keep = np.ones(len(samples), bool)
     if asked.configurations is not None:

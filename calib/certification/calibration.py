@@ -2,19 +2,19 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 from calib.certification.claim_verification import Verification
 from calib.certification.distinct_configurations import LEAST
 from calib.certification.held_out_errors import HeldOut
 from calib.certification.workspace_claim import Claim
-from calib.correction.correction import Correction
+from calib.correction.correction import AnyCorrection
 from calib.correction.physics_compensation import Physics
 from calib.samples.confounded_conditions import Confounds
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_cells import Workspace
 from rig.arrays import Floats
 from rig.errors import RigError
+from rig.formats.json_tree import Json
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_elements import result_html
 
@@ -163,13 +163,13 @@ class Calibration:
     strut_covariance : (axes, axes) m^2 of what struts do beyond the geometry, where they may do it together, with
     scatter^2 on its diagonal; None where each is by itself, and in files of before it was worked out"""
 
-    correction: Correction[Any, Any]
+    correction: AnyCorrection
     covariance: Floats
     scatter: Floats
     frames: tuple[int, ...]
     left_out: tuple[int, ...]
     held_out: HeldOut | None
-    provenance: dict[str, Any]
+    provenance: Json
     claim: Claim | None = None
     physics: Physics | None = None
     workspace: Workspace | None = None

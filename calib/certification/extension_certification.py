@@ -40,7 +40,7 @@ from calib.certification.workspace_claim import (
     extension_error_squares,
     sample_workspace,
 )
-from calib.correction.correction import Correction, commands_with_pose
+from calib.correction.correction import AnyCorrection, commands_with_pose
 from calib.correction.interpolation import interpolation_methods
 from calib.correction.interpolation.field import Field, Known, WeightedField
 from calib.correction.interpolation.gaussian_process import RadialMap
@@ -86,7 +86,7 @@ class Stand(NamedTuple):
     said : mean square (m^2) by which a Field says that positions of other samples may be off."""
 
     known: Known
-    correct: Callable[[Field | None], Correction[Any, Any]]
+    correct: Callable[[Field | None], AnyCorrection]
     said: Callable[[Field, Samples], float]
 
 
@@ -317,7 +317,7 @@ def _best(outcome: _Outcome) -> str:
 
 def claim_without_geometry(samples: Samples, certified: Certified, rng: np.random.Generator) -> Claim:
     """Claim of a correction without fitted geometry: its field's error estimate over the workspace."""
-    correction: Correction[Any, Any] = certified.correction
+    correction: AnyCorrection = certified.correction
     kinematics = mechanisms.kinematics_of(correction.nominal)
     each = mean_sample_per_configuration(
         samples, certified.label, inverse_strut_length_jacobian(samples.T_base_platform, correction.nominal)

@@ -1,13 +1,12 @@
 """Held-out pose errors: their figures before and after correction, and the significance of the gain."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.distinct_configurations import LEAST
-from calib.correction.correction import Correction
+from calib.correction.correction import AnyCorrection
 from calib.samples.pose_samples import Samples
 from rig.arrays import Floats, Integers
 from rig.model import mechanisms
@@ -91,7 +90,7 @@ def compare_errors(
     return HeldOut(before, after, rms_uncertainty(covariance), ratio, len(size))
 
 
-def errors_before_and_after_correction(correction: Correction[Any, Any], samples: Samples) -> tuple[Floats, Floats]:
+def errors_before_and_after_correction(correction: AnyCorrection, samples: Samples) -> tuple[Floats, Floats]:
     """Pose errors (before, after) correction, both (n, 6): measured against the nominal and the corrected model."""
     nominal = mechanisms.kinematics_of(correction.nominal).forward(samples.commanded, correction.nominal)
     return pose_errors(nominal, samples), pose_errors(correction.predict(samples.effective), samples)

@@ -6,13 +6,12 @@ the others are repeats, from which repeatability is read.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.distinct_configurations import axis_ranges, configuration_numbers
-from calib.correction.correction import Correction
+from calib.correction.correction import AnyCorrection
 from calib.samples.pose_samples import Samples
 from rig.arrays import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
@@ -96,7 +95,7 @@ def _last_moves(commands: Commands, t: Floats) -> tuple[Floats, Floats]:
 
 
 def held_out_poses(
-    correction: Correction[Any, Any], recordings: Sequence[tuple[Samples, Commands, Floats, Floats]]
+    correction: AnyCorrection, recordings: Sequence[tuple[Samples, Commands, Floats, Floats]]
 ) -> HeldPoses:
     """Held-out poses of recordings under a correction, as HeldPoses.
 

@@ -8,12 +8,11 @@ lengthened).
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from calib.certification.held_out_poses import HeldPoses
-from calib.correction.correction import Correction
+from calib.correction.correction import AnyCorrection
 from rig.arrays import Floats, Integers
 from rig.model import mechanisms
 
@@ -51,7 +50,7 @@ class AxisTest:
     formal: bool
 
 
-def iso230_axis_tests(correction: Correction[Any, Any], poses: HeldPoses) -> tuple[AxisTest, ...]:
+def iso230_axis_tests(correction: AnyCorrection, poses: HeldPoses) -> tuple[AxisTest, ...]:
     """ISO 230-2 test of each axis that was moved alone from both sides."""
     if not poses.rotations:
         return ()
@@ -77,7 +76,7 @@ def iso230_axis_tests(correction: Correction[Any, Any], poses: HeldPoses) -> tup
     return tuple(out)
 
 
-def _to_axes(correction: Correction[Any, Any], poses: HeldPoses) -> Floats:
+def _to_axes(correction: AnyCorrection, poses: HeldPoses) -> Floats:
     """(n, axes, 6) change of the axes with the pose's tangent."""
     fitted = correction.fitted
     return mechanisms.kinematics_of(fitted).axis_changes(poses.T_base_platform, poses.commanded, fitted)

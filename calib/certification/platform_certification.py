@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -25,7 +24,7 @@ from calib.certification.held_out_errors import (
 from calib.certification.machine_draws import COUNT, Sizes, draw_possible_machines, strut_deviation_sizes
 from calib.certification.possible_machines import Machines
 from calib.certification.workspace_claim import Claim, draw_fit_variance_ratio, sample_workspace, workspace_claim
-from calib.correction.correction import Correction, calibrate_correction, identify_geometry
+from calib.correction.correction import AnyCorrection, Correction, calibrate_correction, identify_geometry
 from calib.correction.interpolation.gaussian_process import Radial
 from calib.models.platform.identification import (
     Identified,
@@ -137,7 +136,7 @@ def silent_progress(label: str, done: int, of: int) -> None:
 
 
 def held_out_errors_by_fold(
-    samples: Samples, label: Integers, correct: Callable[[Samples], Sequence[Correction[Any, Any]]], progress: Progress
+    samples: Samples, label: Integers, correct: Callable[[Samples], Sequence[AnyCorrection]], progress: Progress
 ) -> list[Floats]:
     """Held-out errors before and after each correction, (n, 6) m and rad, fold by fold, on all cores.
 

@@ -8,7 +8,7 @@ misfit there is, is drawn as well (chi-square: few configurations tell it badly)
 """
 
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.certification.distinct_configurations import LEAST
 from calib.certification.held_out_error_statistics import HeldErrors
 from calib.certification.possible_machines import Machines
-from calib.correction.correction import Correction, commands_with_pose
+from calib.correction.correction import AnyCorrection, Correction, commands_with_pose
 from calib.correction.interpolation.gaussian_process import Radial
 from calib.models.platform.identification import (
     PRIOR,
@@ -240,7 +240,7 @@ def workspace_claim(
     return claim_of_drawn_machines(Workspace(J, -offset, own, middle), draws, samples, told, rng)
 
 
-def sample_workspace(correction: Correction[Any, Any]) -> tuple[Floats, RigidTransform]:
+def sample_workspace(correction: AnyCorrection) -> tuple[Floats, RigidTransform]:
     """Samples of the workspace: (commands (m, axes) m, poses (m,) of the corrected machine)."""
     return commands_with_pose(sobol_configurations(correction.nominal.strut_range, PLACES, FILL), correction)
 
@@ -250,7 +250,7 @@ def draw_fit_variance_ratio(identified: Identified, nominal: Struts, count: int,
     return draw_variance_ratio(identified.cost, len(nominal.axes) * int(identified.inliers.sum()), count, rng)
 
 
-def extension_error_squares(correction: Correction[Any, Any], commands: Floats, back: Floats) -> Floats:
+def extension_error_squares(correction: AnyCorrection, commands: Floats, back: Floats) -> Floats:
     """Mean squares (2,) of pose errors by a correction's extension at commands (m, axes), m^2 and rad^2.
 
     back : (m, 6, axes) change of the pose with the axes there

@@ -251,7 +251,10 @@ class Correction(Generic[M, R]):
         return commands
 
 
-def commands_with_pose(commands: Floats, correction: Correction[Any, Any]) -> tuple[Floats, RigidTransform]:
+AnyCorrection = Correction[Any, Any]  # of any kind of machine: which one is known only once a file is read
+
+
+def commands_with_pose(commands: Floats, correction: AnyCorrection) -> tuple[Floats, RigidTransform]:
     """Commands (m, axes) that close on a pose, and these poses (k,). Raises NotConverged where none does."""
     index, T = filter_closed_commands(commands, correction.predict)
     return commands[index], T

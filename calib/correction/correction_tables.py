@@ -4,11 +4,11 @@ Source: configuration-space patent, [0052], [0061] (data that comprise the corre
 """
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from calib.correction.correction import Correction
+from calib.correction.correction import AnyCorrection
 from calib.models.platform.identification import strut_length_jacobian
 from calib.samples.pose_samples import Samples
 from rig.arrays import Floats
@@ -62,7 +62,7 @@ class JointTables(NamedTuple):
     left: Floats
 
 
-def axis_correction_tables(correction: Correction[Any, Any], count: int) -> JointTables:
+def axis_correction_tables(correction: AnyCorrection, count: int) -> JointTables:
     """Correction table of each axis alone: the mean of the remainder over the other axes.
 
     c = x + trim, c the fixed point c = x + rho(c) at the axis' own level x, the other axes all over their strokes
@@ -80,9 +80,7 @@ def axis_correction_tables(correction: Correction[Any, Any], count: int) -> Join
     return JointTables(levels, trims, left)
 
 
-def grid_correction_table(
-    correction: Correction[Any, Any], divisions: int, fill: float = FILL
-) -> tuple[Floats, Floats]:
+def grid_correction_table(correction: AnyCorrection, divisions: int, fill: float = FILL) -> tuple[Floats, Floats]:
     """Correction table on an even grid: (x, k), both (vertices, axes) m or rad; x + k is to be commanded for x.
 
     Raises RigError where a vertex has no pose

@@ -7,12 +7,11 @@ over the whole route at once, in which the step of an axis grows while it has no
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction.correction import Correction
+from calib.correction.correction import AnyCorrection
 from calib.correction.pose_route import Route
 from calib.samples.pose_samples import Samples
 from rig.arrays import Floats
@@ -129,7 +128,7 @@ class Machine:
     effects : the Effects that act, those of the physics that commands undo; sensors : Sensors with the channels that
     nobody logged, `missing`, at their median"""
 
-    correction: Correction[Any, Any]
+    correction: AnyCorrection
     physics: Physics | None
     logged: Sensors | None
     effects: tuple[Effect, ...] = field(init=False)

@@ -1,16 +1,15 @@
 """The pose-space map of a calibration as calibration.json holds it: written as a dict, read from Entries."""
 
-from typing import Any
-
 from calib.correction.interpolation import interpolation_methods
 from calib.correction.pose_space_map import NAMES, PoseMap
 from calib.correction.summand_extension import pose_coordinate_indices
 from rig.formats.checked_entries import Entries
+from rig.formats.json_tree import Json
 from rig.model.mechanism_kinds import Struts
 from rig.model.pose import pose_to_entry
 
 
-def pose_map_dict(pose_map: PoseMap) -> dict[str, Any]:
+def pose_map_dict(pose_map: PoseMap) -> Json:
     """dict of a PoseMap, as JSON holds it."""
     return {
         "home": pose_to_entry(pose_map.home),

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.correction import pose_space_map
-from calib.correction.correction import Correction, commands_with_pose
+from calib.correction.correction import AnyCorrection, Correction, commands_with_pose
 from calib.correction.interpolation import interpolation_methods
 from calib.correction.interpolation.field import Field, Known
 from calib.correction.interpolation.field_combinations import SummedPasses
@@ -87,7 +87,7 @@ def geometry_residual_summands(samples: Samples, identified: Identified) -> Know
     )
 
 
-def pass_residual_summands(samples: Samples, correction: Correction[Any, Any]) -> Known:
+def pass_residual_summands(samples: Samples, correction: AnyCorrection) -> Known:
     """Residual summands of an earlier pass: corrected strut lengths less those of the measured pose.
 
     Source: configuration-space patent, [0035]
@@ -98,7 +98,7 @@ def pass_residual_summands(samples: Samples, correction: Correction[Any, Any]) -
     return Known(known.configurations, known.values - correction.rho(samples.commanded), known.variances, known.strokes)
 
 
-def correction_with_pass(correction: Correction[Any, Any], field: Field | None) -> Correction[Any, Any]:
+def correction_with_pass(correction: AnyCorrection, field: Field | None) -> AnyCorrection:
     """Correction with one more pass; unchanged where the pass is None."""
     if field is None:
         return correction
@@ -107,7 +107,7 @@ def correction_with_pass(correction: Correction[Any, Any], field: Field | None) 
     return replace(correction, extension=SummedPasses((*fields, field)))
 
 
-def pass_residual_poses(samples: Samples, correction: Correction[Any, Any]) -> Known:
+def pass_residual_poses(samples: Samples, correction: AnyCorrection) -> Known:
     """Residual poses of an earlier pass: tangents from its corrected poses to the measured ones.
 
     Over the coordinates in which the mechanism's poses differ, see `posed.PoseMap`. Source: configuration-space patent,
@@ -141,7 +141,7 @@ def home_pose(mechanism: Struts) -> RigidTransform:
     return kinematics.forward(kinematics.home(mechanism), mechanism)
 
 
-def correction_with_map(correction: Correction[Any, Any], field: Field | None) -> Correction[Any, Any]:
+def correction_with_map(correction: AnyCorrection, field: Field | None) -> AnyCorrection:
     """Correction with one more map in pose space, applied last; unchanged where the map is None."""
     if field is None:
         return correction
@@ -167,7 +167,7 @@ def correction_with_field(nominal: Struts, identified: Identified, field: Field 
     return Correction(nominal, identified.mechanism, (None,) * len(nominal.axes), extension=field)
 
 
-def single_step_errors(correction: Correction[Any, Any]) -> tuple[float, float]:
+def single_step_errors(correction: AnyCorrection) -> tuple[float, float]:
     """Errors (RMS, greatest) m of the single step X + KSF(X) against the fixed point's commands.
 
     Source: configuration-space patent, [0030], [0091]

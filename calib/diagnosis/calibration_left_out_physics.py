@@ -33,6 +33,7 @@ from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled
 from rig.arrays import Floats
 from rig.errors import NotEnoughData
+from rig.formats.json_tree import Json
 from rig.recording.frame_content_hashes import Marks, frames_with_known_hashes
 from rig.recording.recording_folder import Recording
 from rig.report.refutations import refutations_of_file
@@ -198,7 +199,7 @@ def _with(calibration: Calibration, texts: tuple[str, ...]) -> Calibration:
     return replace(calibration, claim=replace(claim, unexplained=tuple(dict.fromkeys([*claim.unexplained, *texts]))))
 
 
-def _made_from(of: Marks, paths: Iterable[Path]) -> list[tuple[Path, dict[str, Any]]]:
+def _made_from(of: Marks, paths: Iterable[Path]) -> list[tuple[Path, Json]]:
     """[(path, tree)] of the calibrations among files that were made from a recording with marks."""
     found = [(path, _calibration(path)) for path in paths]
     return [
@@ -208,14 +209,14 @@ def _made_from(of: Marks, paths: Iterable[Path]) -> list[tuple[Path, dict[str, A
     ]
 
 
-def _known(tree: dict[str, Any]) -> set[tuple[Any, Any]]:
+def _known(tree: Json) -> set[tuple[Any, Any]]:
     """{(effect, place)} of the physics that a calibration knows."""
     physics = tree.get("physics") or {}
     known = {(e.get("effect"), e.get("place")) for e in physics.get("effects", ()) if isinstance(e, dict)}
     return known | {(UNKNOWN, e.get("place")) for e in physics.get("unknown", ()) if isinstance(e, dict)}
 
 
-def _calibration(path: Path) -> dict[str, Any] | None:
+def _calibration(path: Path) -> Json | None:
     """The tree of a calibration's file, None of what is none."""
     if path.stat().st_size > LARGEST:
         return None

@@ -39,6 +39,7 @@ from rig.effects.texts.effect_notation import Kinds
 from rig.formats import json_file, remote_folders
 from rig.formats.checked_entries import Entries
 from rig.formats.input_files import read_bytes
+from rig.formats.json_tree import Json
 from rig.formats.output_files import write_text
 from rig.recording.exposures_and_images import LARGEST_IMAGE_FILE
 from rig.recording.frame_content_hashes import content_hashes, frames_with_known_hashes, hashes_of_frames
@@ -72,7 +73,7 @@ def calibration_provenance(
     used_images: bool,
     other_files: Iterable[Path] = (),
     data: Iterable[str] = (),
-) -> dict[str, Any]:
+) -> Json:
     """dict of the inputs' SHA-256, the marks of their data (see rig.recording.frame_content_hashes), versions,
     arguments and seed.
 
@@ -116,9 +117,7 @@ def package_versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
 
 
-def additional_pass_provenance(
-    own: dict[str, Any], previous_provenance: Calibration, requested_pass: dict[str, Any]
-) -> dict[str, Any]:
+def additional_pass_provenance(own: Json, previous_provenance: Calibration, requested_pass: Json) -> Json:
     """Provenance of an additional pass: its own, the passes before it, and the marks of all data."""
     kept = ("recording", "inputs_sha256", "arguments", "created", "pass")
     first = {name: previous_provenance.provenance[name] for name in kept if name in previous_provenance.provenance}
@@ -206,7 +205,7 @@ def load(path: Path | str, effect_kinds: Kinds = BY_NAME) -> Calibration:
     )
 
 
-def _part_out(part: Radial | Profile) -> dict[str, Any]:
+def _part_out(part: Radial | Profile) -> Json:
     return {
         name: value.tolist() if isinstance(value, np.ndarray) else value
         for name, value in ((name, getattr(part, name)) for name in type(part).__slots__)
@@ -313,7 +312,7 @@ def _figures_in(table: Entries) -> Figures:
     )
 
 
-def _provenance_in(tree: Entries) -> dict[str, Any]:
+def _provenance_in(tree: Entries) -> Json:
     """The dict that `calibration_provenance` made: what is read from it again is checked."""
     table = tree.table("provenance")
     if "data" in table.tree:

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from rig.effects.texts.effect_notation import Kinds, effect_from_dict, effect_to
 from rig.errors import FileError, RigError
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.input_files import short_repr
+from rig.formats.json_tree import Json
 from rig.model import mechanisms
 from rig.model.design import Actuator, Platform
 from rig.model.mechanism_geometry import Arm, Chain, Hexapod, Planar2
@@ -129,7 +129,7 @@ def _require_plausible_arm(table: Entries, arm: Arm) -> None:
 MOST_JOINTS = 64
 
 
-def mechanism_dict(mechanism: Struts | Arm | Chain) -> dict[str, Any]:
+def mechanism_dict(mechanism: Struts | Arm | Chain) -> Json:
     """dict of a mechanism, as JSON holds it."""
     if has_stages(mechanism):
         return {"kind": mechanism.kind, "stages": [mechanism_dict(stage) for stage in mechanism.stages]}
@@ -214,7 +214,7 @@ READERS: dict[str, Callable[[Entries], Struts | Arm]] = {"hexapod": _hexapod, "p
 CHAIN = Chain.kind
 
 
-def physics_dict(physics: Physics) -> dict[str, Any]:
+def physics_dict(physics: Physics) -> Json:
     """dict of Physics, as JSON holds it."""
     platform = {
         name: value.tolist() if isinstance(value, np.ndarray) else value

@@ -1,7 +1,6 @@
 """Calibration from a recording's fit, with its provenance and its workspace."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from calib.models.corrected_pose_covariance import calibration_with_workspace
 from calib.samples.confounded_conditions import confounds_of_samples
 from calib.samples.recording_samples import Sampled
 from rig.arrays import Floats
+from rig.formats.json_tree import Json
 from rig.recording.recording_folder import Recording
 
 SEED = 0  # of draws; results are the same from run to run
@@ -28,7 +28,7 @@ def calibration_with_provenance(
     claim: Claim,
     arguments: Sequence[str] = (),
     known: tuple[Physics, Floats] | None = None,
-    previous_calibration: tuple[Calibration, dict[str, Any]] | None = None,
+    previous_calibration: tuple[Calibration, Json] | None = None,
 ) -> Calibration:
     """Calibration of a recording's fit, with its provenance and workspace.
 

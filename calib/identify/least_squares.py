@@ -199,7 +199,7 @@ def _step(data: Floats, c: int, weight: Floats, to_mean: Floats, basis: Floats) 
     return _Step(step, z, root, float(R[-1, -1] ** 2))
 
 
-def _agreeing(left: Floats, inliers: Booleans) -> Floats:
+def _agreeing(left: Floats, inliers: Booleans) -> Booleans:
     """(n,) bool, the blocks whose residual (n, m) is no larger than the others' scale makes likely."""
     square, m = (left**2).sum(axis=1), left.shape[1]
     scale = max(1.0, float(np.median(square[inliers])) / scipy.special.chdtri(m, 0.5))

@@ -1,7 +1,7 @@
 """What calibration asks of a machine of any kind: names of its parameters, its certification, how its file is read."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -10,7 +10,7 @@ from calib.certification import platform_certification
 from calib.certification.calibration import Calibration
 from calib.certification.platform_certification import Progress
 from calib.certification.workspace_claim import Claim
-from calib.correction.correction import Correction
+from calib.correction.correction import AnyCorrection, Correction
 from calib.correction.interpolation.field import Field
 from calib.correction.interpolation.interpolation_methods import gaussian_process_from_entries
 from calib.correction.pose_space_map_json import pose_map_from_entries
@@ -76,7 +76,7 @@ class MachineModel(Protocol):
 
     def correction_from_entries(
         self, tree: Entries, nominal: Commanded, fitted: Commanded, parts: Parts, extension: Field | None
-    ) -> Correction[Any, Any]:
+    ) -> AnyCorrection:
         """The Correction of a calibration's file. Raises FileError for what cannot be one."""
         ...
 
@@ -110,7 +110,7 @@ class PlatformModel:
 
     def correction_from_entries(
         self, tree: Entries, nominal: Commanded, fitted: Commanded, parts: Parts, extension: Field | None
-    ) -> Correction[Any, Any]:
+    ) -> AnyCorrection:
         """The Correction of a calibration's file."""
         return _correction(tree, nominal, fitted, parts, extension)
 
@@ -143,7 +143,7 @@ class ArmModel:
 
     def correction_from_entries(
         self, tree: Entries, nominal: Commanded, fitted: Commanded, parts: Parts, extension: Field | None
-    ) -> Correction[Any, Any]:
+    ) -> AnyCorrection:
         """The ArmCorrection of a calibration's file."""
         axes = len(nominal.axes)
         profiles = tuple(None if part is None else _profile(part, axes) for part in parts)
@@ -179,7 +179,7 @@ class ChainModel:
 
     def correction_from_entries(
         self, tree: Entries, nominal: Commanded, fitted: Commanded, parts: Parts, extension: Field | None
-    ) -> Correction[Any, Any]:
+    ) -> AnyCorrection:
         """The Correction of a calibration's file."""
         return _correction(tree, nominal, fitted, parts, extension)
 
@@ -199,7 +199,7 @@ def model_of(mechanism: Mechanism) -> MachineModel:
 
 def _correction(
     tree: Entries, nominal: Commanded, fitted: Commanded, parts: Parts, extension: Field | None
-) -> Correction[Any, Any]:
+) -> AnyCorrection:
     posed = tuple(pose_map_from_entries(one, require_struts(nominal)) for one in tree.tables("pose_maps"))
     remainder = tuple(
         None if part is None else gaussian_process_from_entries(part, len(nominal.axes)) for part in parts

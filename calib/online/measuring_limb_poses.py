@@ -21,7 +21,7 @@ from calib.online.information_filter import Online
 from calib.online.measuring_limbs_file import Accepted
 from calib.samples.pose_samples import Samples, pair_samples
 from calib.samples.recording_samples import Sampled
-from rig.arrays import Floats, Integers
+from rig.arrays import Booleans, Floats, Integers
 from rig.model.mechanism_geometry import Hexapod
 from rig.model.mechanism_kinds import require_hexapod
 from rig.recording.frame_selection import select_frames
@@ -143,7 +143,7 @@ def samples_of_limb_poses(recording: Recording, poses: LimbPoses) -> Sampled:
     )
 
 
-def _is_checked_by_vision(found: Samples, nominal: Hexapod, every: int) -> Floats:
+def _is_checked_by_vision(found: Samples, nominal: Hexapod, every: int) -> Booleans:
     """(n,) bool: the poses of Samples by limbs at which vision looks, every so many and those after struts told
     otherwise.
     """

@@ -4,7 +4,6 @@ import json
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from calib.files.calibration_file_entries import mechanism_dict, mechanism_from_
 from rig.errors import FileError, RigError
 from rig.formats import json_file
 from rig.formats.checked_entries import Entries
+from rig.formats.json_tree import Json
 from rig.formats.output_files import write_text
 from rig.model.design import Design
 from rig.model.mechanism_geometry import Hexapod
@@ -51,7 +51,7 @@ class Accepted:
     nominal: Hexapod
     agreement: Agreement
     withdrawn: Withdrawal | None
-    provenance: dict[str, Any]
+    provenance: Json
 
     @property
     def verdict(self) -> str:
@@ -187,7 +187,7 @@ def _hexapod(tree: Entries, key: str) -> Hexapod:
     return found
 
 
-def _checks_out(checks: Checks | None) -> list[dict[str, Any]]:
+def _checks_out(checks: Checks | None) -> list[Json]:
     """The limbs beyond six, one by one."""
     if checks is None:
         return []

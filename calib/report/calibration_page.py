@@ -16,6 +16,7 @@ from calib.models.platform.parameter_accuracy import parameter_combinations
 from calib.report.pose_figures import correction_error_figures, pose_coverage_figures, rig_scene
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
+from rig.formats.json_tree import Json
 from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts
 from rig.model.pose import pose_to_vector
@@ -184,7 +185,7 @@ def provenance_html(calibration: Calibration) -> str:
     return table(("what", "value"), flattened_rows(before | rows))
 
 
-def flattened_rows(tree: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+def flattened_rows(tree: Json, prefix: str = "") -> list[tuple[str, Any]]:
     """Rows (name, value) of a nested dict, flattened for a table."""
     rows: list[tuple[str, Any]] = []
     for key, value in tree.items():

@@ -8,12 +8,11 @@ L2'). It states no figures in metres: those here are ours.
 import html
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction.correction import Correction
+from calib.correction.correction import AnyCorrection, Correction
 from calib.correction.summand_extension import fit_summand_field, measured_summands
 from calib.samples.pose_samples import Samples
 from rig.arrays import Floats
@@ -40,7 +39,7 @@ class Worked:
     measured: RigidTransform
     second: Floats
     summand: Floats
-    correction: Correction[Any, Any]
+    correction: AnyCorrection
 
 
 def worked_example() -> Worked:
@@ -50,9 +49,7 @@ def worked_example() -> Worked:
     measured = two_strut_plane.forward(x, REAL)
     samples = Samples(np.arange(4), np.arange(4.0), x, measured, np.zeros((4, 6, 6)), np.zeros((4, 6, 0)))
     known = measured_summands(samples, NOMINAL)
-    correction: Correction[Any, Any] = Correction(
-        NOMINAL, NOMINAL, (None, None), extension=fit_summand_field(known, "linear")
-    )
+    correction: AnyCorrection = Correction(NOMINAL, NOMINAL, (None, None), extension=fit_summand_field(known, "linear"))
     return Worked(
         x,
         two_strut_plane.forward(x, NOMINAL),
@@ -63,7 +60,7 @@ def worked_example() -> Worked:
     )
 
 
-def corrected_hinge_positions(correction: Correction[Any, Any] | None, wanted_positions: Floats) -> Floats:
+def corrected_hinge_positions(correction: AnyCorrection | None, wanted_positions: Floats) -> Floats:
     """Hinge positions (n, 2) m reached for wanted ones (n, 2) m: by the nominal model, or by one corrected step"""
     T = RigidTransform.from_translation(np.pad(wanted_positions, ((0, 0), (0, 1))))
     commands = two_strut_plane.inverse(T, NOMINAL) if correction is None else correction.single_step(T)

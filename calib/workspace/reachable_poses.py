@@ -5,12 +5,12 @@ Source: configuration-space patent, [0029] and claim 5 (the poses that the contr
 """
 
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction.correction import Correction, commands_with_pose, filter_closed_commands
+from calib.correction.correction import AnyCorrection, commands_with_pose, filter_closed_commands
 from rig.arrays import Booleans, Floats
 from rig.errors import NotConverged
 from rig.model import mechanisms
@@ -31,14 +31,14 @@ class Side:
     out: Booleans
 
 
-def uncorrected_machine(correction: Correction[Any, Any]) -> Correction[Any, Any]:
+def uncorrected_machine(correction: AnyCorrection) -> AnyCorrection:
     """The uncorrected machine: nominal, as a Correction that corrects nothing."""
     return replace(
         correction, fitted=correction.nominal, remainder=(None,) * len(correction.remainder), extension=None, posed=()
     )
 
 
-def reachable_side(machine: Correction[Any, Any], other: Correction[Any, Any], commands: Floats) -> Side:
+def reachable_side(machine: AnyCorrection, other: AnyCorrection, commands: Floats) -> Side:
     """Reachable poses (Side) of one machine at commands (m, axes), compared with another's.
     Raises NotConverged where none of them closes on a pose.
     """
@@ -47,7 +47,7 @@ def reachable_side(machine: Correction[Any, Any], other: Correction[Any, Any], c
     return Side(commands, T, needed, ~_reached(needed, T, other))
 
 
-def is_pose_lost(correction: Correction[Any, Any], configurations: Floats) -> Booleans:
+def is_pose_lost(correction: AnyCorrection, configurations: Floats) -> Booleans:
     """Whether the nominal pose at configurations (n, axes) is lost: out of the corrected machine's reach.
 
     True as well for those that close on no pose
@@ -62,7 +62,7 @@ def is_pose_lost(correction: Correction[Any, Any], configurations: Floats) -> Bo
     return out
 
 
-def _reached(needed: Floats, T: RigidTransform, machine: Correction[Any, Any]) -> Booleans:
+def _reached(needed: Floats, T: RigidTransform, machine: AnyCorrection) -> Booleans:
     """(n,) bool: whether commands (n, axes) are within the strokes and give the poses (n,), in the assembly in which
     the machine stands.
     """

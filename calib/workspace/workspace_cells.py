@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction.correction import Correction
+from calib.correction.correction import AnyCorrection
 from calib.correction.summand_extension import home_pose
 from calib.workspace.reachable_poses import Side, reachable_side, uncorrected_machine
 from rig.arrays import Booleans, Floats, Integers
 from rig.formats.checked_entries import Entries
+from rig.formats.json_tree import Json
 from rig.model import mechanisms
 from rig.model.mechanism_kinds import has_struts
 from rig.model.pose import pose_to_vector
@@ -79,7 +80,7 @@ class Workspace:
         return bool((self.index[:, 2] == self.index[0, 2]).all())
 
 
-def map_workspace(correction: Correction[Any, Any], covariance: Covariance, count: int | None = None) -> Workspace:
+def map_workspace(correction: AnyCorrection, covariance: Covariance, count: int | None = None) -> Workspace:
     """Map of a Correction's workspace in cells. covariance : of its poses, by poses (n,) and commands (n, axes)
     count : configurations drawn of either machine, DRAWN or FEWER by default
 
@@ -137,20 +138,20 @@ def _corner(positions: Floats) -> tuple[Floats, float]:
     return np.where(flat, low - size / 2, low), size
 
 
-def _room(correction: Correction[Any, Any], commands: Floats) -> Floats:
+def _room(correction: AnyCorrection, commands: Floats) -> Floats:
     """(n,) m or rad from commands (n, axes) to the nearest limit, negative beyond it; NaN of NaN."""
     low, high = mechanisms.kinematics_of(correction.nominal).travel(correction.nominal).T
     return np.asarray(np.minimum(commands - low, high - commands).min(axis=1))
 
 
-def _at_home(correction: Correction[Any, Any], positions: Floats) -> Floats:
+def _at_home(correction: AnyCorrection, positions: Floats) -> Floats:
     """(n,) room of poses at positions (n, 3) m that are turned like home."""
     home = mechanisms.kinematics_of(correction.nominal).home(correction.nominal)
     T = RigidTransform.from_components(positions, home_pose(correction.nominal).rotation)
     return _room(correction, correction.near(T, np.broadcast_to(home, (len(positions), len(home)))))
 
 
-def _singular(correction: Correction[Any, Any], real: Side) -> Floats:
+def _singular(correction: AnyCorrection, real: Side) -> Floats:
     """(n,) least over greatest singular value of the corrected machine's Jacobian, turns weighed so that they count
     like moves on the whole.
     """
@@ -163,7 +164,7 @@ def _singular(correction: Correction[Any, Any], real: Side) -> Floats:
     return np.asarray(values[:, -1] / values[:, 0])
 
 
-def axis_margin_description(correction: Correction[Any, Any]) -> str:
+def axis_margin_description(correction: AnyCorrection) -> str:
     """Description of the map's margin to the axis limits, in words."""
     if not has_struts(correction.nominal):
         return "the most that a pose drawn there leaves"
@@ -176,7 +177,7 @@ COLUMNS = ("x", "y", "z", "size", "believed", "lost", "reached", "gained", "room
 COUNTED = ("believed", "lost_in", "reached", "gained_in")
 
 
-def workspace_dict(workspace: Workspace) -> dict[str, Any]:
+def workspace_dict(workspace: Workspace) -> Json:
     """dict of a Workspace, as JSON holds it; what is not known is null."""
     tree = {part.name: getattr(workspace, part.name) for part in fields(workspace)}
     return {"schema": SCHEMA} | {

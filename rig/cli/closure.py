@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rig.cli.shared.command_options import (
     add_json_result_option,
@@ -14,6 +14,7 @@ from rig.cli.shared.command_options import (
     read_recording,
 )
 from rig.errors import RigError
+from rig.formats.json_tree import Json
 
 if TYPE_CHECKING:
     from rig.arrays import Floats, Integers
@@ -145,7 +146,7 @@ def _ratio(found: Closures) -> Floats:
     return np.sqrt((found.error**2).mean(axis=0) / np.einsum("nii->ni", found.covariance).mean(axis=0))
 
 
-def _result(of: Legs, found: Closures, frames: Integers, chosen: Integers) -> dict[str, Any]:
+def _result(of: Legs, found: Closures, frames: Integers, chosen: Integers) -> Json:
     """What --json prints."""
     legs = []
     for i, e, ratio in zip(found.checks, found.error.T, _ratio(found)):

@@ -3,10 +3,11 @@
 import argparse
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option
 from rig.errors import RigError
+from rig.formats.json_tree import Json
 
 if TYPE_CHECKING:
     from rig.formats.importers import Imported, Recipe
@@ -127,7 +128,7 @@ def _read(recipe: "Recipe") -> list[Path]:
     return [recipe.rig, *seen, *(table.file for table in tables if table is not None)]
 
 
-def _result(imported: "Imported", remarks: list[str], recipe: Path) -> dict[str, Any]:
+def _result(imported: "Imported", remarks: list[str], recipe: Path) -> Json:
     """What --json prints."""
     e, c, p, s = imported.exposed, imported.commanded, imported.posed, imported.logged
     return {

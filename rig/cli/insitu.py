@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rig.cli import online
 from rig.cli.shared.command_options import (
@@ -19,6 +19,7 @@ from rig.cli.shared.command_options import (
 )
 from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
+from rig.formats.json_tree import Json
 from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
@@ -186,7 +187,7 @@ def _print_checks(limbs: Limbs, channels: tuple[str, ...], error: Floats, sigma:
         print(f"{channels[i]:4}{e.mean():9.2f}{(e**2).mean() ** 0.5:9.2f}{(s**2).mean() ** 0.5:10.2f}")
 
 
-def _result(accepted: Accepted, channels: tuple[str, ...], error: Floats, sigma: Floats) -> dict[str, Any]:
+def _result(accepted: Accepted, channels: tuple[str, ...], error: Floats, sigma: Floats) -> Json:
     """What --json prints. error, sigma : (n, checks) m, of the limbs beyond six"""
     found, gone = accepted.agreement, accepted.withdrawn
     names = ("bias", "scatter", "expected", "limits", "surely", "tolerance", "moved", "passed")

@@ -6,10 +6,11 @@ import sys
 from argparse import ArgumentParser, Namespace
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rig.cli.shared.command_options import add_json_option, print_json
 from rig.errors import RigError
+from rig.formats.json_tree import Json
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
@@ -83,7 +84,7 @@ def _arm(text: str) -> tuple[Arm, ArmCorrection | None]:
     return correction.nominal, correction
 
 
-def _forward(frames: Integers, q: Floats, arm: Arm, correction: ArmCorrection | None, steps: bool) -> dict[str, Any]:
+def _forward(frames: Integers, q: Floats, arm: Arm, correction: ArmCorrection | None, steps: bool) -> Json:
     """What `--forward` tells, as JSON holds it."""
     from rig.model import mechanisms
     from rig.model.mechanisms import arm as mechanism
@@ -94,7 +95,7 @@ def _forward(frames: Integers, q: Floats, arm: Arm, correction: ArmCorrection | 
     beyond = mechanism.limits(q, arm)
     out = []
     for i, frame in enumerate(frames.tolist()):
-        entry: dict[str, Any] = {
+        entry: Json = {
             "frame": frame,
             "q": q[i].tolist(),
             "pose": pose_to_vector(T[i]).tolist(),
@@ -120,9 +121,7 @@ def _near_singular(q: Floats, arm: Arm) -> float:
     return float(values[sum(numerical_arm_inverse.reachable_direction_counts(arm)) - 1] / values[0])
 
 
-def _inverse(
-    frames: Integers, T: RigidTransform, arm: Arm, correction: ArmCorrection | None, steps: bool
-) -> dict[str, Any]:
+def _inverse(frames: Integers, T: RigidTransform, arm: Arm, correction: ArmCorrection | None, steps: bool) -> Json:
     """What `--inverse` tells, as JSON holds it."""
     from rig.model import mechanisms
     from rig.model.mechanisms import six_joint_inverse
@@ -148,7 +147,7 @@ def _inverse(
     }
 
 
-def _closed(T: RigidTransform, form: SixR, steps: bool) -> tuple[str, list[dict[str, Any]]]:
+def _closed(T: RigidTransform, form: SixR, steps: bool) -> tuple[str, list[Json]]:
     """(state of a pose in words, its branches), in closed form."""
     from rig.model.mechanisms import arm_kinematics_steps, six_joint_inverse
 
@@ -163,7 +162,7 @@ def _closed(T: RigidTransform, form: SixR, steps: bool) -> tuple[str, list[dict[
     ]
 
 
-def _numeric(T: RigidTransform, arm: Arm, steps: bool) -> tuple[str, list[dict[str, Any]]]:
+def _numeric(T: RigidTransform, arm: Arm, steps: bool) -> tuple[str, list[Json]]:
     """(state of a pose in words, the solutions that many starts lead to, named as found so); rest : what few joints
     leave of it.
     """
@@ -213,7 +212,7 @@ def _singular(flags: int) -> str:
     return ", ".join(name for bit, name in six_joint_inverse.SINGULAR.items() if flags & bit)
 
 
-def _steps(steps: list[Step]) -> list[dict[str, Any]]:
+def _steps(steps: list[Step]) -> list[Json]:
     return [
         {
             "joint": s.joint,
@@ -227,7 +226,7 @@ def _steps(steps: list[Step]) -> list[dict[str, Any]]:
     ]
 
 
-def _forward_text(tree: dict[str, Any]) -> list[str]:
+def _forward_text(tree: Json) -> list[str]:
     """Lines of `--forward`, lengths in mm and angles in degrees."""
     lines = []
     for entry in tree["frames"]:
@@ -246,7 +245,7 @@ def _forward_text(tree: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _inverse_text(tree: dict[str, Any]) -> list[str]:
+def _inverse_text(tree: Json) -> list[str]:
     """Lines of `--inverse`, lengths in mm and angles in degrees."""
     numeric = tree["form"].startswith("numeric")
     lines = [
@@ -271,7 +270,7 @@ def _inverse_text(tree: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _said(one: dict[str, Any]) -> list[str]:
+def _said(one: Json) -> list[str]:
     """What is to be said of a solution: what it leaves of the pose, singularities, limits."""
     rest = one.get("rest", [0.0] * 6)
     return (
@@ -287,7 +286,7 @@ def _said(one: dict[str, Any]) -> list[str]:
     )
 
 
-def _steps_text(steps: list[dict[str, Any]], units: list[str], first: str, done: tuple[str, str]) -> list[str]:
+def _steps_text(steps: list[Json], units: list[str], first: str, done: tuple[str, str]) -> list[str]:
     """Lines of steps, points in mm. done : what is said of a joint that turns, and of one that slides"""
     lines = []
     for s in steps:

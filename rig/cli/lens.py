@@ -2,11 +2,12 @@
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option, page_links
 from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
+from rig.formats.json_tree import Json
 
 if TYPE_CHECKING:
     from vision.lenses.board_photographs import Calibrated
@@ -87,7 +88,7 @@ def run(arguments: Namespace) -> None:
         print(f"written: {arguments.out}/camera.toml; look at {arguments.out}/lens.html", file=sys.stderr)
 
 
-def _result(found: "Calibrated") -> dict[str, Any]:
+def _result(found: "Calibrated") -> Json:
     """What --json prints."""
     camera = found.fit.camera
     models = [

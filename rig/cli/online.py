@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rig.cli.shared import calibration_and_effect_files, online_pose_learning, poses_from_readings, recording_checks
 from rig.cli.shared.command_options import (
@@ -22,6 +22,7 @@ from rig.cli.shared.command_options import (
 from rig.cli.shared.online_pose_learning import unlearnt_frame_numbers, unlearnt_samples
 from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
+from rig.formats.json_tree import Json
 
 if TYPE_CHECKING:
     from calib.certification.calibration import Calibration
@@ -150,7 +151,7 @@ def learn_recording(
     calibration: Calibration | None,
     progress: Progress,
     of_calibrations: OfCalibrations | None = None,
-) -> tuple[Online, OnlineResult, dict[str, Any]]:
+) -> tuple[Online, OnlineResult, Json]:
     """Learn a recording's new poses by the filter: (filter, result for the page, dict for --json); prints a summary.
 
     sampled : makes the Sampled of it; known : the filter to go on with, or None; calibration : where a new one starts
@@ -270,7 +271,7 @@ def _tell(learner: Online, updates: list[Update], frames: Integers, learnt: str)
     print(f"innovations are {innovation:.3f} of what was expected (1 where nothing is left out)")
 
 
-def _result(learner: Online, updates: list[Update], frames: Integers) -> dict[str, Any]:
+def _result(learner: Online, updates: list[Update], frames: Integers) -> Json:
     """What --json prints. frames : (n,) of the updates"""
     import numpy as np
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from rig.errors import FileError
 from rig.formats.input_files import read_text, short_repr
+from rig.formats.json_tree import Json
 from rig.formats.schema_version import require_schema
 
 LARGEST_INDEXED = 1 << 22  # characters of a text that is looked through; in a larger one nothing but the file is named
@@ -61,7 +62,7 @@ def first_repeated_key(text: str) -> tuple[str, Place] | None:
     return None
 
 
-def dict_without_repeated_keys(key_value_pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def dict_without_repeated_keys(key_value_pairs: list[tuple[str, Any]]) -> Json:
     """Dict of JSON key-value pairs (json's object_pairs_hook). Raises RepeatedKey for repeated keys.
     Raises RepeatedKey for a key that is there twice.
     """

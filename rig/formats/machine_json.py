@@ -3,7 +3,6 @@
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -39,7 +38,7 @@ def machine_dict(design: Design, effects: Iterable[Effect]) -> Json:
     )
 
 
-def _geometry(m: Mechanism) -> dict[str, Any]:
+def _geometry(m: Mechanism) -> Json:
     """Geometry by name; of a chain that of each stage."""
     if m.bodies:
         return {"stages": [_geometry(stage) for stage in m.stages]}

@@ -9,6 +9,7 @@ import yaml
 from rig.errors import FileError
 from rig.formats.checked_entries import Entries
 from rig.formats.input_files import read_text
+from rig.formats.json_tree import Json
 
 LARGEST = 1 << 22  # bytes
 MOST = 100_000  # values: an alias may stand for many
@@ -63,7 +64,7 @@ def _value(
     if isinstance(node, yaml.SequenceNode):
         return [_value(inner, (*at, i), places, file) for i, inner in enumerate(node.value)]
     if isinstance(node, yaml.MappingNode):
-        tree: dict[str, Any] = {}
+        tree: Json = {}
         for key, inner in node.value:
             if key.value in tree:
                 raise FileError(

@@ -8,7 +8,9 @@ beyond the claim, by the owner's own model doing better. All else is to be check
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+from rig.formats.json_tree import Json
 
 AGREES = 1.2  # times what noise and claim allow: up to that a held-out error agrees with them
 REFUTES = 1.5  # from there on it refutes them
@@ -45,7 +47,7 @@ class Verdict(NamedTuple):
         """The first line of what a command prints."""
         return f"{self.state}: {self.why}"
 
-    def tree(self) -> dict[str, Any]:
+    def tree(self) -> Json:
         """What JSON holds of it under "verdict"."""
         return {
             "state": str(self.state),

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
-from rig.arrays import Floats, Pixels
+from rig.arrays import Pixels
 from rig.checks import Mistake
 from rig.errors import FileError
 from rig.recording.corner_and_pose_tables import Corners
@@ -66,7 +66,7 @@ def dictionary_and_identity_mistakes(recording: Recording) -> list[Mistake]:
     ]
 
 
-Sight = tuple[int, str, Floats, Detection]
+Sight = tuple[int, str, Pixels, Detection]
 
 
 def _sights(recording: Recording, markers: MarkerMap, count: int) -> tuple[list[Sight], list[Mistake]]:

@@ -40,7 +40,7 @@ _FAMILIES = (
 )
 
 
-ReadImage = Callable[[int, str], Floats | None]  # see `suspects`
+ReadImage = Callable[[int, str], Pixels | None]  # see `suspects`
 
 
 @dataclass(frozen=True, slots=True)

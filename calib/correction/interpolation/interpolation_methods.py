@@ -15,6 +15,7 @@ from calib.correction.interpolation.regression_fields import AxisFunctions, Poly
 from rig.arrays import Floats
 from rig.errors import RigError
 from rig.formats.checked_entries import Entries
+from rig.formats.json_tree import Json
 
 SHAPES = {  # of the arrays: a axes, m outputs, the other letters any number, the same wherever they stand
     **dict.fromkeys(("linear", "simplex"), {"levels": "ragged", "values": "nm", "variances": "nm", "misfit": "m"}),
@@ -40,7 +41,7 @@ def fit_field(kind: str, samples: Known) -> Field:
     return METHODS[kind].fit(samples)
 
 
-def field_to_dict(field: Field) -> dict[str, Any]:
+def field_to_dict(field: Field) -> Json:
     """dict of a Field, as JSON holds it."""
     if isinstance(field, SummedPasses):
         return {"kind": field.kind, "fields": [field_to_dict(one) for one in field.fields]}

@@ -8,7 +8,6 @@ few quantities is shorter.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import scipy
@@ -49,7 +48,7 @@ class Search:
     library: Library
     data: Reduced
     floor: float = 1.0
-    _known: dict[tuple[Any, ...], tuple[list[Atom], Stack]] = field(default_factory=dict, init=False)
+    _known: dict[tuple[object, ...], tuple[list[Atom], Stack]] = field(default_factory=dict, init=False)
 
     def best(self) -> Formula | None:
         """The Formula of the shortest description; None where none is worth it."""
@@ -95,7 +94,7 @@ class Search:
         """(k,) costs of atoms with each of a group besides: those that look at the same and are of one kind cost the
         same.
         """
-        known: dict[tuple[Any, ...], float] = {}
+        known: dict[tuple[object, ...], float] = {}
         out = []
         for atom in group:
             key = (

@@ -117,7 +117,7 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None)
     """The Fit with terms admitted step by step; after each step, those that others have made needless go again. None
     where tolerances explain more than any name."""
     policy, count = problem.policy, len(problem.candidates)
-    taken: set[tuple[Any, ...]] = set()
+    taken: set[tuple[object, ...]] = set()
     refused: list[C] = []
     while len(problem.terms(fit)) < policy.most:
         model, size, admitted = problem.residual(fit), problem.size(fit), len(problem.terms(fit))
@@ -219,7 +219,7 @@ def _companions(
     fit: Fit,
     best: Score[C],
     promising: list[Score[C]],
-    taken: set[tuple[Any, ...]],
+    taken: set[tuple[object, ...]],
     size: int,
 ) -> Fit:
     """The Fit with what other places show nearly as strongly, each asked again with the ones before it admitted."""

@@ -1,7 +1,6 @@
 """Report of a diagnosis: its content as data, its summary, its verdict, and diagnosis.json written."""
 
 from dataclasses import dataclass, field, fields
-from typing import Any
 
 from calib.certification.calibration_evidence import ALONE, OfCalibrations
 from calib.diagnosis.engine.excluded_outliers import Crowd, LeftOut
@@ -29,6 +28,7 @@ from calib.diagnosis.report.report_sentences import (
     value_text,
 )
 from calib.samples.confounded_conditions import Confounds
+from rig.formats.json_tree import Json
 from rig.report.pages.html_elements import result_html
 
 
@@ -65,7 +65,7 @@ class Report:
     recordings: tuple[RecordingEntry, ...] = ()
     own_effects: tuple[EffectsFile, ...] = ()
     suggestions: tuple[SuggestionEntry, ...] = ()
-    more: dict[str, Any] = field(default_factory=dict)
+    more: Json = field(default_factory=dict)
     confounds: Confounds | None = None
     noise_from: str = STATED
     left_out: tuple[LeftOut, ...] = ()
@@ -93,7 +93,7 @@ class Report:
         """The findings that have none."""
         return [f for f in self.findings if f.effect == UNKNOWN]
 
-    def tree(self) -> dict[str, Any]:
+    def tree(self) -> Json:
         """The tree of diagnosis.json, without the verdict."""
         apart = ("more", "confounds", "calibrations", "asked", *(() if self.recordings else ("recordings",)))
         own = {f.name: json_tree(getattr(self, f.name)) for f in fields(self) if f.name not in apart}

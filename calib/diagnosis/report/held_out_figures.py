@@ -16,6 +16,7 @@ from calib.diagnosis.problems.measured_evidence import (
 )
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from rig.arrays import Floats
+from rig.formats.json_tree import Json
 from rig.model import mechanisms
 from rig.report.pages.html_elements import note, table
 
@@ -23,9 +24,9 @@ SCALES, UNITS = {"m": 1e6}, {"m": "µm"}  # in which misfits are shown
 SAME_ANGLE = 0.02  # rad; nearer angles than that share a joint's profile
 
 
-def held_out_entries(d: Diagnosis) -> dict[str, Any]:
+def held_out_entries(d: Diagnosis) -> Json:
     """{key of diagnosis.json: its tree}, of what the evidence holds out beside the search."""
-    out: dict[str, Any] = {}
+    out: Json = {}
     if isinstance(d.evidence, ScatterSize):
         out["scatter_beyond_stated_m"] = d.evidence.scatter_beyond_stated(d.selection)[0]
     if isinstance(d.evidence, NestedSelection):
@@ -48,7 +49,7 @@ def held_out_entries(d: Diagnosis) -> dict[str, Any]:
     return out
 
 
-def repeat_figures(d: Diagnosis) -> dict[str, Any] | None:
+def repeat_figures(d: Diagnosis) -> Json | None:
     """How well poses repeat; None where too few commands were given twice."""
     again = d.repeats
     if again is None:
@@ -62,7 +63,7 @@ def repeat_figures(d: Diagnosis) -> dict[str, Any] | None:
     }
 
 
-def held_out_region_gains(d: Diagnosis) -> list[dict[str, Any]]:
+def held_out_region_gains(d: Diagnosis) -> list[Json]:
     """For each axis, what each finding brings where whole regions of its travel are held out: misfit before and after,
     m, and standard errors.
     """
@@ -95,7 +96,7 @@ def residual_statistics(left: Floats) -> dict[str, float]:
     return out | ({"mean_rad": float(np.linalg.norm(left[:, 3:], axis=1).mean())} if left.shape[1] == 6 else {})
 
 
-def extrapolation_figures(held: HeldOutPoses) -> dict[str, Any]:
+def extrapolation_figures(held: HeldOutPoses) -> Json:
     """{after_at_fitted_angles, after_beyond}: figures of held-out poses all of whose joints stood within SAME_ANGLE of
     an angle that they were fitted at, and of the rest; None where there are none. No data tell a profile where its
     joint never stood."""

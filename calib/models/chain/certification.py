@@ -1,7 +1,6 @@
 """Certification of a chain's calibration: fit to all samples, errors from stretches held out in turn."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from calib.certification.workspace_claim import (
     claim_of_drawn_machines,
     claim_of_too_few_configurations,
 )
-from calib.correction.correction import Correction, commands_with_pose
+from calib.correction.correction import AnyCorrection, Correction, commands_with_pose
 from calib.models.arm.held_out_scatter import unexplained_scatter_sentences
 from calib.models.chain import error_model
 from calib.models.chain.identification import Identified, identify_chain
@@ -38,7 +37,7 @@ class Certified:
     held_out : HeldOut, whole stretches of configurations in turn, and left : HeldErrors of it, or None for too few of
         them"""
 
-    correction: Correction[Any, Any]
+    correction: AnyCorrection
     found: Identified
     label: Integers
     held_out: HeldOut | None
@@ -83,7 +82,7 @@ def certify_chain(
     )
 
 
-def _corrected(nominal: Chain, found: Identified) -> Correction[Any, Any]:
+def _corrected(nominal: Chain, found: Identified) -> AnyCorrection:
     parts: tuple[None, ...] = (None,) * len(nominal.axes)
     return Correction(nominal, found.chain, parts)
 

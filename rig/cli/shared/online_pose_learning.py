@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rig.cli.shared.command_options import print_frames_without_pose
 from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
+from rig.formats.json_tree import Json
 from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
@@ -107,7 +108,7 @@ def learn_poses(
     calibration: Calibration | None,
     state: Path | None,
     progress: Progress,
-) -> tuple[OnlineResult, dict[str, Any]]:
+) -> tuple[OnlineResult, Json]:
     """Learn poses one at a time by the chosen learner: (result, dict for --json); prints how well it predicted
 
     sampled : makes the Sampled of the recording; state : where it is saved, or None

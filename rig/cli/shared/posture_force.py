@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rig.cli.shared.command_options import parse_numbers, require_matplotlib
 from rig.errors import RigError
+from rig.formats.json_tree import Json
 
 if TYPE_CHECKING:
     from rig.arrays import Floats
@@ -65,7 +66,7 @@ def requested_exertion(
     return Exertion(wrench, Strength(limits, dynamics.links, gravity))
 
 
-def exertion_dict(q: Floats, arm: Arm, exertion: Exertion) -> dict[str, Any]:
+def exertion_dict(q: Floats, arm: Arm, exertion: Exertion) -> Json:
     """Dict of an exertion at posture q (n,) rad for JSON: torques, margins, greatest multiple, extreme directions."""
     import numpy as np
 
@@ -97,7 +98,7 @@ def exertion_dict(q: Floats, arm: Arm, exertion: Exertion) -> dict[str, Any]:
     return out
 
 
-def exertion_lines(figures: dict[str, Any], units: tuple[str, ...]) -> list[str]:
+def exertion_lines(figures: Json, units: tuple[str, ...]) -> list[str]:
     r"""Lines of text about an exertion, from `exertion_dict`. units : of each joint, \"Nm\", or \"N\" of a slide."""
     mixed = len(set(units)) > 1
     cells = ", ".join(

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.linalg import qr
 
 from rig.arrays import Floats
-from rig.effects.framework.diagnosis_interface import Context, Covariate, Linear, load_covariate
+from rig.effects.framework.diagnosis_interface import Context, Covariate, Linear, Node, load_covariate
 from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.machine_motion import Motion
 from rig.effects.framework.parameter import Drawing, Parameter, draw_parameter, log_uniform
@@ -128,7 +128,7 @@ class Compliance(Effect):
         return cls(place, moments=tuple((moments / stiffness).ravel().tolist()))
 
     @classmethod
-    def columns(cls, candidate: Candidate, node: dict[str, Any], motion: Motion) -> Floats:
+    def columns(cls, candidate: Candidate, node: Node, motion: Motion) -> Floats:
         if "_count" not in node:
             return super(Compliance, cls).columns(candidate, node, motion)
         i = motion.places.index(candidate.place)

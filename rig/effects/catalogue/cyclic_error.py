@@ -1,12 +1,12 @@
 """Cyclic error: periodic in the screw or gear, it repeats with every turn."""
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from rig.arrays import Floats
-from rig.effects.framework.diagnosis_interface import Context, Covariate
+from rig.effects.framework.diagnosis_interface import Context, Covariate, Node
 from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.machine_motion import Motion
 from rig.effects.framework.parameter import Parameter
@@ -61,7 +61,7 @@ class CyclicError(Effect):
         return Covariate(self.order * self.angle(motion) / (2 * np.pi) % 1, "turn of the drive times order")
 
     @classmethod
-    def columns(cls, candidate: Candidate, node: dict[str, Any], motion: Motion) -> Floats:
+    def columns(cls, candidate: Candidate, node: Node, motion: Motion) -> Floats:
         effect = cls(candidate.place, **node)
         angle = effect.order * effect.angle(motion) + effect.phase
         return effect.axes(motion.places)[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=-1)

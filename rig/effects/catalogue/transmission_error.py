@@ -1,13 +1,13 @@
 """Transmission error: a repeatable profile of an axis' own position, by screw lead, gear or encoder."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 import scipy
 
 from rig.arrays import Floats
-from rig.effects.framework.diagnosis_interface import COUNT, Context, Covariate, Linear, travel_covariate
+from rig.effects.framework.diagnosis_interface import COUNT, Context, Covariate, Linear, Node, travel_covariate
 from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.machine_motion import Motion
 from rig.effects.framework.parameter import Drawing, Parameter, derivative_step, log_uniform
@@ -88,7 +88,7 @@ class TransmissionError(Effect):
         )
 
     @classmethod
-    def _of(cls, place: str, node: dict[str, Any], p: Parameter) -> Candidate:
+    def _of(cls, place: str, node: Node, p: Parameter) -> Candidate:
         return Candidate(
             cls,
             place,
@@ -98,7 +98,7 @@ class TransmissionError(Effect):
         )
 
     @classmethod
-    def columns(cls, candidate: Candidate, node: dict[str, Any], motion: Motion) -> Floats:
+    def columns(cls, candidate: Candidate, node: Node, motion: Motion) -> Floats:
         i = motion.places.index(candidate.place)
         out = np.zeros((*motion.lengths.shape, node[COUNT]))
         out[:, i] = cubic_spline_values(

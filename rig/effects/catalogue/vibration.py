@@ -1,12 +1,12 @@
 """Vibration of the platform: a sinusoid in time, sampled at the exposures."""
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
 from rig.arrays import Floats
-from rig.effects.framework.diagnosis_interface import QUADRATURE, Context, Covariate, Linear
+from rig.effects.framework.diagnosis_interface import QUADRATURE, Context, Covariate, Linear, Node
 from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.machine_motion import Motion
 from rig.effects.framework.parameter import Drawing, Parameter
@@ -90,7 +90,7 @@ class Vibration(Effect):
         ]  # of twelve, a direction (6) and a phase are free
 
     @classmethod
-    def composed(cls, candidate: Candidate, node: dict[str, Any], coefficients: Floats) -> "Vibration":
+    def composed(cls, candidate: Candidate, node: Node, coefficients: Floats) -> "Vibration":
         """Of twelve coefficients (six directions of the sine, then of the cosine), the one direction and phase that
         make most of them up.
         """

@@ -79,6 +79,7 @@ def temperature_covariate(values: Floats, part: str) -> Covariate:
 
 
 QUADRATURE = "_quadrature"  # the cosine beside the sine of a sinusoid: stands for its phase
+Node = dict[str, Any]  # {parameter: value} of the nonlinear ones: a number each, or several
 COUNT = "_count"  # in a node: how many numbers a vector of any length has
 
 
@@ -93,7 +94,7 @@ class Linear(NamedTuple):
 
 
 def parameter_values(
-    linear: Sequence[Linear], node: dict[str, Any], coefficients: Floats, parameters: Sequence[Parameter]
+    linear: Sequence[Linear], node: Node, coefficients: Floats, parameters: Sequence[Parameter]
 ) -> dict[str, Any]:
     """{parameter: value} of an effect, from a grid node and coefficients (q,) of its linear columns."""
     values, by = dict(node), {p.name: p for p in parameters}

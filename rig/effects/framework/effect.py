@@ -14,7 +14,15 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 
 from rig.arrays import Floats
-from rig.effects.framework.diagnosis_interface import COUNT, QUADRATURE, Context, Covariate, Linear, parameter_values
+from rig.effects.framework.diagnosis_interface import (
+    COUNT,
+    QUADRATURE,
+    Context,
+    Covariate,
+    Linear,
+    Node,
+    parameter_values,
+)
 from rig.effects.framework.machine_motion import SOON, Motion, Path
 from rig.effects.framework.parameter import Drawing, Parameter, derivative_step, draw_parameter, parameter_grid
 from rig.effects.framework.place import AXES, Place, axis_mask
@@ -40,7 +48,7 @@ class Candidate:
 
     kind: "type[Effect]"
     place: str
-    grid: list[dict[str, Any]]
+    grid: list[Node]
     linear: list[Linear]
     label: str = ""
     extra: int = 0
@@ -52,11 +60,11 @@ class Candidate:
         """Plane "struts" for what moves the platform, "view" for what changes only what is seen."""
         return "view" if self.kind.stage in ("targets", "view") else "struts"
 
-    def effect(self, node: dict[str, Any], coefficients: Floats) -> "Effect":
+    def effect(self, node: Node, coefficients: Floats) -> "Effect":
         """The effect of a node with coefficients (q,) of its linear parameters."""
         return self.kind.composed(self, node, coefficients)
 
-    def deviation(self, node: dict[str, Any], motion: Motion) -> Floats:
+    def deviation(self, node: Node, motion: Motion) -> Floats:
         """(n, axes, q) m or rad per unit of each linear parameter that the axes deviate at a Motion; (n, axes, 1) whole
         where the size is part of the node. For effects that neither shift time nor change the path: see
         Effect.follow."""
@@ -275,12 +283,12 @@ class Effect:
         ]
 
     @classmethod
-    def composed(cls, candidate: Candidate, node: dict[str, Any], coefficients: Floats) -> "Effect":
+    def composed(cls, candidate: Candidate, node: Node, coefficients: Floats) -> "Effect":
         """The effect of a Candidate's node with coefficients (q,) of its linear parameters."""
         return cls(candidate.place, **parameter_values(candidate.linear, node, coefficients, cls.parameters))
 
     @classmethod
-    def columns(cls, candidate: Candidate, node: dict[str, Any], motion: Motion) -> Floats:
+    def columns(cls, candidate: Candidate, node: Node, motion: Motion) -> Floats:
         """(n, axes, q): see Candidate.deviation. The model is linear in these, so that a small step of each tells
         all.
         """

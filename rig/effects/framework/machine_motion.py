@@ -143,7 +143,7 @@ class Motion:
     sensors: Sensors | None
     home: Floats
     T: RigidTransform | None
-    kept: dict[tuple[Any, ...], Floats] = field(default_factory=dict, init=False, repr=False)
+    kept: dict[tuple[object, ...], Floats] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def kind(self) -> Kind[Any]:

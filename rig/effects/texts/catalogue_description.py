@@ -2,7 +2,6 @@
 
 import textwrap
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 import numpy as np
 
@@ -10,6 +9,7 @@ from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.parameter import Parameter
 from rig.effects.framework.place import AXES, axis_neutral_text
+from rig.formats.json_tree import Json
 from rig.formats.number_parsing_and_rounding import range_text
 
 HEADS = ("name", "stage", "sits at", "parameters, usual size", "exposed by", "what to do")
@@ -17,7 +17,7 @@ SHARES = (0.14, 0.08, 0.1, 0.21, 0.24, 0.23)  # of the width, by column
 NARROWEST = 100  # characters, below which columns are no longer read
 
 
-def effect_description_dict(effect: type[Effect]) -> dict[str, Any]:
+def effect_description_dict(effect: type[Effect]) -> Json:
     """Description of an effect class as a dict of plain values, for JSON: places, parameters, experiment."""
     return {
         "name": effect.name,
@@ -75,7 +75,7 @@ def effect_description(effect: type[Effect], width: int) -> str:
     )
 
 
-def _parameter(p: Parameter) -> dict[str, Any]:
+def _parameter(p: Parameter) -> Json:
     return {
         "name": p.name,
         "unit": p.unit,

@@ -19,6 +19,7 @@ from rig.formats.importers.import_recipe import FROM_BAG, TABLES, Bag, ForeignTa
 from rig.formats.importers.ros_image_messages import encode_image_message
 from rig.formats.importers.units_and_timestamps import ambiguity_error
 from rig.formats.input_files import short_repr
+from rig.formats.json_tree import Json
 from rig.formats.output_files import write_bytes
 from rig.model.design import Design
 from rig.model.mechanism_kinds import has_links
@@ -240,7 +241,7 @@ def _row(topic: Topic, message: Any, file: Path) -> None:
 def _recipe(recipe: Recipe, bag: Bag, topics: dict[str, Topic], design: Design) -> Recipe:
     """The Recipe with the bag's images and tables as files."""
     assert bag.folder is not None
-    changes: dict[str, Any] = {"bag": bag}
+    changes: Json = {"bag": bag}
     if bag.cameras:
         changes["images"] = replace(
             recipe.images or Images(()), folders=(bag.folder / "images",), names="{camera}/{time}", time_unit="ns"

@@ -16,12 +16,13 @@ Points are returned in the source's order all the same, and every joint is read 
 Source: patent CN111488654A, claims 1 to 5
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.arrays import Floats
+from rig.formats.json_tree import Json
 from rig.model.mechanism_geometry import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms.joint_angle_kernels import FREE
@@ -142,7 +143,7 @@ class _Way:
             name: point for name, point in self.extra.items() if i < {"E": 1, "D": 2}[name]
         }  # later joints leave it where it is
 
-    def seen(self) -> dict[str, Any]:
+    def seen(self) -> Json:
         """names and points of a Step, as they now are."""
         names = ("A", "B", "C", *sorted(self.extra))
         return {"names": names, "points": np.array([*self.abc, *(self.extra[name] for name in names[3:])])}

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
 
 import numpy as np
 
@@ -201,7 +200,7 @@ def _retimed(spec: EffectCandidate, node: Node, arms: Arms) -> Floats:
 
 def _kept(weights: Callable[[Node], Floats]) -> Callable[[Node], Floats]:
     """The function of a node, the last answers kept: histories are long, and asked for in every search."""
-    known: dict[tuple[Any, ...], Floats] = {}
+    known: dict[tuple[object, ...], Floats] = {}
 
     def answer(node: Node) -> Floats:
         key = tuple(sorted(node.items()))

@@ -43,7 +43,7 @@ def search_candidates(
     mounts: dict[str, FrameProducts] = {}
     held = set(sensitivities.pixels)
 
-    def ask(candidate: PlatformCandidate) -> tuple[PlatformScore, dict[tuple[Any, ...], tuple[Integers, Floats]]]:
+    def ask(candidate: PlatformCandidate) -> tuple[PlatformScore, dict[tuple[object, ...], tuple[Integers, Floats]]]:
         if candidate.reach in (Reach.SPECTRUM, Reach.AXES):
             if axes is None or motion is None:
                 raise ValueError(f"{candidate.name}: what moves struts is asked of a recording without commands")

@@ -1,7 +1,7 @@
 """Sensitivities of axes and corners to effects and their parameters: the columns of the linear model."""
 
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -22,7 +22,7 @@ class Sensitivities:
     """
 
     point: OperatingPoint
-    pixels: dict[tuple[Any, ...], tuple[Integers, Floats]] = field(default_factory=dict)
+    pixels: dict[tuple[object, ...], tuple[Integers, Floats]] = field(default_factory=dict)
 
     def at(self, point: OperatingPoint) -> "Sensitivities":
         """The same for another OperatingPoint of the same corners; what was kept stays."""
