@@ -3,7 +3,7 @@
 The promise is one statement of position and rotation. Each pose has a depth, the greater of its position error and
 its rotation error, each in a unit that was fixed before the held-out poses were measured; the limit of depth, times
 the units, bounds both. So the 59 configurations of one limit suffice, and nothing is divided between two. Each
-configuration counts once. The limit is that of the poses' own errors (calib.certify.noise_free_errors), to whose
+configuration counts once. The limit is that of the poses' own errors (calib.certification.noise_free_errors), to whose
 margin is added, in squares, what one draw of the errors that all poses of a recording share could hide, and what the
 scale of the targets is uncertain by. docs/mathematics.md (24) and (26)
 
