@@ -13,9 +13,11 @@ from calib.certification import platform_certification
 from calib.certification.calibration import Calibration
 from calib.certification.calibration_evidence import calibration_verdict
 from calib.certification.platform_certification import Progress, silent_progress
+from calib.certification.workspace_claim import Claim
 from calib.checks.recording_preparation import prepare_recordings
 from calib.correction.correction_tables import strut_summands, summand_columns, summand_rows
 from calib.correction.joint_camera_fit import refine_correction_with_cameras
+from calib.correction.physics_compensation import Physics
 from calib.diagnosis import arm_findings_refit, platform_findings_refit
 from calib.diagnosis.calibration_left_out_physics import mark_as_not_searched, search_left_out_physics
 from calib.diagnosis.platform_findings_refit import Findings, findings_of_diagnosis, load_findings
@@ -26,10 +28,12 @@ from calib.models.arm import certification as arm_certification
 from calib.models.arm.extended_correction_certification import stated_model_summands
 from calib.models.chain import calibration_page as chain_page
 from calib.models.chain import certification as chain_certification
+from calib.models.machine_models import Certified
 from calib.online.limb_pose_source import sample_by_limbs
 from calib.report import calibration_page as platform_page
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled, sample_recording
+from rig.arrays import Floats
 from rig.effects.texts.effect_notation import Kinds
 from rig.effects.texts.user_effect_files import catalogue_with_files
 from rig.errors import RigError
@@ -43,7 +47,7 @@ from rig.report.pages.page_and_svg_templates import Link
 from rig.report.verdict import Verdict
 from vision.checks.recording_refusal import Notice, ignore_notice
 
-AnyCertified = platform_certification.Certified | arm_certification.Certified | chain_certification.Certified
+Known = tuple[Physics, Floats] | None  # physics fitted with the geometry, and the covariance of both, m^2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +60,7 @@ class CalibrationResult:
     recording: Recording
     sampled: Sampled
     samples: Samples
-    done: AnyCertified
+    done: Certified
     extended: Extended | None = None
 
     @property
@@ -150,82 +154,76 @@ def _calibrated(
 ) -> CalibrationResult:
     """CalibrationResult of a recording's poses. findings : of a diagnosis that is named, or None"""
     rng = np.random.default_rng(SEED)
+    mechanism = recording.design.mechanism
     if options.extend is not None:
         return _extended(recording, sampled, options, options.extend, rng, progress)
-    if recording.design.mechanism.bodies:
-        done = chain_certification.certify_chain(
-            sampled.samples, require_chain(recording.design.mechanism), rng, progress
-        )
-        claim = chain_certification.chain_workspace_claim(sampled.samples, done, rng)
-        made = calibration_with_provenance(recording, sampled, done, claim, options.arguments)
-        return CalibrationResult(
-            _searched(made, recording, sampled, options, progress), recording, sampled, sampled.samples, done
-        )
-    if recording.design.mechanism.link_rows is not None:
-        return _arm(recording, sampled, findings, kinds, options, rng, progress)
-    return _platform(recording, sampled, findings, kinds, options, rng, progress)
+    if options.with_findings and findings is None:
+        asked = DiagnosisOptions(sampled=sampled, kinds=tuple(kinds.values()))
+        findings = findings_of_diagnosis(diagnose(recording, asked, progress))
+    known = None
+    if mechanism.bodies:
+        samples, done, claim = _fitted_chain(recording, sampled, rng, progress)
+    elif mechanism.link_rows is not None:
+        samples, done, claim, known = _fitted_arm(recording, sampled, findings, rng, progress)
+    else:
+        samples, done, claim, known = _fitted_platform(recording, sampled, findings, options.joint, rng, progress)
+    made = calibration_with_provenance(recording, sampled, done, claim, options.arguments, known)
+    if known is None:
+        made = _searched(made, recording, sampled, options, progress)
+    return CalibrationResult(made, recording, sampled, samples, done)
 
 
-def _platform(
+def _fitted_chain(
+    recording: Recording, sampled: Sampled, rng: np.random.Generator, progress: Progress
+) -> tuple[Samples, Certified, Claim]:
+    """(the Samples fitted, Certified, Claim) of a chain."""
+    chain = require_chain(recording.design.mechanism)
+    done = chain_certification.certify_chain(sampled.samples, chain, rng, progress)
+    return sampled.samples, done, chain_certification.chain_workspace_claim(sampled.samples, done, rng)
+
+
+def _fitted_platform(
     recording: Recording,
     sampled: Sampled,
     findings: Findings | None,
-    kinds: Kinds,
-    options: CalibrateOptions,
+    joint: bool,
     rng: np.random.Generator,
     progress: Progress,
-) -> CalibrationResult:
-    """CalibrationResult of a platform on struts."""
+) -> tuple[Samples, Certified, Claim, Known]:
+    """(the Samples fitted, Certified, Claim, Known) of a platform on struts. findings : that are fitted with the
+    geometry, or None; joint : whether cameras are adjusted with the struts
+    """
+    struts, samples = require_struts(recording.design.mechanism), sampled.samples
     refit = None
-    if options.with_findings:
-        if findings is None:
-            asked = DiagnosisOptions(sampled=sampled, kinds=tuple(kinds.values()))
-            findings = findings_of_diagnosis(diagnose(recording, asked, progress))
+    if findings is not None:
         refit = platform_findings_refit.refit_platform_with_findings(recording, sampled, findings, progress)
-    if options.joint:
-        require_hexapod(recording.design.mechanism)
-    samples = sampled.samples if refit is None else refit.samples
-    done = platform_certification.certify_platform(samples, require_struts(recording.design.mechanism), rng, progress)
-    if options.joint:
+        samples = refit.samples
+    if joint:
+        require_hexapod(struts)
+    done = platform_certification.certify_platform(samples, struts, rng, progress)
+    if joint:
         progress("solving cameras and geometry together", 0, 1)
         correction, found = refine_correction_with_cameras(sampled, recording.design, done.correction, done.found)
         done = platform_certification.with_refitted_correction(done, correction, found)
     if refit is not None:
         done = refit.drawn(done, rng)
     claim = platform_certification.platform_workspace_claim(samples, done, rng)
-    known = None if refit is None else refit.with_geometry(done)
-    made = calibration_with_provenance(recording, sampled, done, claim, options.arguments, known)
-    if refit is None:
-        made = _searched(made, recording, sampled, options, progress)
-    return CalibrationResult(made, recording, sampled, samples, done)
+    return samples, done, claim, None if refit is None else refit.with_geometry(done)
 
 
-def _arm(
-    recording: Recording,
-    sampled: Sampled,
-    findings: Findings | None,
-    kinds: Kinds,
-    options: CalibrateOptions,
-    rng: np.random.Generator,
-    progress: Progress,
-) -> CalibrationResult:
-    """CalibrationResult of an arm."""
-    refit = None
-    if options.with_findings:
-        if findings is None:
-            asked = DiagnosisOptions(sampled=sampled, kinds=tuple(kinds.values()))
-            findings = findings_of_diagnosis(diagnose(recording, asked, progress))
+def _fitted_arm(
+    recording: Recording, sampled: Sampled, findings: Findings | None, rng: np.random.Generator, progress: Progress
+) -> tuple[Samples, Certified, Claim, Known]:
+    """(the Samples fitted, Certified, Claim, Known) of an arm. findings : that are fitted with the geometry, or None"""
+    refit = together = None
+    if findings is not None:
         refit = arm_findings_refit.refit_arm_with_findings(recording, sampled, findings, progress)
-    together = None if refit is None else refit.together
+        together = refit.together
     samples = sampled.samples if together is None else together.samples
     arm = require_arm(recording.design.mechanism)
     done = arm_certification.certify_arm(sampled.samples, arm, sampled.instrument, rng, progress, together)
     claim = arm_certification.arm_workspace_claim(samples, done, rng)
-    known = None if refit is None else refit.with_geometry(done)
-    made = calibration_with_provenance(recording, sampled, done, claim, options.arguments, known)
-    if refit is None:
-        made = _searched(made, recording, sampled, options, progress)
-    return CalibrationResult(made, recording, sampled, samples, done)
+    return samples, done, claim, None if refit is None else refit.with_geometry(done)
 
 
 def _extended(

@@ -25,7 +25,8 @@ text{font:13px system-ui,sans-serif;fill:var(--ink);text-anchor:middle}
 rect{fill:var(--card);stroke:var(--rule)}.ground{fill:var(--ground);stroke:none}
 path{fill:none;stroke:var(--rule);stroke-width:1.3}.against{stroke:var(--against);stroke-dasharray:5 4}
 .against.count{stroke-dasharray:none}
-.count.against{fill:var(--against);stroke:var(--ground)}.head{fill:var(--rule);stroke:none}.head.against{fill:var(--against)}"""
+.count.against{fill:var(--against);stroke:var(--ground)}
+.head{fill:var(--rule);stroke:none}.head.against{fill:var(--against)}"""
 
 Place = tuple[float, float]  # px, the middle of a box
 Node = tuple[str, ...]  # a folder, or (importing, imported, layer) where an arrow passes a layer
