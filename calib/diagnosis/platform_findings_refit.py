@@ -23,7 +23,6 @@ from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled, samples_within_freedoms
 from rig.arrays import Floats
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.catalogue.marker_swap import MarkerSwap
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of_effects
 from rig.effects.framework.place import Place
@@ -180,12 +179,8 @@ def refit_platform_with_findings(
     said = progress or silent_progress
     said("refining physics and geometry together", 0, 1)
     point, _, _ = operating_point_of_recording(recording, progress, sampled=sampled)
-    point = without_distant_corners(
-        correct_marker_swaps(point, [e for e in findings.effects if isinstance(e, MarkerSwap)])
-    )
-    refined = refine(
-        point.with_effects(e for e in findings.effects if not isinstance(e, MarkerSwap)), Sensitivities(point)
-    )
+    point = without_distant_corners(correct_marker_swaps(point, [e for e in findings.effects if e.discrete]))
+    refined = refine(point.with_effects(e for e in findings.effects if not e.discrete), Sensitivities(point))
     effects, own = _combined(refined, findings)
     said("refining physics and geometry together", 1, 1)
     k, samples = refined.point.with_effects(_motion(effects)), sampled.samples
@@ -213,13 +208,13 @@ def _combined(refined: Refined, findings: Findings) -> tuple[tuple[Effect, ...],
     effects, own = [*refined.point.effects], refined.covariance
     coordinates: list[Coordinate] = refined.coordinates
     if findings.sigma is not None and refined.column is not None:
-        kept = [e for e in findings.effects if not isinstance(e, MarkerSwap)]
+        kept = [e for e in findings.effects if not e.discrete]
         before = np.array([c.read(kept[c.effect]) for c in coordinates])
         weight = np.diag(1 / np.maximum(findings.sigma, 1e-300) ** 2)
         own = cast(Floats, np.linalg.inv(refined.model.linear.project(refined.column).gram + weight))
         for c, value in zip(coordinates, refined.values + own @ (weight @ (before - refined.values))):
             effects[c.effect] = c.written(effects[c.effect], value)
-    return (*(e for e in findings.effects if isinstance(e, MarkerSwap)), *effects), own
+    return (*(e for e in findings.effects if e.discrete), *effects), own
 
 
 def _motion(effects: tuple[Effect, ...]) -> tuple[Effect, ...]:

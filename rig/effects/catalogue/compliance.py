@@ -4,24 +4,21 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from scipy.linalg import qr
 
 from rig.arrays import Floats
 from rig.effects.framework.diagnosis_interface import Context, Covariate, Linear, Node, load_covariate
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.machine_motion import Motion, independent_load_columns
 from rig.effects.framework.parameter import Drawing, Parameter, draw_parameter, log_uniform
 from rig.effects.framework.place import Place
 from rig.errors import RigError
 
-FAINT = 5e-3  # m/s^2 m; a link's weight that turns a joint by less bends nothing
 HEAVIEST, LIGHTER, OFF_CENTRE = (
     (4.0, 15.0),
     0.7,
     0.1,
 )  # kg of a first link, each next one's share of it, m: of links that are drawn
 GIVES = 1e-3  # rad RMS; real joints give a tenth of it under an arm's own weight
-RANK = 2e-2  # of the greatest column; what a column has beyond the earlier ones must be more
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +108,7 @@ class Compliance(Effect):
         if not motion.no_loads():
             return [Candidate(cls, place, [{}], cls.linear(place)[:1])]
         table = motion.links()[:, motion.places.index(place)]
-        kept = independent_columns(table)
+        kept = independent_load_columns(table)
         if not len(kept):
             return []
         node = {"_count": table.shape[1]}
@@ -141,11 +138,3 @@ def places_with_link_loads(context: Context) -> tuple[str, ...]:
     """Places of the axes whose load is known only through the masses of the machine's own links."""
     motion = context.moved()
     return motion.places if motion is not None and motion.no_loads() and motion.links().shape[2] else ()
-
-
-def independent_columns(table: Floats) -> Floats:
-    """Indices of linearly independent columns of a joint's load table (n, c) that vary with the posture."""
-    if not table.shape[1]:
-        return np.zeros(0, int)
-    _, r, order = qr((table - table.mean(axis=0)) / np.sqrt(len(table)), mode="economic", pivoting=True)
-    return np.sort(order[: int((np.abs(np.diag(r)) > max(FAINT, RANK * np.abs(r[0, 0]))).sum())])

@@ -8,6 +8,7 @@ import numpy as np
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.parameter import Parameter
 from rig.effects.framework.place import Place
+from rig.model.manufacturing_tolerances import SEAT
 from rig.model.pose import displace_selected_poses, exp
 
 
@@ -24,6 +25,7 @@ class CubeMisplacement(Effect):
     experiment: ClassVar = "see that cube together with others of its body"
     action: ClassVar = "Seat that cube anew, or measure it and state its true pose."
     view: ClassVar = "targets"
+    tolerance: ClassVar = SEAT
 
     def attach(self, markers: Any) -> Any:
         rows = np.array([self.at(Place("target", name)) for name in markers.target])

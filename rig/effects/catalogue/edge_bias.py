@@ -9,6 +9,7 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.parameter import Parameter
 from rig.effects.framework.place import Place
 from rig.model.design import Camera
+from rig.model.manufacturing_tolerances import FINDER
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +27,7 @@ class EdgeBias(Effect):
         "Lower the exposure and focus anew; the detector's threshold or the printer's ink moves every edge."
     )
     view: ClassVar = "outward"
+    tolerance: ClassVar = FINDER
 
     def print_(self, camera: Camera, quads: Floats) -> Floats:
         if self.bias == 0 or not self.at(Place("camera", camera.name)):

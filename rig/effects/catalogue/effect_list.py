@@ -31,6 +31,7 @@ from rig.effects.catalogue.transmission_error import TransmissionError
 from rig.effects.catalogue.vibration import Vibration
 from rig.effects.catalogue.warm_up import WarmUp
 from rig.effects.framework.effect import Effect
+from rig.model.manufacturing_tolerances import Tolerance
 
 ALL: tuple[type[Effect], ...] = (
     ScaleError,
@@ -65,3 +66,8 @@ ALL: tuple[type[Effect], ...] = (
     SettlingError,
 )
 BY_NAME: dict[str, type[Effect]] = {effect.name: effect for effect in ALL}
+
+
+def effect_of_tolerance(tolerance: Tolerance | tuple[float, float]) -> type[Effect]:
+    """The effect of the catalogue that what lies beyond a manufacturing tolerance is."""
+    return next(kind for kind in ALL if kind.tolerance == tolerance)

@@ -8,6 +8,7 @@ import numpy as np
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.parameter import Parameter
 from rig.effects.framework.place import Place
+from rig.model.manufacturing_tolerances import PLACES
 from rig.model.pose import displace_selected_poses, exp
 
 
@@ -28,6 +29,7 @@ class FaceMisplacement(Effect):
     experiment: ClassVar = "see that face from several cameras and poses"
     action: ClassVar = "Glue that face anew or leave its marker out of rig.toml."
     view: ClassVar = "markers"
+    tolerance: ClassVar = PLACES
 
     def attach(self, markers: Any) -> Any:
         rows = np.array([self.at(Place("marker", str(number))) for number in markers.id])

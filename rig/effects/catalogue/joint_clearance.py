@@ -6,10 +6,10 @@ from typing import ClassVar
 import numpy as np
 
 from rig.arrays import Floats
-from rig.effects.catalogue.compliance import independent_columns, places_with_link_loads
+from rig.effects.catalogue.compliance import places_with_link_loads
 from rig.effects.framework.diagnosis_interface import Context, Covariate, load_covariate
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.machine_motion import Motion, independent_load_columns
 from rig.effects.framework.parameter import Parameter
 from rig.errors import RigError
 
@@ -72,6 +72,6 @@ class JointClearance(Effect):
             return [Candidate(cls, place, [{}], cls.linear(place))]
         table = motion.links()[:, motion.places.index(place)]
         turning = [
-            i for i in independent_columns(table) if min((table[:, i] > 0).sum(), (table[:, i] < 0).sum()) >= SIDES
+            i for i in independent_load_columns(table) if min((table[:, i] > 0).sum(), (table[:, i] < 0).sum()) >= SIDES
         ]
         return [Candidate(cls, place, [{"moment": float(i)} for i in turning], cls.linear(place))] if turning else []

@@ -9,6 +9,7 @@ import numpy as np
 from rig.arrays import Floats
 from rig.effects.framework.diagnosis_interface import COUNT, Context, Linear
 from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.image_warp import chebyshev_products, warp_columns
 from rig.effects.framework.parameter import Drawing, Parameter, log_uniform
 from rig.effects.framework.place import Place
 from rig.model.design import Camera
@@ -41,6 +42,7 @@ class LensDistortion(Effect):
     experiment: ClassVar = "cover the whole image with corners: a lens is fixed in the frame, whatever the pose"
     action: ClassVar = "Calibrate that lens with more terms; what is fitted here already corrects this recording."
     view: ClassVar = "map"
+    warps: ClassVar = True
 
     def problem(self) -> str | None:
         sizes = [0, *(warp_number_count(degree) for degree in range(2, 31))]
@@ -67,11 +69,7 @@ class LensDistortion(Effect):
     def bending(cls, camera: Camera, quads: Floats, columns: Sequence[Linear]) -> Floats | None:
         if any(column.name != "warp" for column in columns):
             return None
-        basis = chebyshev_products(camera, quads, _degree(len(columns)))
-        out = np.zeros((*quads.shape, len(columns)))
-        out[..., 0, : basis.shape[-1]] = basis
-        out[..., 1, basis.shape[-1] :] = basis
-        return out
+        return warp_columns(camera, quads, _degree(len(columns)))
 
     def fitted(self, parameter: Parameter) -> tuple[int, ...]:
         if parameter.name == "terms" and self.warp:
@@ -106,15 +104,6 @@ class LensDistortion(Effect):
             )
             for d in WARPS
         ]
-
-
-def chebyshev_products(camera: Camera, uv: Floats, degree: int) -> Floats:
-    """Chebyshev products (..., m) of image positions uv (..., 2) px, from the second degree up to a degree."""
-    x = np.clip((np.asarray(uv) - [camera.width / 2, camera.height / 2]) / (camera.width / 2), -1, 1)
-    T = [np.polynomial.chebyshev.chebvander(x[..., c], degree) for c in range(2)]
-    return np.stack(
-        [T[0][..., i] * T[1][..., j] for i in range(degree + 1) for j in range(degree + 1 - i) if i + j > 1], axis=-1
-    )
 
 
 def _degree(numbers: int) -> int:

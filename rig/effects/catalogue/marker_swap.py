@@ -1,7 +1,8 @@
 """Marker swap: two faces' markers are exchanged, or one is glued on turned."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -37,6 +38,20 @@ class MarkerSwap(Effect):
         if rng.random() < 0.5:
             return cls(place, other=float(rng.choice([i for i in target.ids if i != number])))
         return cls(place, turn=float(rng.integers(1, 4)))
+
+    @classmethod
+    def exchanges(cls, marker: Place, others: Sequence[Place]) -> list[Self]:
+        turned = [cls(str(marker), turn=float(turn)) for turn in (1, 2, 3)]
+        return turned + [
+            cls(str(a), float(b.number), float(turn))
+            for other in others
+            for a, b in ((marker, other), (other, marker))
+            for turn in range(4)
+        ]
+
+    def sites_touched(self) -> tuple[Place, ...]:
+        other = (Place("marker", str(int(self.other))),) if self.other >= 0 else ()
+        return (self.site, *other)
 
     def problem(self) -> str | None:
         return (

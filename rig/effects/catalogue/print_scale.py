@@ -5,6 +5,7 @@ from typing import Any, ClassVar
 
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.parameter import Parameter
+from rig.model.manufacturing_tolerances import SIDES
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +23,7 @@ class PrintScale(Effect):
     )
     action: ClassVar = "Measure a printed sheet with a caliper and state the true side of the markers."
     view: ClassVar = "outward"
+    tolerance: ClassVar = SIDES
 
     def attach(self, markers: Any) -> Any:
         return replace(markers, side=markers.side * (1 + self.scale))

@@ -11,8 +11,6 @@ from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.machine_motion import Motion
 from rig.effects.framework.parameter import Drawing, Parameter
 
-ROUNDS = 30  # of one factor after the other; each brings them nearer
-
 
 @dataclass(frozen=True, slots=True)
 class Vibration(Effect):
@@ -103,22 +101,3 @@ class Vibration(Effect):
             phase=float(np.arctan2(u[1, 0], u[0, 0])),
             **node,
         ).written()
-
-
-def rank_one_least_squares(b: Floats, G: Floats) -> tuple[float, Floats]:
-    """(drop, coefficients (12,)) of rank-one least squares with normal equations G (12, 12) x = b (12,)."""
-    scale = np.sqrt(np.maximum(np.diag(G), 1e-300))
-    whole = np.linalg.pinv(G / scale[:, None] / scale, rcond=1e-9, hermitian=True) @ (b / scale) / scale
-    weight = np.maximum(scale.reshape(2, 6).max(axis=0), 1e-300)
-    phase = np.linalg.svd(whole.reshape(2, 6) * weight, full_matrices=False)[0][:, 0]
-    tensor, right = G.reshape(2, 6, 2, 6), b.reshape(2, 6)
-    for _ in range(ROUNDS):
-        H = np.einsum("p,piqj,q->ij", phase, tensor, phase)
-        direction = np.linalg.lstsq(H / weight[:, None] / weight, phase @ right / weight, rcond=1e-9)[0] / weight
-        new = np.linalg.lstsq(np.einsum("i,piqj,j->pq", direction, tensor, direction), right @ direction, rcond=None)[0]
-        new, direction = new / np.linalg.norm(new), direction * np.linalg.norm(new)
-        if np.abs(new - phase).max() < 1e-9:
-            break
-        phase = new
-    x = np.outer(new, direction).ravel()
-    return float(2 * b @ x - x @ G @ x), x

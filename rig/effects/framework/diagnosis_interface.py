@@ -9,6 +9,7 @@ import numpy as np
 from rig.arrays import Floats
 from rig.effects.framework.machine_motion import Motion
 from rig.effects.framework.parameter import Parameter
+from rig.effects.framework.place import Place
 from rig.errors import RigError
 from rig.model.design import Design
 from rig.recording.recording_folder import Sensors
@@ -36,6 +37,15 @@ class Context:
         if self.motion is None:
             raise RigError("nothing was commanded")
         return self.motion
+
+    def places_of_kind(self, kind: str) -> tuple[str, ...]:
+        """The places of a kind of place that an effect can sit at."""
+        if kind == "axis":
+            return self.moved().places
+        if kind == "cameras" and len(self.design.cameras) < 2:
+            return ()
+        several = {"camera": self.cameras, "marker": self.markers, "target": self.targets}
+        return tuple(str(Place(kind, str(name))) for name in several[kind]) if kind in several else (kind,)
 
     def logged(self, *names: str) -> bool:
         """Whether any of these sensor channels was logged."""

@@ -28,6 +28,7 @@ from rig.effects.framework.parameter import Drawing, Parameter, derivative_step,
 from rig.effects.framework.place import AXES, Place, axis_mask
 from rig.errors import RigError
 from rig.model.design import Camera
+from rig.model.manufacturing_tolerances import Tolerance
 
 REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stated
 MOTION_STAGES = ("command", "struts", "structure")
@@ -88,6 +89,8 @@ class Effect:
         be the first
     lasting : the machine does it again the next time, as found, so that commands can undo it; what happened at one
     moment, or swings with a phase of its own, it does not
+    tolerance : manufacturing tolerance within which as much is nobody's fault
+    warps : takes in every smooth displacement fixed in a camera's image
     view : how residuals in the image show it: "displacement", "map", "time", "scale", "outward", "markers" or "targets"
     """
 
@@ -108,6 +111,8 @@ class Effect:
     own_axis: ClassVar[int] = 0
     once: ClassVar[bool] = False
     lasting: ClassVar[bool] = True
+    tolerance: ClassVar[Tolerance | tuple[float, float] | None] = None
+    warps: ClassVar[bool] = False
     view: ClassVar[str] = "displacement"
 
     if TYPE_CHECKING:  # every effect is a dataclass of its place and parameters
@@ -229,7 +234,7 @@ class Effect:
             raise RigError("there are no corners")
         if cls.moving and np.abs(context.moved().path.speed).max(initial=0.0) < AT_REST:
             raise RigError("every exposure was taken at rest")
-        found = tuple(place for kind in cls.places for place in cls._of_kind(kind, context))
+        found = cls._places(context)
         lacking = cls.lacking(context) if commanded else {}
         if found and len(lacking) == len(found):
             raise RigError(f"{cls.name} {lacking[found[0]]}")
@@ -240,19 +245,13 @@ class Effect:
         """{place: why not} of the axes, or the rig, at which it cannot be asked for, for what the recording lacks
         there: a slide without a lead.
         """
-        places = (place for kind in cls.places for place in cls._of_kind(kind, context))
-        return {place: reason for place in places if (reason := cls(place).needs(context.moved()))}
+        return {place: reason for place in cls._places(context) if (reason := cls(place).needs(context.moved()))}
 
     @classmethod
-    def _of_kind(cls, kind: str, context: Context) -> tuple[str, ...]:
-        if kind == "axis":
-            return context.moved().places
-        if kind == "rig" and "axis" in cls.places and context.moved().kind.AXIS != "strut":
-            return ()  # joints differ: that all of them do the same is nobody's physics
-        if kind == "cameras":
-            return ("cameras",) if len(context.design.cameras) > 1 else ()
-        several = {"camera": context.cameras, "marker": context.markers, "target": context.targets}
-        return tuple(str(Place(kind, str(name))) for name in several[kind]) if kind in several else (kind,)
+    def _places(cls, context: Context) -> tuple[str, ...]:
+        joints = "rig" in cls.places and "axis" in cls.places and context.moved().kind.AXIS != "strut"
+        kinds = [kind for kind in cls.places if kind != "rig" or not joints]  # joints differ: all alike is no physics
+        return tuple(place for kind in kinds for place in context.places_of_kind(kind))
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
@@ -300,6 +299,26 @@ class Effect:
             unit[j] = column.step
             out.append(candidate.effect(node, unit).deviation(motion) / column.step)
         return np.stack(out, axis=-1)
+
+    @classmethod
+    def of_numbers(cls, place: str, numbers: Sequence[float] | Floats) -> Self:
+        """The effect at a place with numbers (n,) of its parameters, all of a fixed size, one after the other."""
+        ends = np.cumsum([p.size for p in cls.parameters])[:-1]
+        parts = zip(cls.parameters, np.split(np.asarray(numbers, float), ends))
+        return cls(place, **{p.name: tuple(part.tolist()) if p.size > 1 else float(part[0]) for p, part in parts})
+
+    def numbers(self) -> Floats:
+        """(n,) numbers of its parameters, one after the other."""
+        return np.concatenate([np.atleast_1d(getattr(self, p.name)) for p in self.parameters])
+
+    @classmethod
+    def exchanges(cls, marker: Place, others: Sequence[Place]) -> list[Self]:
+        """What may have happened to a marker, alone or with one of others, to be tried; for a discrete effect."""
+        return []
+
+    def sites_touched(self) -> tuple[Place, ...]:
+        """The Places at which it changes something: its own, and the other of an exchange."""
+        return (self.site,)
 
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import qr
 from scipy.spatial.transform import RigidTransform
 
 from rig.arrays import Floats, Integers
@@ -17,6 +18,8 @@ from rig.recording.recording_folder import PAYLOAD, Sensors
 
 SOON = 1e-6  # s; knots that lie closer together are one
 STEADY = 1e-6  # of the greatest speed, by which two speeds are the same
+FAINT = 5e-3  # m/s^2 m; a link's weight that turns a joint by less bends nothing
+RANK = 2e-2  # of the greatest column; what a column has beyond the earlier ones must be more
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -273,3 +276,11 @@ def _moment(arm: Floats | None, force: Floats) -> Floats:
     if arm is None:
         raise ValueError("where a weight acts is not stated")
     return np.cross(arm, force)
+
+
+def independent_load_columns(table: Floats) -> Floats:
+    """Indices of linearly independent columns of a joint's load table (n, c) that vary with the posture."""
+    if not table.shape[1]:
+        return np.zeros(0, int)
+    _, r, order = qr((table - table.mean(axis=0)) / np.sqrt(len(table)), mode="economic", pivoting=True)
+    return np.sort(order[: int((np.abs(np.diag(r)) > max(FAINT, RANK * np.abs(r[0, 0]))).sum())])

@@ -22,6 +22,7 @@ from calib.diagnosis.problems.platform.simultaneous_refinement import refine
 from calib.diagnosis.problems.requested_effects import RequestedEffects
 from calib.diagnosis.report.report_entries import diagnosis_report
 from calib.samples.recording_samples import sample_recording
+from rig.effects.catalogue.effect_list import ALL
 from rig.effects.texts.effect_notation import parse_effect
 from rig.planning import plan
 from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
@@ -111,7 +112,7 @@ def test_what_is_hidden_is_found(tmp_path, design, text, name, parameter, value)
 def test_faces_exchanged_are_named(tmp_path, design):
     rec = recorded(tmp_path, design, ["marker_swap:8:other=6,turn=1"])
     point, _, _ = operating_point_of_recording(rec)
-    found = exchanged_or_turned_faces.find_marker_swaps(point)
+    found = exchanged_or_turned_faces.find_marker_swaps(point, [k for k in ALL if k.discrete])
     assert len(found) == 1 and {found[0].place, f"marker {int(found[0].other)}"} == {"marker 8", "marker 6"}
     left = exchanged_or_turned_faces.correct_marker_swaps(point, found)
     assert np.abs(left.seen.observations.uv - left.pixels()).max() < 3

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.diagnosis.problems.platform.vibration_frequency import rank_one_least_squares
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.catalogue.vibration import rank_one_least_squares
 from rig.effects.framework.effect import MOTION_STAGES, Context
 from rig.effects.framework.effect_validity import check_effect
 from rig.effects.framework.machine_motion import Path

@@ -89,7 +89,7 @@ def written(folder, old="", new=""):
     return folder / "mine.py"
 
 
-@pytest.mark.parametrize("name", ["bend", "times", "late", "at", "axes", "values", "form", "_of_kind"])
+@pytest.mark.parametrize("name", ["bend", "times", "late", "at", "axes", "values", "form", "_places"])
 def test_a_parameter_is_not_called_as_a_hook_or_attribute_of_every_effect(tmp_path, name):
     path = tmp_path / "mine.py"
     path.write_text(

@@ -7,7 +7,7 @@ from calib.diagnosis.problems.arm.candidate_search import joint_products
 from calib.diagnosis.problems.arm.linearised_poses import Arms
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
 from rig.arrays import Floats
-from rig.effects.catalogue.compliance import independent_columns
+from rig.effects.framework.machine_motion import independent_load_columns
 
 KNOTS = 8  # of a smooth function of time
 PRIOR = 1e-3  # rad; size of a coefficient
@@ -42,7 +42,7 @@ def _bases(arms: Arms, j: int) -> list[tuple[str, Floats]]:
         ("history", moves[:, None]),
     ]
     links = arms.context.moved().links()[:, j]
-    turning = links[:, independent_columns(links)]
+    turning = links[:, independent_load_columns(links)]
     if turning.shape[1]:
         out.append(("torque", np.sign(turning)))
     return out + [(name, ((v - v.mean()) / v.std())[:, None]) for name, v in arms.channels.items() if np.ptp(v) > 0]

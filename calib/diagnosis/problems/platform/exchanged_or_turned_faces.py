@@ -1,12 +1,13 @@
 """Faces exchanged or glued on turned: told from corners that lie whole marker sides away from where they should be."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
-from rig.arrays import Floats
-from rig.effects.catalogue.marker_swap import MarkerSwap
+from rig.arrays import Floats, Integers
+from rig.effects.framework.effect import Effect
 from rig.effects.framework.place import Place
 from vision.predict import predict_sightings
 
@@ -15,41 +16,38 @@ BROUGHT_BACK = 0.2  # of that distance to which an exchange must bring it
 SHARE = 0.7  # of a marker's sightings that must be misplaced
 
 
-def find_marker_swaps(point: OperatingPoint) -> list[MarkerSwap]:
-    """[MarkerSwap] found from corners that lie whole marker sides from where they should be."""
+def find_marker_swaps(point: OperatingPoint, kinds: Sequence[type[Effect]]) -> list[Effect]:
+    """Effects of discrete kinds found from corners that lie whole marker sides from where they should be."""
     seen = point.seen
-    if seen is None:
+    if seen is None or not kinds:
         return []
     off = _distance(point, ())
     ids, rows = seen.markers.id, seen.sightings.marker
     misplaced = [m for m in np.unique(rows) if np.mean(off[rows == m] > FAR) > SHARE]
     unseen = np.setdiff1d(np.arange(len(ids)), rows)  # a face that no camera sees may have been exchanged as well
-    out, done = [], set()
+    out: list[Effect] = []
+    done: set[int] = set()
     for m in misplaced:
         if m in done:
             continue
-        trials = [MarkerSwap(str(Place("marker", str(ids[m]))), -1.0, float(turn)) for turn in (1, 2, 3)]
-        trials += [
-            MarkerSwap(str(Place("marker", str(ids[a]))), float(ids[b]), float(turn))
-            for n in (*misplaced, *unseen)
-            if n != m
-            for a, b in ((m, n), (n, m))
-            for turn in range(4)
-        ]
+        others = [Place("marker", str(ids[n])) for n in (*misplaced, *unseen) if n != m]
+        trials = [t for kind in kinds for t in kind.exchanges(Place("marker", str(ids[m])), others)]
+        if not trials:
+            continue
         worst = []
         for trial in trials:
             moved = _distance(point, (trial,))
-            both = {m, *np.flatnonzero(np.isin(ids, [int(trial.other), trial.site.number]))}
+            both = {m, *_rows(ids, trial)}
             worst.append(max(np.median(moved[rows == n]) for n in both if (rows == n).any()))
         best = int(np.argmin(worst))
         if worst[best] < max(BROUGHT_BACK * np.median(off[rows == m]), 2.0):
             out.append(trials[best])
-            done |= {m, *np.flatnonzero(np.isin(ids, [int(trials[best].other), trials[best].site.number]))}
+            done |= {m, *_rows(ids, trials[best])}
     return out
 
 
-def correct_marker_swaps(point: OperatingPoint, marker_swaps: list[MarkerSwap]) -> OperatingPoint:
-    """OperatingPoint with marker swaps corrected: each marker sits where [MarkerSwap] state."""
+def correct_marker_swaps(point: OperatingPoint, marker_swaps: Sequence[Effect]) -> OperatingPoint:
+    """OperatingPoint with marker swaps corrected: each marker sits where they state."""
     if not marker_swaps:
         return point
     seen, markers = point.observed, point.observed.markers
@@ -60,10 +58,15 @@ def correct_marker_swaps(point: OperatingPoint, marker_swaps: list[MarkerSwap]) 
     return replace(point, seen=replace(seen, observations=o, markers=markers))
 
 
-def _distance(point: OperatingPoint, effects: tuple[MarkerSwap, ...]) -> Floats:
+def _distance(point: OperatingPoint, effects: tuple[Effect, ...]) -> Floats:
     """(sightings,) px, the middle corner's distance from where effects put it."""
     seen = point.observed
     quads = predict_sightings(seen.sightings, point.state, seen.markers, point.t, effects, point.sensors)
     error = np.linalg.norm(seen.observations.uv - quads[seen.row, seen.observations.corner], axis=1)
     total, count = np.bincount(seen.row, weights=error), np.bincount(seen.row)
     return total / np.maximum(count, 1)
+
+
+def _rows(ids: Integers, effect: Effect) -> Integers:
+    """Indices of the markers (their ids) at which an effect changes something."""
+    return np.flatnonzero(np.isin(ids, [place.number for place in effect.sites_touched()]))

@@ -31,7 +31,6 @@ from calib.diagnosis.problems.platform.smooth_functions import (
 from rig.arrays import Floats, Integers
 from rig.compute.parallel_map import parallel_map
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.catalogue.lens_distortion import LensDistortion
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.place import Place
 
@@ -136,7 +135,7 @@ def _camera(model: LinearisedModel, i: int) -> list[LackOfFit | None]:
         ]
         out.append(_following(products, np.argsort(k.t), place, information))
     if not any(
-        type(e) is LensDistortion and e.place == place for e in k.effects
+        e.warps and e.place == place for e in k.effects
     ):  # else what its image still bends by belongs to that lens
         seen = np.flatnonzero(k.observed.observations.camera == i)
         out.append(_still(model, seen, warp_pixels(k, i)[seen], place, "image position", information))

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.diagnosis.problems.platform.operating_point import OperatingPoint
+from calib.diagnosis.problems.platform.operating_point import EDGE_SHIFT, OperatingPoint
 from rig.arrays import Floats, Integers
-from rig.effects.catalogue.edge_bias import EdgeBias
 from rig.effects.framework.place import Place
 from rig.model.design import Design
 from rig.model.manufacturing_tolerances import FINDER, SEAT
@@ -128,7 +127,8 @@ def _add_finder(k: OperatingPoint, found: _Nuisances, at: Integers, whitener: Fl
         camera, seen_by = k.stated.cameras[i], seen.sightings.camera == i
         moved = np.zeros_like(quads)
         moved[seen_by] = (
-            EdgeBias(str(Place("camera", camera.name)), 1.0).print_(camera, quads[seen_by]) - quads[seen_by]
+            EDGE_SHIFT.of_numbers(str(Place("camera", camera.name)), [1.0]).print_(camera, quads[seen_by])
+            - quads[seen_by]
         )
         rows = np.flatnonzero(o.camera == i)
         found.add(

@@ -192,7 +192,7 @@ def linearise(point: OperatingPoint) -> LinearisedModel:
         beforehand[j, 0] = -k.finder[i] / FINDER.sigma
     at = seat_freedoms(names)
     for seat in (seat for seat in k.seats if seat.place in at):
-        beforehand[at[seat.place], 0] = -np.array(seat.motion) / np.repeat(SEAT, 3)
+        beforehand[at[seat.place], 0] = -seat.numbers() / np.repeat(SEAT, 3)
     if k.axes and k.known is not None:
         mechanism, root = k.known
         beforehand[-len(root) :, 0] = root @ (geometric_parameters(mechanism) - geometric_parameters(k.platform))

@@ -11,14 +11,14 @@ from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.problems.temperature_smoothing import smooth_temperatures
 from calib.samples.recording_samples import Sampled, sample_recording
 from rig.arrays import Booleans, Floats, Integers
-from rig.effects.catalogue.cube_misplacement import CubeMisplacement
-from rig.effects.catalogue.edge_bias import EdgeBias
+from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.machine_motion import Motion
 from rig.effects.framework.place import Place
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Camera, Design
+from rig.model.manufacturing_tolerances import FINDER, SEAT
 from rig.model.mechanism_geometry import Hexapod, Planar2
 from rig.model.mechanism_kinds import Struts
 from rig.model.pose import exp
@@ -33,6 +33,8 @@ from vision.targets import MarkerMap, marker_map
 KINDS = ("hexapod", "planar2", "free")  # of mechanisms
 FEWEST = 12  # frames
 ELSEWHERE = 60.0  # px; a corner farther off belongs to something else
+EDGE_SHIFT = effect_of_tolerance(FINDER)  # what the corner finder does to all edges of a camera's images
+CUBE_MOTION = effect_of_tolerance(SEAT)  # what a cube is off by that was put back
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,7 +90,7 @@ class OperatingPoint:
     standing: float = 0.0
     known: tuple[Hexapod, Floats] | None = None
     log_errors: dict[str, Floats] = field(default_factory=dict)
-    seats: tuple[CubeMisplacement, ...] = ()
+    seats: tuple[Effect, ...] = ()
     assumed: bool = False
 
     @property
@@ -175,7 +177,11 @@ class OperatingPoint:
         seen = self.observed
         run = self.run(effects) if run is None else run
         sightings = seen.sightings if rows is None else seen.sightings.take(rows)
-        shifted = [EdgeBias(str(Place("camera", c.name)), b) for c, b in zip(self.design.cameras, self.finder) if b]
+        shifted = [
+            EDGE_SHIFT.of_numbers(str(Place("camera", c.name)), [b])
+            for c, b in zip(self.design.cameras, self.finder)
+            if b
+        ]
         quads = predict_sightings(
             sightings, self.state, seen.markers, self.t, [*effects, *shifted, *self.seats], self.sensors, run
         )
@@ -270,11 +276,11 @@ def operating_point_of_recording(
     return replace(point, seen=seen, seats=cube_seats(design)), source, measured
 
 
-def cube_seats(design: Design, known: Sequence[CubeMisplacement] = ()) -> tuple[CubeMisplacement, ...]:
+def cube_seats(design: Design, known: Sequence[Effect] = ()) -> tuple[Effect, ...]:
     """One for each cube of a design that was put back, off by nothing but for those that are known."""
     own = {seat.place: seat for seat in known}
     places = [str(Place("target", target.name)) for target in design.targets if target.turned is not None]
-    return tuple(own.get(place, CubeMisplacement(place)) for place in places)
+    return tuple(own.get(place, CUBE_MOTION(place)) for place in places)
 
 
 def _known(recording: Recording, calibration: Calibration) -> tuple[Hexapod, Floats]:

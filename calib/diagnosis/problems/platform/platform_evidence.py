@@ -48,15 +48,16 @@ from calib.diagnosis.problems.repeated_commands import repeated_pairs, repeats_o
 from calib.diagnosis.problems.requested_effects import RequestedEffects, require_assumed_effects_testable
 from calib.samples.recording_samples import Sampled
 from rig.arrays import Floats
-from rig.effects.catalogue.face_misplacement import FaceMisplacement
-from rig.effects.catalogue.marker_swap import MarkerSwap
+from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.effect import AT_REST, Effect
-from rig.effects.framework.place import Place
 from rig.model.design import Design
+from rig.model.manufacturing_tolerances import PLACES
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Recording
 from rig.recording.time_origin import Origin
 from vision.bundle.marker_displacements import Move, marker_displacements
+
+FACE_MOTION = effect_of_tolerance(PLACES)  # what a face is off by, however small
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,15 +65,15 @@ class PlatformEvidence:
     """point : OperatingPoint with nothing admitted, faces exchanged put right; covariance : (F, 6, 6) of its poses;
     source : of the poses, in words
     requested : RequestedEffects; given : what is said beforehand
-    swapped : [MarkerSwap] found before all else; moved : [Move] of the faces of a free body's rig that are not where it
-        is stated, measured before all else and taken as measured"""
+    swapped : discrete effects found before all else; moved : [Move] of the faces of a free body's rig that are not
+        where it is stated, measured before all else and taken as measured"""
 
     point: OperatingPoint
     covariance: Floats
     source: str
     requested: RequestedEffects
     given: StatedTerms
-    swapped: tuple[MarkerSwap, ...] = ()
+    swapped: tuple[Effect, ...] = ()
     moved: tuple[Move, ...] = ()
 
     @property
@@ -221,18 +222,15 @@ def platform_evidence(
     """PlatformEvidence of a Recording, as `diagnose` takes it. Raises NotEnoughData where too little was measured, and
     what measuring raises.
     """
-    faces = "auto" if requested.name(FaceMisplacement.name) else "stated"
+    faces = "auto" if requested.name(FACE_MOTION.name) else "stated"
     point, source, measured = operating_point_of_recording(recording, progress, calibration, faces, sampled)
     moved = (
         [m for m in marker_displacements(measured.adjustment) if m.moved]
         if measured is not None and measured.places_free
         else []
     )
-    swapped = (
-        [s for s in find_marker_swaps(point) if _exchange_asked(s, requested)]
-        if requested.name(MarkerSwap.name)
-        else []
-    )
+    discrete = [kind for kind in requested.kinds if kind.discrete and requested.name(kind.name)]
+    swapped = [s for s in find_marker_swaps(point, discrete) if _exchange_asked(s, requested)]
     covariance = (
         measured.covariance if measured is not None else np.zeros((0, 6, 6)) if point.own is None else point.own
     )
@@ -251,14 +249,14 @@ def _moved_face(move: Move) -> MeasuredFinding:
     ends = np.stack([move.by, move.by - move.ci95, move.by + move.ci95])
     parameters = {
         p.name: Value(part[0].tolist(), p.unit, part[1:].tolist())
-        for p, part in zip(FaceMisplacement.parameters, (ends[:, :3], ends[:, 3:]))
+        for p, part in zip(FACE_MOTION.parameters, (ends[:, :3], ends[:, 3:]))
     }
-    return MeasuredFinding(FaceMisplacement, move.name, parameters)
+    return MeasuredFinding(FACE_MOTION, move.name, parameters)
 
 
-def _exchange_asked(effect: MarkerSwap, requested: RequestedEffects) -> bool:
+def _exchange_asked(effect: Effect, requested: RequestedEffects) -> bool:
     """Whether an exchange is asked for at one of its two markers, and left out at neither."""
-    places = [effect.place, *([str(Place("marker", str(int(effect.other))))] if effect.other >= 0 else [])]
+    places = [str(place) for place in effect.sites_touched()]
     return any(requested.place(effect.name, p) for p in places) and not any(
         f"{effect.name} {p}" in requested.without for p in places
     )

@@ -281,8 +281,7 @@ def _apply(
         finder[i] += float(freedoms[j])
     own = seat_freedoms(model.nuisances.names)
     seats = tuple(
-        replace(s, motion=tuple((np.array(s.motion) + freedoms[own[s.place]]).tolist())) if s.place in own else s
-        for s in k.seats
+        type(s).of_numbers(s.place, s.numbers() + freedoms[own[s.place]]) if s.place in own else s for s in k.seats
     )
     if k.axes:
         m, p = k.platform, geometric_parameters(k.platform)

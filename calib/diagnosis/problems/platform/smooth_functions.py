@@ -16,7 +16,7 @@ from calib.diagnosis.problems.remainder_covariates import (
     time_cosines,
 )
 from rig.arrays import Floats, Integers
-from rig.effects.catalogue.lens_distortion import chebyshev_products
+from rig.effects.framework.image_warp import warp_columns
 from rig.effects.framework.place import Place
 from rig.model.pose import pose_difference
 
@@ -87,10 +87,9 @@ def warp_pixels(point: OperatingPoint, camera: int) -> Floats:
     seen holds their noise.
     """
     rows = point.observed.observations.camera == camera
-    basis = chebyshev_products(point.design.cameras[camera], point.pixels()[rows], WARP)
-    pixels = np.zeros((len(rows), 2, 2 * basis.shape[1]))
-    pixels[rows, 0, : basis.shape[1]] = basis
-    pixels[rows, 1, basis.shape[1] :] = basis
+    moved = warp_columns(point.design.cameras[camera], point.pixels()[rows], WARP)
+    pixels = np.zeros((len(rows), *moved.shape[1:]))
+    pixels[rows] = moved
     return pixels
 
 

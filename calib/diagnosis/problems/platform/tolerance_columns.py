@@ -19,8 +19,7 @@ from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.smooth_functions import SLOW
 from calib.diagnosis.problems.remainder_covariates import time_cosines
 from rig.arrays import Floats, Integers
-from rig.effects.catalogue.face_misplacement import FaceMisplacement
-from rig.effects.catalogue.print_scale import PrintScale
+from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.diagnosis_interface import Linear
 from rig.effects.framework.place import Place
 from rig.model import mechanisms
@@ -139,32 +138,31 @@ def _markers(model: LinearisedModel, kept: Sensitivities) -> tuple[list[Site], l
         sites.append(replace(site, columns=slice(len(sigma), len(sigma) + len(sizes))))
         sigma.extend(sizes)
 
-    rows, quads = kept.derivative(PrintScale, ALL_MARKERS, Linear("scale", None, STEP), {})
-    everywhere, scaled = kept.touched(rows, quads[..., None])
-    add(Site(PrintScale.name, ALL_MARKERS, (("scale", "", 1),), SIDES, slice(0)), [SIDES.sigma], everywhere, scaled)
+    everywhere, scaled = kept.touched(*_derivatives(kept, SIDES, ALL_MARKERS))
+    add(_site(SIDES, ALL_MARKERS), [SIDES.sigma], everywhere, scaled)
     own = ids[o.sightings.marker][o.row[everywhere]]
     _, prints = np.unique(ids, return_index=True)
     for m in np.sort(prints[np.isin(ids[prints], own)]):
         place, half = str(Place("marker", str(ids[m]))), o.markers.side[m] / 2
-        columns = [
-            kept.derivative(FaceMisplacement, place, Linear(name, j, STEP), {})
-            for name in ("offset", "rotation")
-            for j in range(3)
-        ]
-        site = Site(FaceMisplacement.name, place, (("offset", "m", 3), ("rotation", "rad", 3)), PLACES, slice(0))
-        add(
-            site,
-            [PLACES.sigma] * 3 + [PLACES.sigma / half] * 3,
-            *kept.touched(columns[0][0], np.stack([q for _, q in columns], axis=-1)),
-        )
-        add(
-            Site(PrintScale.name, place, (("scale", "", 1),), SIDES, slice(0)),
-            [SIDES.sigma],
-            everywhere[own == ids[m]],
-            scaled[own == ids[m]],
-        )
+        sizes = [PLACES.sigma] * 3 + [PLACES.sigma / half] * 3
+        add(_site(PLACES, place), sizes, *kept.touched(*_derivatives(kept, PLACES, place)))
+        add(_site(SIDES, place), [SIDES.sigma], everywhere[own == ids[m]], scaled[own == ids[m]])
     values, at_rows, at_columns = (np.concatenate(part) for part in zip(*entries))
     return sites, sigma, csr_array((values, (at_rows, at_columns)), (2 * len(c.order), len(sigma)))
+
+
+def _site(tolerance: Tolerance, place: str) -> Site:
+    """Site of a tolerance at a place, its columns still to be chosen."""
+    kind = effect_of_tolerance(tolerance)
+    return Site(kind.name, place, tuple((p.name, p.unit, p.size) for p in kind.parameters), tolerance, slice(0))
+
+
+def _derivatives(kept: Sensitivities, tolerance: Tolerance, place: str) -> tuple[Integers, Floats]:
+    """(sighting rows (s,), (s, 4, 2, q) px per unit) of the numbers of what a tolerance may move at a place."""
+    kind = effect_of_tolerance(tolerance)
+    columns = [Linear(p.name, None if p.size == 1 else j, STEP) for p in kind.parameters for j in range(p.size)]
+    found = [kept.derivative(kind, place, column, {}) for column in columns]
+    return found[0][0], np.stack([quads for _, quads in found], axis=-1)
 
 
 def _courses(k: OperatingPoint) -> Floats:

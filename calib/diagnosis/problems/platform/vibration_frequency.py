@@ -16,7 +16,6 @@ from calib.diagnosis.engine.frame_inner_products import (
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel
 from rig.arrays import Booleans, Floats
-from rig.effects.catalogue.vibration import rank_one_least_squares
 
 FREQUENCIES = 8  # bins of the coarse spectrum for each cycle that the highest frequency makes
 ALIAS = 0.25  # of the spectral window's height from which a frequency mirrors a slow one
@@ -24,6 +23,7 @@ SLOWEST = 20  # cycles in the recording, below which it is a drift
 OVERSAMPLED = 4  # frequencies looked at for each that the recording's length can tell apart
 PEAKS = 6  # frequencies that are looked at closely
 TICK = 1e-4  # s, to which exposures' times are compared
+ROUNDS = 30  # of one factor after the other; each brings them nearer
 SOFT = 1e-9  # of a direction's power, added so that those that move nothing can be solved for
 
 
@@ -87,6 +87,25 @@ def best_frequency(model: LinearisedModel, candidate: PlatformCandidate, product
         float(seen),
         deltas / ratio,
     )
+
+
+def rank_one_least_squares(b: Floats, G: Floats) -> tuple[float, Floats]:
+    """(drop, coefficients (12,)) of rank-one least squares with normal equations G (12, 12) x = b (12,)."""
+    scale = np.sqrt(np.maximum(np.diag(G), 1e-300))
+    whole = np.linalg.pinv(G / scale[:, None] / scale, rcond=1e-9, hermitian=True) @ (b / scale) / scale
+    weight = np.maximum(scale.reshape(2, 6).max(axis=0), 1e-300)
+    phase = np.linalg.svd(whole.reshape(2, 6) * weight, full_matrices=False)[0][:, 0]
+    tensor, right = G.reshape(2, 6, 2, 6), b.reshape(2, 6)
+    for _ in range(ROUNDS):
+        H = np.einsum("p,piqj,q->ij", phase, tensor, phase)
+        direction = np.linalg.lstsq(H / weight[:, None] / weight, phase @ right / weight, rcond=1e-9)[0] / weight
+        new = np.linalg.lstsq(np.einsum("i,piqj,j->pq", direction, tensor, direction), right @ direction, rcond=None)[0]
+        new, direction = new / np.linalg.norm(new), direction * np.linalg.norm(new)
+        if np.abs(new - phase).max() < 1e-9:
+            break
+        phase = new
+    x = np.outer(new, direction).ravel()
+    return float(2 * b @ x - x @ G @ x), x
 
 
 def _bins(length: float, high: float) -> tuple[int, float]:
