@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.arrays import Floats
-from rig.driving.cameras.emulated_camera_client import USUAL
+from rig.driving.cameras.camera_opening import USUAL
 from rig.driving.clock import Clock
 from rig.errors import RigError
 from rig.model import motion_simulation

@@ -11,7 +11,7 @@ import pytest
 from rig.cli.command_line import main
 from rig.cli.shared.run_terminal_display import Block
 from rig.cli.shared.terminal_output import Escaped
-from rig.formats.printable_text import escape_unprintable
+from rig.formats.output_files.atomic_file import escape_unprintable
 from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
 from tests.conftest import ROOT
 

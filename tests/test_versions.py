@@ -24,9 +24,9 @@ from rig.cli.command_line import main
 from rig.cli.effects import _suggested
 from rig.errors import FileError
 from rig.formats.importers import import_recipe
+from rig.formats.input_files import NAMED
 from rig.formats.output_files import MANIFEST, folder_manifest
 from rig.formats.rig_toml import design_file
-from rig.formats.schema_version import NAMED
 from rig.model.mechanisms import hexapod
 from rig.recording import recording_folder
 from rig.report import refutations

@@ -9,7 +9,7 @@ from pathlib import Path
 from rig.formats.input_files import read_text
 from rig.formats.json_tree import Json
 from rig.formats.output_files import write_text
-from rig.formats.rig_toml.design_text_edits import replace_cameras, replace_target_markers
+from rig.formats.rig_toml.camera_instrument_and_cube_entries import replace_cameras, replace_target_markers
 from rig.model.pose import pose_to_vector, rms_uncertainty
 from rig.recording import recording_tables
 from rig.recording.corner_and_pose_tables import Poses

@@ -83,16 +83,16 @@ def run(arguments: Namespace) -> None:
         return
     from rig.driving import emulators
     from rig.driving.clock import SystemClock
-    from rig.driving.emulators import emulator_ports
+    from rig.driving.emulators import emulator_opening
 
     clock = SystemClock()
     if arguments.truth and not arguments.cameras:
         raise RigError("--truth is for --cameras, which show what is true")
     emulator = emulator_of_arguments(arguments, clock)
     wire = (
-        emulator_ports.Tcp(_address(arguments.tcp, "--tcp"))
+        emulator_opening.Tcp(_address(arguments.tcp, "--tcp"))
         if arguments.tcp is not None
-        else emulator_ports.Terminal(arguments.link)
+        else emulator_opening.Terminal(arguments.link)
     )
     kept = tempfile.TemporaryDirectory(prefix="rig-emulate-")  # of what the cameras follow, where nobody else wants it
     followed = arguments.history or (Path(kept.name) / "history.csv" if arguments.cameras else None)
@@ -101,7 +101,7 @@ def run(arguments: Namespace) -> None:
     for ending in (signal.SIGINT, signal.SIGTERM):  # a shell's background job ignores the first
         signal.signal(ending, signal.default_int_handler)
     try:
-        emulator_ports.serve_emulator(emulator, wire, lambda: True, _say, history.record if history else lambda: None)
+        emulator_opening.serve_emulator(emulator, wire, lambda: True, _say, history.record if history else lambda: None)
     except KeyboardInterrupt:
         print(
             f"{len(emulator.machine.executed)} moves carried out; faults: {', '.join(emulator.faults.struck) or 'none'}"

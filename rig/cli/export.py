@@ -99,12 +99,7 @@ def _export(arguments: Namespace) -> list[str]:
     if arguments.format in CAMERAS or arguments.format in SEEN:
         (_cameras if arguments.format in CAMERAS else _seen)(arguments)
         return []
-    from rig.formats.exporters import (
-        arm_urdf,
-        geometry_json_and_csv,
-        hexapod_urdf_and_sdf,
-        linuxcnc_and_compensation_tables,
-    )
+    from rig.formats.exporters import geometry_and_camera_files, linuxcnc_and_compensation_tables, urdf_and_sdf
     from rig.formats.output_files import write_text
 
     mechanism, left_out, lead = _machine(arguments.machine)
@@ -139,13 +134,13 @@ def _export(arguments: Namespace) -> list[str]:
             require_hexapod(mechanism), arguments.units, lead, arguments.coupling
         ),
         "urdf": lambda: (
-            arm_urdf.arm_urdf(require_arm(mechanism), arguments.machine.stem)
+            urdf_and_sdf.arm_urdf(require_arm(mechanism), arguments.machine.stem)
             if mechanism.link_rows is not None
-            else hexapod_urdf_and_sdf.hexapod_urdf(require_hexapod(mechanism), arguments.machine.stem)
+            else urdf_and_sdf.hexapod_urdf(require_hexapod(mechanism), arguments.machine.stem)
         ),
-        "sdf": lambda: hexapod_urdf_and_sdf.hexapod_sdf(require_hexapod(mechanism), arguments.machine.stem),
-        "json": lambda: geometry_json_and_csv.geometry_json(_exported(mechanism)),
-        "csv": lambda: geometry_json_and_csv.geometry_csv(_exported(mechanism)),
+        "sdf": lambda: urdf_and_sdf.hexapod_sdf(require_hexapod(mechanism), arguments.machine.stem),
+        "json": lambda: geometry_and_camera_files.geometry_json(_exported(mechanism)),
+        "csv": lambda: geometry_and_camera_files.geometry_csv(_exported(mechanism)),
     }[arguments.format]()
     for line in left_out:
         print(f"rig export: {line}; use `rig correct` where it matters", file=sys.stderr)
@@ -208,7 +203,7 @@ def _tables(arguments: Namespace) -> None:
 
 def _cameras(arguments: Namespace) -> None:
     """Write the lenses of a rig.toml, a file for each camera."""
-    from rig.formats.exporters import opencv_and_ros_camera
+    from rig.formats.exporters import geometry_and_camera_files
     from rig.formats.output_files import write_text
     from rig.formats.rig_toml import design_file
 
@@ -219,9 +214,9 @@ def _cameras(arguments: Namespace) -> None:
         raise RigError(f"{arguments.machine} has no cameras")
     texts = {
         camera.name: (
-            opencv_and_ros_camera.ros_camera_info
+            geometry_and_camera_files.ros_camera_info
             if arguments.format == "camera-info"
-            else opencv_and_ros_camera.opencv_camera_yaml
+            else geometry_and_camera_files.opencv_camera_yaml
         )(camera)
         for camera in found
     }

@@ -54,7 +54,7 @@ def run(arguments: Namespace) -> None:
 
     from calib.report.lens_page import lens_verdict, write_lens_page
     from rig.formats.output_files import write_text
-    from rig.formats.rig_toml.design_text_edits import camera_toml
+    from rig.formats.rig_toml.camera_instrument_and_cube_entries import camera_toml
     from vision.lenses.board_photographs import calibrate_photographs
 
     found = calibrate_photographs(paths, board, arguments.name, Progress())

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from rig.cli.shared import poses_from_readings
 from rig.cli.shared.command_options import SEED, add_controller_arguments
-from rig.driving.operator_advice import TRUST
+from rig.driving.driver_reports_and_advice import TRUST
 from rig.errors import PositionLost, RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 from rig.formats.output_files import write_bytes
@@ -141,7 +141,7 @@ def _dry_run(design: Design, planned: tuple[Step, ...]) -> None:
     import numpy as np
 
     from rig.cli.shared.controller_session import lengths_text
-    from rig.driving.emulators.emulator_construction import home_lengths
+    from rig.driving.emulators.emulator_opening import home_lengths
     from rig.driving.run_steps_and_progress import check_steps, step_distances
     from rig.model.mechanism_kinds import require_struts
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.arrays import Floats
-from rig.driving.operator_advice import OUT_OF_RANGE
+from rig.driving.driver_reports_and_advice import OUT_OF_RANGE
 from rig.driving.protocols.protocol_interface import Segment
 from rig.errors import NotConverged, Unreachable
 from rig.model import mechanisms

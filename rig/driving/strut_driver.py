@@ -11,8 +11,15 @@ from rig.arrays import Floats
 from rig.driving import protocols, straight_move_profile
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_link import Link, Port
-from rig.driving.driver_reports import Arrival, Status
-from rig.driving.operator_advice import ANEW, CANNOT_HOME, OUT_OF_RANGE, TRUST, operator_advice
+from rig.driving.driver_reports_and_advice import (
+    ANEW,
+    CANNOT_HOME,
+    OUT_OF_RANGE,
+    TRUST,
+    Arrival,
+    Status,
+    operator_advice,
+)
 from rig.driving.protocols.protocol_interface import Dialogue, Segment, State, Verdict
 from rig.driving.serial_port import SerialPort, find_usb_port
 from rig.driving.straight_move_profile import straight_move_segment

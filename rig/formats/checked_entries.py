@@ -15,8 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.arrays import Floats
 from rig.errors import FileError
-from rig.formats.input_files import short_repr
-from rig.formats.schema_version import require_schema
+from rig.formats.input_files import require_schema, short_repr
 from rig.model.pose import pose
 
 LARGEST_RIG = 50.0  # m; nothing on struts or arms is larger, so a larger figure is in another unit

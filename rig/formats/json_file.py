@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.errors import FileError
-from rig.formats.input_files import read_text, short_repr
+from rig.formats.input_files import read_text, require_schema, short_repr
 from rig.formats.json_tree import Json
-from rig.formats.schema_version import require_schema
 
 LARGEST_INDEXED = 1 << 22  # characters of a text that is looked through; in a larger one nothing but the file is named
 _TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{},:]|[^\s\[\]{},:"]+', re.DOTALL)

@@ -9,9 +9,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from rig.errors import FileError
+from rig.formats.input_files import require_schema
 from rig.formats.output_files import write_text
 from rig.formats.output_files.folder_manifest import file_digest
-from rig.formats.schema_version import require_schema
 from rig.report.verdict import State
 
 NAME = "refutations.json"

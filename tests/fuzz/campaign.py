@@ -29,7 +29,7 @@ WATCHED = (
     "rig.formats.toml_positions",
     "rig.formats.json_file",
     "rig.formats.number_parsing_and_rounding",
-    "rig.formats.printable_text",
+    "rig.formats.output_files.atomic_file",
     "rig.driving.cameras.opencv_camera",
     "rig.model.controller_settings",
     "rig.report.pages.run_page_server",

@@ -15,7 +15,7 @@ from rig.driving.cameras.opencv_camera import gstreamer_pipeline_problem
 from rig.errors import RigError
 from rig.formats.json_file import Places, first_repeated_key
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
-from rig.formats.printable_text import escape_unprintable
+from rig.formats.output_files.atomic_file import escape_unprintable
 from rig.formats.rig_toml import design_file
 from rig.model.controller_settings import SCHEMES, port_problem
 from rig.model.design import Actuator

@@ -10,8 +10,7 @@ import numpy as np
 from rig.driving.clock import SimulatedClock
 from rig.driving.controller_link import Link
 from rig.driving.emulators.controller_faults import Faults
-from rig.driving.emulators.emulated_machine import Machine
-from rig.driving.emulators.moving_axes import Axes
+from rig.driving.emulators.emulated_machine import Axes, Machine
 from rig.driving.emulators.own_strut_protocol import Struts as EmulatedStruts
 from rig.driving.protocols.gcs import GCS
 from rig.driving.protocols.grblhal import GrblHAL

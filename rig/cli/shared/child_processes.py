@@ -83,9 +83,9 @@ def _serve_emulated_cameras(
 
     import numpy as np
 
-    from rig.driving.cameras.emulated_camera_client import USUAL
+    from rig.driving.cameras.camera_opening import USUAL
     from rig.driving.clock import SystemClock
-    from rig.driving.emulators.emulator_construction import home_lengths
+    from rig.driving.emulators.emulator_opening import home_lengths
     from rig.formats.rig_toml import design_file
     from rig.model.mechanism_kinds import require_struts
     from synthetic import secret_machine

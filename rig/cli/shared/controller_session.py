@@ -8,7 +8,7 @@ from pathlib import Path
 from rig.arrays import Floats
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_lock import Occupied
-from rig.driving.driver_reports import Status
+from rig.driving.driver_reports_and_advice import Status
 from rig.driving.strut_driver import Driver
 from rig.errors import FileError, RigError
 from rig.formats.rig_toml import design_file
@@ -73,7 +73,7 @@ def lengths_text(lengths: Floats) -> str:
 
 def print_status(status: Status, design: Design) -> None:
     """Print a Status, with the pose that its lengths give by the nominal model."""
-    from rig.driving.operator_advice import operator_advice
+    from rig.driving.driver_reports_and_advice import operator_advice
     from rig.errors import NotConverged
     from rig.model import mechanisms
     from rig.model.pose import pose_to_vector

@@ -27,7 +27,7 @@ from rig.driving.cameras.settling_check import Settling
 from rig.driving.cameras.synchronised_grab_and_exposure import CLIPPED, Shutter, set_exposure_for_markers
 from rig.driving.clock import Clock
 from rig.driving.move_and_record_loop import Bench
-from rig.driving.sensor_port import Sensing
+from rig.driving.serial_port import Sensing
 from rig.driving.straight_move_profile import Way, trapezoidal_profile
 from rig.driving.strut_driver import Driver
 from rig.errors import RigError

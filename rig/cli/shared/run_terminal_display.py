@@ -7,7 +7,7 @@ import numpy as np
 
 from rig.cli.shared.run_observation import MeasuredFrame, View
 from rig.cli.shared.terminal_output import unescaped_stream
-from rig.formats.printable_text import escape_unprintable
+from rig.formats.output_files.atomic_file import escape_unprintable
 from rig.model.pose import pose_to_vector
 
 WIDTH = 30  # of a strut's bar

@@ -12,8 +12,7 @@ from rig.arrays import Floats, Integers
 from rig.errors import RigError
 from rig.formats.importers import column_headers, image_file_frames, units_and_timestamps
 from rig.formats.importers.camera_calibrations import rig_toml_with_cameras
-from rig.formats.importers.clock_consistency import require_one_clock, seconds_since_origin
-from rig.formats.importers.command_table import Commanded, read_commands
+from rig.formats.importers.command_table import Commanded, read_commands, require_one_clock, seconds_since_origin
 from rig.formats.importers.csv_dialect import read_foreign_table
 from rig.formats.importers.image_file_frames import Exposed
 from rig.formats.importers.import_recipe import ForeignTable, Images, Recipe

@@ -1,7 +1,8 @@
-"""Atomic file write: temporary file, flush to disk, rename."""
+"""Atomic file write: temporary file, flush to disk, rename; text that a terminal only displays."""
 
 import errno
 import os
+import re
 import secrets
 import stat
 import sys
@@ -10,7 +11,6 @@ from os import PathLike
 from pathlib import Path
 
 from rig.errors import FileError
-from rig.formats.printable_text import escape_unprintable
 
 STANDARD_OUTPUT = Path("/dev/stdout")  # what `-` stands for
 PART = ".rig-{}.part"  # name of a temporary; its length does not depend on the file's
@@ -150,3 +150,20 @@ def _all(descriptor: int, data: bytes) -> None:
     rest = memoryview(data)
     while len(rest):
         rest = rest[os.write(descriptor, rest) :]
+
+
+UNSEEN = re.compile(
+    "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]|\r(?!\n)"
+)
+
+
+def escape_unprintable(text: str) -> str:
+    """Text with unprintable characters escaped: control and direction characters, invalid UTF-8."""
+    return UNSEEN.sub(_escape, text)
+
+
+def _escape(found: re.Match[str]) -> str:
+    code = ord(found.group())
+    if 0xDC80 <= code <= 0xDCFF:  # a byte of a file's name, as Python holds it
+        code -= 0xDC00
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"

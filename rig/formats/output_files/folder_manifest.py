@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rig.errors import FileError
 from rig.formats import remote_folders
-from rig.formats.schema_version import require_schema
+from rig.formats.input_files import require_schema
 
 MANIFEST = ".rig-made.json"
 SCHEMA = "made/1"

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.driving.emulators.emulator_construction import home_lengths
-from rig.driving.emulators.emulator_ports import EmulatorPort
+from rig.driving.emulators.emulator_opening import EmulatorPort, home_lengths
 from rig.driving.strut_driver import Driver
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, Stopped
 from tests.rig.driven import STEP, order, truly

@@ -9,7 +9,7 @@ import pytest
 
 from rig.driving.clock import SimulatedClock
 from rig.driving.emulators.controller_faults import ALWAYS, KINDS
-from rig.driving.emulators.emulator_construction import home_lengths
+from rig.driving.emulators.emulator_opening import home_lengths
 from rig.driving.strut_driver import Driver
 from rig.errors import ControllerFault, MotionError, PositionLost, RigError, Stalled, Unreachable
 from tests.rig.driven import STEP, order, truly

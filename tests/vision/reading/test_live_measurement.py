@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from rig.driving.cameras.emulated_camera_client import USUAL
+from rig.driving.cameras.camera_opening import USUAL
 from rig.driving.clock import SimulatedClock
 from rig.formats.rig_toml import design_file
 from rig.model.design import Sensor

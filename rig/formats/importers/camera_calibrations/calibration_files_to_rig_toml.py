@@ -16,7 +16,7 @@ from rig.formats.importers.camera_calibrations.foreign_camera_and_fisheye_lens i
 from rig.formats.importers.import_recipe import Cameras
 from rig.formats.input_files import read_text, short_repr
 from rig.formats.number_parsing_and_rounding import parse_numbers
-from rig.formats.rig_toml.design_text_edits import camera_toml, replace_cameras
+from rig.formats.rig_toml.camera_instrument_and_cube_entries import camera_toml, replace_cameras
 from rig.formats.toml_positions import value_positions
 from rig.model.design import Camera
 from rig.model.pose import pose

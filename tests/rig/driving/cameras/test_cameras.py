@@ -8,8 +8,7 @@ import pytest
 
 from rig.driving.cameras import CameraError, open_camera
 from rig.driving.cameras.camera_interface_and_clock import Offset
-from rig.driving.cameras.emulated_camera_client import EmulatedSource
-from rig.driving.cameras.folder_camera import FolderSource
+from rig.driving.cameras.camera_opening import EmulatedSource, FolderSource
 from rig.driving.cameras.genicam_camera import GenicamSource
 from rig.driving.cameras.opencv_camera import VideoSource
 from rig.errors import RigError

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.effects.texts.effect_notation import parse_effect
 from rig.errors import RigError
-from rig.formats.exporters import arm_urdf, geometry_json_and_csv, linuxcnc_and_compensation_tables
+from rig.formats.exporters import geometry_and_camera_files, linuxcnc_and_compensation_tables, urdf_and_sdf
 from rig.model import motion_simulation
 from rig.model.design import Arm, Hexapod
 from rig.model.mechanisms import arm as serial
@@ -73,7 +73,7 @@ def test_genhexkins_refuses_what_it_cannot_hold(true):
 
 def test_sheets_hold_every_bit_of_a_hexapod(true):
     m = true.mechanism
-    tree = json.loads(geometry_json_and_csv.geometry_json(m))
+    tree = json.loads(geometry_and_camera_files.geometry_json(m))
     again = Hexapod(
         tree["base_joints"],
         tree["platform_joints"],
@@ -88,7 +88,7 @@ def test_sheets_hold_every_bit_of_a_hexapod(true):
     rows = np.array(
         [
             [float(cell) for cell in row]
-            for row in list(csv.reader(io.StringIO(geometry_json_and_csv.geometry_csv(m))))[1:]
+            for row in list(csv.reader(io.StringIO(geometry_and_camera_files.geometry_csv(m))))[1:]
         ]
     )
     from_rows = Hexapod(rows[:, 1:4], rows[:, 4:7], rows[:, 8:10], m.home, rows[:, 7])
@@ -113,7 +113,7 @@ ARMS = {
 @pytest.mark.parametrize("arm", [STANFORD, GANTRY], ids=["stanford", "gantry"])
 def test_urdf_of_an_arm_with_slides_is_the_same_chain(arm):
     for q in np.random.default_rng(0).uniform(*arm.limits.T, (20, len(arm.joints))):
-        T = driven(arm_urdf.arm_urdf(arm), dict(zip(arm.axes, q)))
+        T = driven(urdf_and_sdf.arm_urdf(arm), dict(zip(arm.axes, q)))
         np.testing.assert_allclose(T.as_matrix(), serial.forward(q, arm).as_matrix(), atol=1e-12)
 
 
@@ -131,7 +131,7 @@ def test_urdf_is_the_same_chain(rows):
                 * pose([0, 0, 0], [0, beta, 0])
             )
         np.testing.assert_allclose(
-            driven(arm_urdf.arm_urdf(arm, "a & b"), dict(zip(arm.axes, q))).as_matrix(), T.as_matrix(), atol=1e-12
+            driven(urdf_and_sdf.arm_urdf(arm, "a & b"), dict(zip(arm.axes, q))).as_matrix(), T.as_matrix(), atol=1e-12
         )
 
 
@@ -154,6 +154,6 @@ def driven(text, angles):
 
 def test_arms_have_sheets_too():
     arm = Arm(ARMS["six joints"], [[-3, 3]] * 6)
-    assert json.loads(geometry_json_and_csv.geometry_json(arm))["joints"] == arm.joints.tolist()
-    rows = list(csv.reader(io.StringIO(geometry_json_and_csv.geometry_csv(arm))))
+    assert json.loads(geometry_and_camera_files.geometry_json(arm))["joints"] == arm.joints.tolist()
+    rows = list(csv.reader(io.StringIO(geometry_and_camera_files.geometry_csv(arm))))
     assert rows[0][0] == "joint" and len(rows) == 7 and float(rows[3][2]) == 0.15 and float(rows[3][5]) == 0

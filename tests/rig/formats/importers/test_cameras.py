@@ -11,8 +11,8 @@ import pytest
 import yaml
 
 from rig.errors import RigError
-from rig.formats.exporters import opencv_and_ros_camera as exported
-from rig.formats.rig_toml import design_file, design_text_edits
+from rig.formats.exporters import geometry_and_camera_files as exported
+from rig.formats.rig_toml import camera_instrument_and_cube_entries, design_file
 from rig.model.pose import exp
 from rig.planning.layout import hexapod_and_two_strut_layout
 from tests.calib.checks.test_mistakes import said
@@ -269,7 +269,7 @@ def test_what_opencv_writes_is_read_and_what_it_reads_is_written(suffix, stated,
 
 def test_camera_info_goes_both_ways(stated, true, tmp_path):
     out = tmp_path / "changed.toml"
-    out.write_text(design_text_edits.replace_cameras(stated[0].read_text(), true))
+    out.write_text(camera_instrument_and_cube_entries.replace_cameras(stated[0].read_text(), true))
     assert said("export", out, "--format", "camera-info", "--out", tmp_path / "info")[0] == 0
     tree = yaml.safe_load((tmp_path / "info" / f"{true[1].name}.yaml").read_text())
     assert (

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rig.errors import FileError
-from rig.formats.rig_toml import design_file, design_text_edits
+from rig.formats.rig_toml import camera_instrument_and_cube_entries, design_file
 from rig.formats.toml_positions import value_positions
 from rig.model import mechanisms
 from rig.model.pose import exp, pose_difference
@@ -182,14 +182,14 @@ def test_cameras_are_written_back_and_all_else_stays(rig_text, design, tmp_path)
         pose=design.cameras[1].pose * exp(np.full(6, 1e-3)),
         distortion=np.array([-0.11, 0.07, 1e-4, 2e-4, 0.3]),
     )
-    text = design_text_edits.replace_cameras("# keep me\n" + rig_text, [moved])
+    text = camera_instrument_and_cube_entries.replace_cameras("# keep me\n" + rig_text, [moved])
     path = tmp_path / "rig.toml"
     path.write_text(text)
     again = design_file.load_design(path)
     np.testing.assert_allclose(again.cameras[1].distortion, moved.distortion)
     assert np.abs(pose_difference(again.cameras[1].pose, moved.pose)).max() < 1e-8
     assert text.startswith("# keep me") and "# camera in base" in text
-    assert design_text_edits.replace_cameras(rig_text, []) == rig_text
+    assert camera_instrument_and_cube_entries.replace_cameras(rig_text, []) == rig_text
 
 
 def test_positions_point_at_the_values(rig_text):

@@ -1,4 +1,8 @@
-"""URDF (a tree) and SDF (with closed loops) of a hexapod, its struts as simulators model them.
+"""URDF of an arm, and URDF and SDF of a hexapod.
+
+A = Rz(theta + q) Tz(d) Tx(a) Rx(alpha) Ry(beta) turns about the z of the frame before it, or slides along it, so that
+joint i's origin is what is fixed behind joint i - 1, times Rz(theta). Source: the URDF specification, <joint>; rpy are
+turns about fixed axes x, y, z.
 
 A strut's frame stands in its base joint: x along the cardan's first axis, which lies in the base plate, tangential,
 (-y, x, 0) of the joint; y, the second, perpendicular to it and to the strut at home; tilted about y by a fixed angle,
@@ -23,8 +27,62 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.arrays import Floats
 from rig.errors import RigError
-from rig.formats.exporters.arm_urdf import origin_element, roll_pitch_yaw
-from rig.model.mechanism_geometry import Hexapod
+from rig.model.mechanism_geometry import Arm, Hexapod
+from rig.model.pose import pose
+
+
+def arm_urdf(arm: Arm, name: str = "arm") -> str:
+    """URDF of an Arm: links base, link_1 .. link_n, platform; joints named as commands.csv heads its columns.
+
+    An Arm that has a base (frame of poses to its own) or a tool (its last frame to the platform) carries them as fixed
+    joints.
+    """
+    identity = RigidTransform.identity()
+    links = ["base", *[f"link_{i + 1}" for i in range(len(arm.joints))], "platform"]
+    lines = [
+        '<?xml version="1.0"?>',
+        f"<robot name={quoteattr(name)}>",
+        *[f'  <link name="{link}"/>' for link in links],
+    ]
+    behind = getattr(arm, "base", identity)
+    for i, (axis, (low, high), parent, child) in enumerate(zip(arm.axes, arm.limits, links, links[1:])):
+        theta, d, a, alpha, beta = arm.rows[i]
+        kind = "prismatic" if arm.slides[i] else "revolute"
+        lines += [
+            f'  <joint name="{axis}" type="{kind}">',
+            f'    <parent link="{parent}"/>',
+            f'    <child link="{child}"/>',
+            f"    {origin_element(behind * pose([0, 0, 0], [0, 0, theta]))}",
+            '    <axis xyz="0 0 1"/>',
+            f'    <limit lower="{low:.12g}" upper="{high:.12g}" effort="0" velocity="0"/>',
+            "  </joint>",
+        ]
+        behind = pose([a, 0, d], [alpha, 0, 0]) * pose([0, 0, 0], [0, beta, 0])
+    lines += [
+        '  <joint name="tool" type="fixed">',
+        f'    <parent link="{links[-2]}"/>',
+        '    <child link="platform"/>',
+        f"    {origin_element(behind * getattr(arm, 'tool', identity))}",
+        "  </joint>",
+        "</robot>",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def origin_element(T: RigidTransform) -> str:
+    """URDF element <origin> of a RigidTransform T, m and rad."""
+    numbers = [" ".join(f"{value:.16g}" for value in values) for values in (T.translation, roll_pitch_yaw(T.rotation))]
+    return f'<origin xyz="{numbers[0]}" rpy="{numbers[1]}"/>'
+
+
+def roll_pitch_yaw(rotation: Rotation) -> Floats:
+    """Roll, pitch, yaw (3,) rad of a rotation, about the fixed axes x, y, z."""
+    R = rotation.as_matrix()
+    pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
+    if np.hypot(R[0, 0], R[1, 0]) < 1e-9:  # roll and yaw turn about one axis: all of it is given to roll
+        return np.array([np.arctan2(-R[2, 0] * R[0, 1], R[1, 1]), pitch, 0.0])
+    return np.array([np.arctan2(R[2, 1], R[2, 2]), pitch, np.arctan2(R[1, 0], R[0, 0])])
+
 
 LEAST = 1e-9  # m or rad
 

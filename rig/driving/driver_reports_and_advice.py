@@ -1,4 +1,34 @@
-"""What an operator can do where a controller does not move: said with every refusal, by the state that it is in."""
+"""What a driver reports (status, completed move), and what an operator can do where a controller does not move."""
+
+from dataclasses import dataclass
+
+from rig.arrays import Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Status:
+    """activity : as rig.driving.protocols.protocol_interface.State; lengths : (n,) m; known : whether the lengths can
+    be believed; fault,
+    said : text."""
+
+    activity: str
+    lengths: Floats
+    known: bool
+    fault: str
+    said: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arrival:
+    """A move that is done. lengths : (n,) m, as read back; start_time, ended : s on the clock; note : what went wrong
+    on the way, or "".
+    """
+
+    lengths: Floats
+    start_time: float
+    ended: float
+    note: str
+
 
 TRUST = "home it (rig home), or, where the struts truly stand as they read, say --trust (rig run: --no-home)"
 ANEW = f"the controller has started anew since it was last spoken to; {TRUST}"
