@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.formats import json_file
+from rig.formats import structured_files
 from rig.formats.checked_entries import Entries
 from rig.formats.input_files import short_repr
 from rig.formats.json_tree import Json
@@ -141,7 +141,7 @@ def score_case(
     index: int, truth: Path, diagnosis: Path | None, seconds: float = float("nan"), failed: str | None = None
 ) -> Case:
     """Case scored from a truth file and a diagnosis.json (None where it failed)."""
-    tree = json_file.load(truth, "truth of a case")
+    tree = structured_files.load_json(truth, "truth of a case")
     effects = tree.tables("effects")
     hidden = [
         _hidden(table, strength) for table, strength in zip(effects, tree.array("strengths", (len(effects),)).tolist())
@@ -149,7 +149,7 @@ def score_case(
     kind, disturbance = tree.text("kind"), tree.text("disturbance") if tree.get("disturbance") is not None else None
     if diagnosis is None:
         return Case(index, kind, disturbance, hidden, [], False, float("nan"), seconds, failed)
-    tree = json_file.load(diagnosis, "diagnosis")
+    tree = structured_files.load_json(diagnosis, "diagnosis")
     found, fit = [_found(table) for table in tree.tables("findings")], tree.table("fit")
     after, floor = (fit.number(key, nulls=True) for key in ("heldout_after", "noise_floor"))
     unexplained = tree.get("unexplained") is not None or any(f.effect == "unknown" for f in found)

@@ -29,7 +29,7 @@ from calib.samples.recording_samples import Sampled, sample_recording
 from rig.effects.texts.effect_notation import Kinds, parse_effect_and_place, require_known_effect
 from rig.effects.texts.user_effect_files import Plugin, catalogue_with_files
 from rig.errors import RigError
-from rig.formats import json_file
+from rig.formats import structured_files
 from rig.recording.frame_content_hashes import content_hashes
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_elements import result_html
@@ -69,7 +69,7 @@ class DiagnoseOptions:
         before = []
         if self.before is not None:
             path = self.before / "diagnosis.json"
-            table = json_file.load(path, "diagnosis", "diagnosis/1")
+            table = structured_files.load_json(path, "diagnosis", "diagnosis/1")
             for finding in table.tables("findings"):
                 name, place = finding.text("effect"), finding.text("place")
                 if name not in (*kinds, UNKNOWN):

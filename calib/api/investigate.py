@@ -25,7 +25,7 @@ from calib.experiment.investigation_report import (
     write_investigation_page,
 )
 from rig.errors import RigError
-from rig.formats import json_file
+from rig.formats import structured_files
 from rig.formats.json_tree import Json
 from rig.formats.output_files import write_bytes, write_text
 from rig.formats.rig_toml import design_file
@@ -132,7 +132,7 @@ def _begin(out: Path, rig: InvestigatedRig) -> None:
     options = rig.options
     own = {"schema": "investigation/1", "rig": rig.digest, "by": rig.by, "seed": options.seed}
     if options.resume:
-        kept = json_file.load(out / STATE, "investigation", "investigation/1")
+        kept = structured_files.load_json(out / STATE, "investigation", "investigation/1")
         for name, value in own.items():
             if kept.tree.get(name) != value:
                 kept.fail(f"is of another {name}: {kept.tree.get(name)!r}, not {value!r}", name)

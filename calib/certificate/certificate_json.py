@@ -10,8 +10,8 @@ from calib.certification.calibration_evidence import AgainstClaim
 from calib.certification.held_out_errors import Figures
 from calib.certification.promise_and_conformity import Promise
 from calib.certification.uncertainty_budget import COVERAGE, Budget
-from rig.formats.json_file import nan_to_null
 from rig.formats.json_tree import Json
+from rig.formats.structured_files import nan_to_null
 
 SCHEMA = "certificate/1"
 

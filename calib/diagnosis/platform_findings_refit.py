@@ -28,7 +28,7 @@ from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of_eff
 from rig.effects.framework.place import Place
 from rig.effects.texts.effect_notation import Kinds
 from rig.errors import FileError
-from rig.formats import json_file, machine_json
+from rig.formats import machine_json, structured_files
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files.folder_manifest import load_manifest as manifest
 from rig.model.mechanism_kinds import require_struts
@@ -121,7 +121,7 @@ def load_findings(folder: Path, recording: Recording, kinds: Kinds = BY_NAME) ->
     """
     if folder.is_dir() and not (folder / "diagnosis.json").exists():
         raise FileError(folder, "holds no diagnosis.json; --diagnosis takes a folder that `rig diagnose` wrote")
-    tree = json_file.load(folder / "diagnosis.json", "diagnosis", SCHEMA)
+    tree = structured_files.load_json(folder / "diagnosis.json", "diagnosis", SCHEMA)
     if not (folder / "machine.json").exists():
         raise FileError(
             folder / "machine.json",

@@ -18,7 +18,7 @@ from calib.drift.change_evidence import (
 from calib.drift.first_visit_reference import Reference
 from calib.drift.visit_equations import GEOMETRY, OWN, Equations, visit_equations
 from rig.errors import FileError, RigError
-from rig.formats import json_file
+from rig.formats import structured_files
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files import write_text
 from rig.model.design import DISTORTION_TERMS, Camera
@@ -191,7 +191,7 @@ def read_history(path: Path | str, calibration: str) -> History:
 
     Raises FileError for a file that is missing, cut off, none of these, or of another calibration
     """
-    tree = json_file.load(Path(path), "history of a watch", SCHEMA)
+    tree = structured_files.load_json(Path(path), "history of a watch", SCHEMA)
     if tree.text("calibration_sha256") != calibration:
         raise FileError(path, "is the history of another calibration; name another file, and a new history begins")
     places = tree.texts("places")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.diagnosis.report.diagnosis_json import SCHEMA, UNKNOWN
-from rig.formats import csv_table, json_file
+from rig.formats import csv_table, structured_files
 from rig.formats.checked_entries import Entries
 from rig.report.verdict import State
 
@@ -101,8 +101,8 @@ def read_looks(folder: Path) -> list[Look]:
 def _look(folder: Path, number: int) -> Look:
     at = diagnosis_path(folder, number)
     found, after = (
-        json_file.load(at / "diagnosis.json", "diagnosis", SCHEMA),
-        json_file.load(at / "next.json", "list of experiments", "next/1"),
+        structured_files.load_json(at / "diagnosis.json", "diagnosis", SCHEMA),
+        structured_files.load_json(at / "next.json", "list of experiments", "next/1"),
     )
     findings = [f for f in found.tables("findings") if f.text("effect") != UNKNOWN]
     unknown = [f for f in found.tables("findings") if f.text("effect") == UNKNOWN]

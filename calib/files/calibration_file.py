@@ -36,7 +36,7 @@ from calib.workspace.workspace_cells import workspace_dict, workspace_from_entri
 from rig.arrays import Floats
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.texts.effect_notation import Kinds
-from rig.formats import json_file, remote_folders
+from rig.formats import remote_folders, structured_files
 from rig.formats.checked_entries import Entries
 from rig.formats.input_files import read_bytes
 from rig.formats.json_tree import Json
@@ -161,7 +161,7 @@ def save(path: Path | str, calibration: Calibration) -> None:
         **({"pose_maps": [pose_map_dict(one) for one in correction.posed]} if correction.posed else {}),
         **({"visited": correction.visited.tolist()} if isinstance(correction, ArmCorrection) else {}),
         "fit": {"frames": list(calibration.frames), "left_out": list(calibration.left_out)},
-        "held_out": json_file.nan_to_null(asdict(calibration.held_out or NOT_HELD_OUT)),
+        "held_out": structured_files.nan_to_null(asdict(calibration.held_out or NOT_HELD_OUT)),
         "claim": calibration.claim and asdict(calibration.claim),
         **({} if calibration.physics is None else {"physics": physics_dict(calibration.physics)}),
         **({} if calibration.workspace is None else {"workspace": workspace_dict(calibration.workspace)}),
@@ -173,7 +173,7 @@ def save(path: Path | str, calibration: Calibration) -> None:
 
 def load(path: Path | str, effect_kinds: Kinds = BY_NAME) -> Calibration:
     """Load a Calibration from calibration.json. effect_kinds : effects that it may hold. Raises FileError"""
-    tree = json_file.load(Path(path), "calibration", SCHEMA, WITH_PHYSICS, WITH_POSE_MAPS)
+    tree = structured_files.load_json(Path(path), "calibration", SCHEMA, WITH_PHYSICS, WITH_POSE_MAPS)
     nominal, fitted = mechanism_from_entries(tree.table("nominal"), True), mechanism_from_entries(tree.table("fitted"))
     require_same_ranges(tree, nominal, fitted)
     schema = tree.text("schema")

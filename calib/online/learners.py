@@ -17,7 +17,7 @@ from calib.models.platform.identification import PRIOR, geometric_parameters, me
 from calib.models.platform.parameter_accuracy import PLAUSIBLE
 from rig.arrays import Floats
 from rig.errors import RigError
-from rig.formats import json_file
+from rig.formats import structured_files
 from rig.formats.checked_entries import LARGEST_RIG
 from rig.formats.output_files import write_text
 from rig.model.mechanism_geometry import Hexapod
@@ -221,7 +221,7 @@ def save_learner(path: Path | str, learner: Learner) -> None:
 
 def load_learner(path: Path | str) -> Learner:
     """Load a Learner from its file. Raises FileError for a file that is missing, cut off or of another kind."""
-    tree = json_file.load(Path(path), "state of a learner", SCHEMA)
+    tree = structured_files.load_json(Path(path), "state of a learner", SCHEMA)
     kind = LEARNERS[tree.text("learner", tuple(LEARNERS))]
     nominal = mechanism_from_entries(tree.table("nominal"))
     if not has_plates(nominal):

@@ -12,7 +12,7 @@ from calib.certification.measuring_limbs import Agreement, limb_hexapod, stated_
 from calib.files.calibration_file import covariance_from_entries
 from calib.files.calibration_file_entries import mechanism_dict, mechanism_from_entries
 from rig.errors import FileError, RigError
-from rig.formats import json_file
+from rig.formats import structured_files
 from rig.formats.checked_entries import Entries
 from rig.formats.json_tree import Json
 from rig.formats.output_files import write_text
@@ -92,7 +92,7 @@ def save_limbs(path: Path | str, accepted: Accepted) -> None:
 
 def load_limbs(path: Path | str) -> Accepted:
     """Load Accepted limbs from a limbs.json, whatever its verdict. Raises FileError"""
-    tree = json_file.load(Path(path), "limbs.json", SCHEMA)
+    tree = structured_files.load_json(Path(path), "limbs.json", SCHEMA)
     nominal, hexapod = _hexapod(tree, "stated"), _hexapod(tree, "limbs")
     sigma, table = tree.array("reading_sigma", (6,)), tree.table("agreement")
     if not (sigma > 0).all():

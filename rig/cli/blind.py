@@ -19,7 +19,7 @@ from rig.cli.shared.command_options import add_json_result_option, add_overwrite
 from rig.cli.shared.worker_options import results_with_progress, worker_pool
 from rig.compute.worker_processes import run_child_process
 from rig.errors import FileError, RigError
-from rig.formats import json_file
+from rig.formats import structured_files
 from rig.formats.input_files import read_bytes, short_repr
 from rig.formats.json_tree import Json
 from rig.formats.number_parsing_and_rounding import parse_whole_number
@@ -176,7 +176,7 @@ def _same_campaign(path: Path, settings: Json) -> None:
     from rig.formats.output_files import write_text
 
     if path.exists():
-        held = json_file.load(path, "campaign").tree
+        held = structured_files.load_json(path, "campaign").tree
         other = [name for name in {**settings, **held} if held.get(name) != settings.get(name)]
         if other:
             told = ", ".join(f"{n} {short_repr(held.get(n))} (not {settings.get(n)!r})" for n in other)
@@ -257,7 +257,7 @@ def _record(out: Path, index: int) -> tuple[float, str | None] | None:
     if not path.exists():
         return None
     try:
-        table = json_file.load(path, "record of a diagnosis")
+        table = structured_files.load_json(path, "record of a diagnosis")
         return table.number("seconds", least=0), None if table.get("failed") is None else table.text("failed")
     except FileError as error:
         print(f"case {index}: it is diagnosed anew: {error}", file=sys.stderr)

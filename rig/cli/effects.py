@@ -101,9 +101,9 @@ def _suggested(folder: Path, place: str | None) -> tuple[str, Written]:
     several things anywhere.
     """
     from rig.effects.texts.formula_effect_file import Written
-    from rig.formats import json_file
+    from rig.formats import structured_files
 
-    table = json_file.load(folder / "diagnosis.json", "diagnosis", "diagnosis/1")
+    table = structured_files.load_json(folder / "diagnosis.json", "diagnosis", "diagnosis/1")
     found = {
         entry.text("place"): entry for entry in (table.tables("suggestions") if "suggestions" in table.tree else ())
     }

@@ -103,9 +103,9 @@ def _certified(path: Path, calibration: Path, w: Workspace) -> Floats:
     Raises FileError for a file that is no certificate, or one of another calibration
     """
     from calib.workspace.workspace_cells import certified_cell_promises
-    from rig.formats import json_file
+    from rig.formats import structured_files
 
-    tree = json_file.load(path, "certificate", "certificate/1")
+    tree = structured_files.load_json(path, "certificate", "certificate/1")
     marks = tree.table("inputs_sha256")
     mine = hashlib.sha256(calibration.read_bytes()).hexdigest()
     if mine not in {marks.table(name).text("file", default=None) for name in marks.tree}:

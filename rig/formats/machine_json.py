@@ -10,7 +10,7 @@ from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_notation import Kinds, effect_from_dict, effect_to_dict, require_existing_place
 from rig.errors import FileError, RigError
-from rig.formats import json_file
+from rig.formats import structured_files
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.json_tree import Json
 from rig.model.design import Camera, Design
@@ -56,7 +56,7 @@ def load_machine(
 
     Raises FileError for a file that is none of this rig
     """
-    found, limbs = json_file.load(path, "truth of this rig"), nominal_design.insitu
+    found, limbs = structured_files.load_json(path, "truth of this rig"), nominal_design.insitu
     if "effects" not in found.tree:
         found.fail("is no truth of this rig: effects are missing", "effects")
     mechanism = _mechanism(nominal_design.mechanism, found)

@@ -18,7 +18,7 @@ from types import FunctionType, ModuleType
 WATCHED = (
     "rig.formats.csv_table",
     "rig.formats.checked_entries",
-    "rig.formats.json_file",
+    "rig.formats.structured_files",
     "rig.formats.input_files",
     "rig.recording.time_origin",
     "rig.recording.image_file_check",
@@ -27,7 +27,7 @@ WATCHED = (
     "rig.recording.recording_folder",
     "rig.formats.rig_toml.design_file",
     "rig.formats.toml_positions",
-    "rig.formats.json_file",
+    "rig.formats.structured_files",
     "rig.formats.number_parsing_and_rounding",
     "rig.formats.output_files.atomic_file",
     "rig.driving.cameras.opencv_camera",

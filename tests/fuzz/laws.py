@@ -13,10 +13,10 @@ from calib.files import calibration_file
 from calib.models import machine_models
 from rig.driving.cameras.opencv_camera import gstreamer_pipeline_problem
 from rig.errors import RigError
-from rig.formats.json_file import Places, first_repeated_key
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 from rig.formats.output_files.atomic_file import escape_unprintable
 from rig.formats.rig_toml import design_file
+from rig.formats.structured_files import Places, first_repeated_key, toml_entries
 from rig.model.controller_settings import SCHEMES, port_problem
 from rig.model.design import Actuator
 from rig.report.pages import run_page_server
@@ -59,7 +59,7 @@ def a_key(path: Path) -> None:
     table = table if table in TABLES else "actuator"
     quoted = json.dumps(key)
     try:
-        design_file.design_of_entries(design_file.entries_of_text(_toml(table, f"{quoted} = 0.001\n"), path))
+        design_file.design_of_entries(toml_entries(_toml(table, f"{quoted} = 0.001\n"), path))
     except RigError:
         return
     assert key in TABLES[table], key

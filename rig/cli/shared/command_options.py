@@ -138,7 +138,7 @@ def print_json(tree: object) -> None:
     """Print a result as JSON; NaN becomes null."""
     import json
 
-    from rig.formats.json_file import nan_to_null
+    from rig.formats.structured_files import nan_to_null
 
     print(json.dumps(nan_to_null(tree), indent=1))
 

@@ -15,6 +15,7 @@ from rig.effects.framework.machine_motion import Motion
 from rig.effects.framework.parameter import Drawing, Parameter
 from rig.errors import RigError
 from rig.formats.rig_toml import design_file
+from rig.formats.structured_files import toml_entries
 from rig.model import motion_simulation
 from rig.model.design import Design
 from rig.planning.layout import hexapod_and_two_strut_layout
@@ -99,9 +100,7 @@ def effect_example(
 def sketch_hexapod() -> Design:
     """Design of the hexapod used in all sketches, with an off-centre payload."""
     design = design_file.design_of_entries(
-        design_file.entries_of_text(
-            hexapod_and_two_strut_layout.hexapod_layout_rig_toml(RADIUS, cameras=1, cubes=1), Path("layout")
-        )
+        toml_entries(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(RADIUS, cameras=1, cubes=1), Path("layout"))
     )
     platform = replace(design.platform, payload_centre_of_mass=np.array(PAYLOAD_AT))
     return replace(design, platform=platform, actuator=replace(design.actuator, screw_lead=LEAD))

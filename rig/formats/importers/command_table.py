@@ -9,11 +9,26 @@ import numpy as np
 from rig.arrays import Floats, Integers
 from rig.checks.clock_mistakes import FASTEST, SLOWEST, USUAL, dwell_clock_shift
 from rig.errors import FileError, RigError
-from rig.formats.importers import column_headers, units_and_timestamps
-from rig.formats.importers.csv_dialect import Cells, read_foreign_table
+from rig.formats.importers.csv_dialect import read_foreign_table
+from rig.formats.importers.foreign_table_columns import (
+    FRAME,
+    TIME,
+    Cells,
+    axis_header_names,
+    find_columns,
+    recipe_columns,
+)
 from rig.formats.importers.image_file_frames import Exposed
 from rig.formats.importers.import_recipe import ForeignTable
-from rig.formats.importers.units_and_timestamps import ambiguity_error
+from rig.formats.importers.units_and_timestamps import (
+    ANGLES,
+    LENGTHS,
+    ambiguity_error,
+    fits_ranges,
+    is_likely_length_unit,
+    likely_angle_units,
+    likely_length_units,
+)
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry import Arm
@@ -43,31 +58,14 @@ def read_commands(table: ForeignTable, design: Design) -> Commanded:
     if not axes:
         raise RigError(f'{table.file}: nothing can be commanded of a mechanism of kind "{design.mechanism.kind}"')
     cells = read_foreign_table(table, "commands")
-    found = column_headers.find_columns(
-        cells,
-        "commands",
-        {"t": column_headers.TIME, "frame": column_headers.FRAME, **column_headers.axis_header_names(axes)},
-        axes,
-    )
+    found = find_columns(cells, "commands", {**TIME, **FRAME, **axis_header_names(axes)}, axes)
     values, table, told = _values(
-        cells,
-        [found[name] for name in axes],
-        replace(cells.table, columns=column_headers.recipe_columns(table, cells, found)),
-        design,
+        cells, [found[name] for name in axes], replace(cells.table, columns=recipe_columns(table, cells, found)), design
     )
     frame = None if "frame" not in found else np.array(cells.numbers(found["frame"]))
     t, said = None, (*cells.said, *told)
     if "t" in found:
-        stated = table.time_unit or _time_unit(cells.header[found["t"]])
-        read_times = units_and_timestamps.read_times(
-            cells.column(found["t"]),
-            "commands",
-            table.file.name,
-            stated,
-            table.zone,
-            table.shift,
-            _pace(values, design),
-        )
+        read_times = cells.times(found["t"], "commands", table, _pace(values, design))
         t, said = read_times.seconds, (*said, *read_times.said)
         table = replace(table, time_unit=read_times.unit, zone=read_times.zone)
     return _once(Commanded(t, values, frame, table, said), cells)
@@ -104,21 +102,14 @@ def _once(commanded: Commanded, cells: Cells) -> Commanded:
     )
 
 
-def _time_unit(header: str) -> str | None:
-    stated = units_and_timestamps.split_header(header)[1]
-    return stated if stated in units_and_timestamps.TIMES else None
-
-
 def _values(
     cells: Cells, at: list[int], table: ForeignTable, design: Design
 ) -> tuple[Floats, ForeignTable, tuple[str, ...]]:
     """((n, axes) m or rad, ForeignTable with the unit, sentences)."""
     values = np.array([cells.numbers(k) for k in at]).T
     if has_links(design.mechanism) and design.mechanism.slides.any():
-        return _sliding(
-            values, [units_and_timestamps.split_header(cells.header[k])[1] for k in at], table, design.mechanism
-        )
-    stated = {table.unit or units_and_timestamps.split_header(cells.header[k])[1] for k in at}
+        return _sliding(values, [cells.unit(k) for k in at], table, design.mechanism)
+    stated = {table.unit or cells.unit(k) for k in at}
     if len(stated) > 1:
         raise RigError(
             f"{table.file}: its columns are in different units "
@@ -126,13 +117,13 @@ def _values(
             "bring them to one unit, or state it: --set commands.unit=mm"
         )
     unit = stated.pop()
-    kind = units_and_timestamps.ANGLES if design.mechanism.axis_unit == "rad" else units_and_timestamps.LENGTHS
+    kind = ANGLES if design.mechanism.axis_unit == "rad" else LENGTHS
     if unit is not None and unit not in (*kind, "steps"):
         raise RigError(
-            f"{table.file}: {unit} is no unit of {'angles' if kind is units_and_timestamps.ANGLES else 'lengths'}; "
+            f"{table.file}: {unit} is no unit of {'angles' if kind is ANGLES else 'lengths'}; "
             f"there are {', '.join(kind)}, steps"
         )
-    if kind is units_and_timestamps.ANGLES:
+    if kind is ANGLES:
         return _angles(values, unit, table, require_arm(design.mechanism).limits)
     if unit == "steps":
         if table.steps_per_mm is None:
@@ -152,14 +143,14 @@ def _sliding(
     """
     q = values.copy()
     for i, (slide, unit) in enumerate(zip(arm.slides, stated)):
-        known, si = (units_and_timestamps.LENGTHS, "m") if slide else (units_and_timestamps.ANGLES, "rad")
+        known, si = (LENGTHS, "m") if slide else (ANGLES, "rad")
         if unit is not None and unit not in known:
             raise RigError(
                 f"{table.file}: {unit} is no unit of {arm.axes[i]}, which {'slides' if slide else 'turns'}; "
                 f"there are {', '.join(known)}"
             )
         q[:, i] /= known[unit or si]
-    if table.unit is not None or not units_and_timestamps.fits_ranges(q, arm.limits):
+    if table.unit is not None or not fits_ranges(q, arm.limits):
         raise RigError(
             f"{table.file}: joints that turn and joints that slide have no unit in common: state each "
             "column's in its header, as in "
@@ -171,18 +162,12 @@ def _sliding(
 def _angles(
     values: Floats, unit: str | None, table: ForeignTable, limits: Floats
 ) -> tuple[Floats, ForeignTable, tuple[str, ...]]:
-    fit = units_and_timestamps.likely_angle_units(values, limits, ("rad", "deg") if unit is None else (unit,))
+    fit = likely_angle_units(values, limits, ("rad", "deg") if unit is None else (unit,))
     said = f"angles run from {values.min():.6g} to {values.max():.6g}"
     if unit is None and len(fit) > 1:
         raise ambiguity_error(
             f"{table.file}: the unit of its angles is not stated, {said}, and both lie within the limits of rig.toml",
-            [
-                (
-                    f"up to {np.degrees(np.abs(values).max() / units_and_timestamps.ANGLES[u]):.4g} degrees",
-                    f"commands.unit={u}",
-                )
-                for u in fit
-            ],
+            [(f"up to {np.degrees(np.abs(values).max() / ANGLES[u]):.4g} degrees", f"commands.unit={u}") for u in fit],
         )
     if unit is None and not fit:
         raise RigError(
@@ -192,17 +177,17 @@ def _angles(
     told = (
         () if unit else (f"{table.file.name}: angles are in {fit[0]}, as they are beyond the joints' limits otherwise",)
     )
-    return values / units_and_timestamps.ANGLES[unit or fit[0]], replace(table, unit=unit or fit[0]), told
+    return values / ANGLES[unit or fit[0]], replace(table, unit=unit or fit[0]), told
 
 
 def _lengths(
     values: Floats, unit: str | None, table: ForeignTable, ranges: Floats, home: Floats
 ) -> tuple[Floats, ForeignTable, tuple[str, ...]]:
-    asked = ("mm",) if unit == "steps" else tuple(units_and_timestamps.LENGTHS) if unit is None else (unit,)
-    fit = units_and_timestamps.likely_length_units(
+    asked = ("mm",) if unit == "steps" else tuple(LENGTHS) if unit is None else (unit,)
+    fit = likely_length_units(
         values, ranges, home, asked, ("zero", "home") if table.relative is None else (table.relative,)
     )
-    better = [(u, r) for u, r in fit if units_and_timestamps.is_likely_length_unit(values, ranges, u, r)]
+    better = [(u, r) for u, r in fit if is_likely_length_unit(values, ranges, u, r)]
     fit = better if len(better) == 1 else fit
     said = (
         f"{table.file}: lengths run from {values.min():.6g} to {values.max():.6g}{' mm' if unit == 'steps' else ''}, "
@@ -222,7 +207,7 @@ def _lengths(
             "--set commands.unit=mm --set commands.relative=zero"
         )
     u, r = fit[0] if fit else (asked[0], table.relative or "zero")
-    q = values / units_and_timestamps.LENGTHS[u] + (home if r == "home" else 0.0)
+    q = values / LENGTHS[u] + (home if r == "home" else 0.0)
     told = (
         ()
         if unit and table.relative

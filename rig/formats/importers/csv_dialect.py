@@ -2,12 +2,11 @@
 
 import csv
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from rig.errors import FileError
-from rig.formats.checked_entries import LARGEST_NUMBER
-from rig.formats.importers.headerless_tables import add_time_column, lines_with_header
+from rig.formats.importers.foreign_table_columns import LONGEST, NUMBER, Cells, add_time_column, lines_with_header
 from rig.formats.importers.import_recipe import DECIMALS, SEPARATORS, ForeignTable
 from rig.formats.importers.units_and_timestamps import ambiguity_error
 from rig.formats.input_files import read_bytes, short_repr
@@ -17,48 +16,10 @@ LARGEST = 1 << 27  # bytes
 COMMENTS = ("#", "%", "//")
 LOOKED_AT = 2000  # rows by which a dialect is told; every row must have as many cells in the end
 MOST_COLUMNS = 1000
-LONGEST = 100  # characters of a number
 LONGEST_CELL = 300  # characters
-NUMBER = {
-    "point": re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII),
-    "comma": re.compile(r"[+-]?(\d+(,\d*)?|,\d+)([eE][+-]?\d{1,3})?", re.ASCII),
-}
 TORN = re.compile(r"\d[;\t, ]+[-+]?[\d.,]")  # a cell that another separator would part
 DATE = re.compile(r"\d{4}-?\d\d-?\d\d([T ]\d\d.*)?")
 GROUPED = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
-
-
-@dataclass(frozen=True, slots=True)
-class Cells:
-    """A table as text. path; header : n names; rows : lists of n texts, decimals with a point; lines : of the file,
-    from 1
-    table : ForeignTable with separator and decimal; said : sentences about what was found out."""
-
-    path: Path
-    header: tuple[str, ...]
-    rows: list[list[str]]
-    lines: list[int]
-    table: ForeignTable
-    said: tuple[str, ...]
-
-    def column(self, at: int) -> list[str]:
-        """A column's texts. at : index"""
-        return [row[at] for row in self.rows]
-
-    def numbers(self, at: int) -> list[float]:
-        """A column's numbers. Raises FileError at the first that is none."""
-        return [self._number(row[at], line, at) for row, line in zip(self.rows, self.lines)]
-
-    def _number(self, cell: str, line: int, at: int) -> float:
-        if len(cell) > LONGEST or not NUMBER["point"].fullmatch(cell) or abs(float(cell)) > LARGEST_NUMBER:
-            raise FileError(
-                self.path,
-                f"column {short_repr(self.header[at])} is no number that can be meant: {short_repr(cell)}",
-                line,
-                at + 1,
-                cell,
-            )
-        return float(cell)
 
 
 def read_foreign_table(table: ForeignTable, section: str) -> Cells:

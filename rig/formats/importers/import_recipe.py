@@ -1,18 +1,17 @@
 """Import recipe: what is stated about foreign files, from options or TOML; written back completed."""
 
 import os
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from rig.errors import FileError, RigError
+from rig.errors import RigError
 from rig.formats.checked_entries import Entries
 from rig.formats.input_files import read_text, short_repr
 from rig.formats.json_tree import Json
 from rig.formats.number_parsing_and_rounding import parse_number
-from rig.formats.toml_positions import value_positions
+from rig.formats.structured_files import toml_entries
 
 SCHEMA = "import/1"
 LARGEST = 1 << 20  # bytes
@@ -112,15 +111,9 @@ def load_recipe(path: Path, settings: tuple[str, ...] = ()) -> Recipe:
     """Load the Recipe of a TOML file, with settings "KEY=VALUE" that override it. Raises FileError.
     settings : "KEY=VALUE" that replace what it says. Raises FileError.
     """
-    content = read_text(path, LARGEST)
-    try:
-        tree = tomllib.loads(content)
-        places = value_positions(content)
-    except (ValueError, RecursionError) as error:
-        raise FileError(path, f"not valid TOML: {str(error) or 'nested too deep'}") from None
-    root = Entries(tree, (), path, places)
+    root = toml_entries(read_text(path, LARGEST), path)
     root.schema("recipe of an import", SCHEMA)
-    _set(tree, settings)
+    _set(root.tree, settings)
     return _recipe(root, path.parent)
 
 

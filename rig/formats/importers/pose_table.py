@@ -11,10 +11,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.arrays import Floats, Integers
 from rig.errors import RigError
 from rig.formats.checked_entries import LARGEST_RIG
-from rig.formats.importers import column_headers, units_and_timestamps
-from rig.formats.importers.csv_dialect import Cells, read_foreign_table
+from rig.formats.importers.csv_dialect import read_foreign_table
+from rig.formats.importers.foreign_table_columns import FRAME, TIME, Cells, find_columns, recipe_columns
 from rig.formats.importers.import_recipe import EULER, ForeignTable
-from rig.formats.importers.units_and_timestamps import ambiguity_error
+from rig.formats.importers.units_and_timestamps import ANGLES, LENGTHS, ambiguity_error
 from rig.model.design import Design
 from rig.model.mechanism_kinds import has_plates
 from rig.model.mechanisms import hexapod
@@ -68,34 +68,14 @@ def read_poses(
     are_plausible : whether times (n,) s from the first can be so
     """
     cells = read_foreign_table(table, "poses")
-    found = column_headers.find_columns(
-        cells,
-        "poses",
-        {
-            "t": column_headers.TIME,
-            "frame": column_headers.FRAME,
-            **POSITION,
-            **VECTOR,
-            **EULERS,
-            **QUATERNION,
-            **NUMBERED,
-        },
-        ("x", "y", "z"),
+    found = find_columns(
+        cells, "poses", {**TIME, **FRAME, **POSITION, **VECTOR, **EULERS, **QUATERNION, **NUMBERED}, ("x", "y", "z")
     )
-    table = replace(cells.table, columns=column_headers.recipe_columns(table, cells, found))
+    table = replace(cells.table, columns=recipe_columns(table, cells, found))
     p, table, said = _positions(cells, found, table, design)
     t = None
     if "t" in found:
-        stated = units_and_timestamps.split_header(cells.header[found["t"]])[1]
-        read_times = units_and_timestamps.read_times(
-            cells.column(found["t"]),
-            "poses",
-            table.file.name,
-            table.time_unit or (stated if stated in units_and_timestamps.TIMES else None),
-            table.zone,
-            table.shift,
-            are_plausible,
-        )
+        read_times = cells.times(found["t"], "poses", table, are_plausible)
         t, said, table = (
             read_times.seconds,
             (*said, *read_times.said),
@@ -112,17 +92,16 @@ def _positions(
     cells: Cells, found: dict[str, int], table: ForeignTable, design: Design
 ) -> tuple[Floats, ForeignTable, tuple[str, ...]]:
     values = np.array([cells.numbers(found[name]) for name in "xyz"]).T
-    stated = {table.unit or units_and_timestamps.split_header(cells.header[found[name]])[1] for name in "xyz"}
+    stated = {table.unit or cells.unit(found[name]) for name in "xyz"}
     unit = stated.pop()
-    if stated or (unit is not None and unit not in units_and_timestamps.LENGTHS):
+    if stated or (unit is not None and unit not in LENGTHS):
         raise RigError(
-            f"{table.file}: x, y, z must be in one unit of {', '.join(units_and_timestamps.LENGTHS)}; --set "
-            "poses.unit=mm states it"
+            f"{table.file}: x, y, z must be in one unit of {', '.join(LENGTHS)}; --set poses.unit=mm states it"
         )
     said: tuple[str, ...] = ()
     if unit is None:
         size, far = _size(design), float(np.median(np.linalg.norm(values, axis=1)))
-        fit = [u for u in ("m", "mm") if REACH[0] * size <= far / units_and_timestamps.LENGTHS[u] <= REACH[1] * size]
+        fit = [u for u in ("m", "mm") if REACH[0] * size <= far / LENGTHS[u] <= REACH[1] * size]
         if len(fit) != 1:
             raise ambiguity_error(
                 f"{table.file}: the unit of its positions is not stated, and they lie {far:.6g} from the "
@@ -130,7 +109,7 @@ def _positions(
                 [(u, f"poses.unit={u}") for u in ("m", "mm")],
             )
         unit, said = fit[0], (f"{table.file.name}: positions are in {fit[0]}, as the rig measures some {size:.2g} m",)
-    p = values / units_and_timestamps.LENGTHS[unit]
+    p = values / LENGTHS[unit]
     if np.abs(p).max() > LARGEST_RIG:
         raise RigError(
             f"{table.file}: a position of {np.abs(p).max():g} m is implausible; --set poses.unit=mm states another unit"
@@ -154,13 +133,7 @@ def _rotations(
     if group in (QUATERNION, NUMBERED):
         ways = _quaternions(values, names, group is QUATERNION, table)
     else:
-        ways = _angles(
-            values,
-            names,
-            {units_and_timestamps.split_header(cells.header[found[name]])[1] for name in names},
-            group is EULERS,
-            table,
-        )
+        ways = _angles(values, names, {cells.unit(found[name]) for name in names}, group is EULERS, table)
     if not ways:
         raise RigError(
             f"{table.file}: {', '.join(names)} are no rotations as stated; --set poses.rotation= takes "
@@ -199,7 +172,7 @@ def _angles(
     asked = (table.rotation,) if table.rotation else (*(() if euler else ("rotvec",)), *USUAL)
     found = []
     for u in (unit,) if unit else ("rad", "deg"):
-        v = values / units_and_timestamps.ANGLES[u]
+        v = values / ANGLES[u]
         if np.abs(v).max() > (7.0 if unit is None else 1e3):
             continue
         for way in asked:

@@ -10,10 +10,11 @@ import numpy as np
 
 from rig.arrays import Floats, Integers
 from rig.errors import RigError
-from rig.formats.importers import column_headers, image_file_frames, units_and_timestamps
+from rig.formats.importers import image_file_frames
 from rig.formats.importers.camera_calibrations import rig_toml_with_cameras
 from rig.formats.importers.command_table import Commanded, read_commands, require_one_clock, seconds_since_origin
 from rig.formats.importers.csv_dialect import read_foreign_table
+from rig.formats.importers.foreign_table_columns import CAMERA, FRAME, IMAGE, TIME, find_columns, recipe_columns
 from rig.formats.importers.image_file_frames import Exposed
 from rig.formats.importers.import_recipe import ForeignTable, Images, Recipe
 from rig.formats.importers.pose_table import Posed, read_poses
@@ -21,6 +22,7 @@ from rig.formats.importers.sensor_table import Logged, read_sensors
 from rig.formats.input_files import read_bytes, read_text
 from rig.formats.output_files import write_bytes
 from rig.formats.rig_toml import design_file
+from rig.formats.structured_files import toml_entries
 from rig.model.design import Design
 from rig.recording.corner_and_pose_tables import Poses
 from rig.recording.image_file_check import image_file_problem
@@ -58,7 +60,7 @@ def design_with_imported_cameras(recipe: Recipe) -> tuple[Design, str | None, tu
     if recipe.cameras is None:
         return design, None, ()
     text, said = rig_toml_with_cameras(recipe.cameras, read_text(recipe.rig, design_file.LARGEST), design.cameras)
-    return design_file.design_of_entries(design_file.entries_of_text(text, recipe.rig)), text, said
+    return design_file.design_of_entries(toml_entries(text, recipe.rig)), text, said
 
 
 def unpack_recipe_bags(recipe: Recipe, folder: Path) -> Recipe:
@@ -171,17 +173,7 @@ def _timed(exposed: Exposed, commanded: Commanded | None, recipe: Recipe, like: 
 def _by_table(exposed: Exposed, recipe: Recipe, table: ForeignTable, like: Like) -> tuple[Exposed, Recipe]:
     """The exposures with the times that a table gives frames or images."""
     cells = read_foreign_table(table, "frames")
-    found = column_headers.find_columns(
-        cells,
-        "frames",
-        {
-            "t": column_headers.TIME,
-            "frame": column_headers.FRAME,
-            "image": column_headers.IMAGE,
-            "camera": column_headers.CAMERA,
-        },
-        ("t",),
-    )
+    found = find_columns(cells, "frames", {**TIME, **FRAME, **IMAGE, **CAMERA}, ("t",))
     if "frame" not in found and "image" not in found:
         raise RigError(
             f"{cells.path}: no column names the frame or the image; --set 'frames.columns.frame=HEADER' states which"
@@ -190,26 +182,16 @@ def _by_table(exposed: Exposed, recipe: Recipe, table: ForeignTable, like: Like)
         Path(cell).suffix.lower() in image_file_frames.KINDS for cell in cells.column(found["frame"])
     ):
         found["image"] = found.pop("frame")  # a column such as Bild may number images or name their files
-    unit = units_and_timestamps.split_header(cells.header[found["t"]])[1]
     of_images = recipe.images
     if table.shift and of_images is not None and of_images.shift:
         raise RigError(
             f"--set frames.shift={table.shift:g} and images.shift={of_images.shift:g} both move the times of "
             f"{table.file.name}; state one"
         )
+    zone = table.zone or (of_images.zone if of_images is not None else None)
     shift = table.shift or (of_images.shift if of_images is not None else 0.0)
-    t = units_and_timestamps.read_times(
-        cells.column(found["t"]),
-        "frames",
-        table.file.name,
-        table.time_unit or (unit if unit in units_and_timestamps.TIMES else None),
-        table.zone or (of_images.zone if of_images is not None else None),
-        shift,
-        like,
-    )
-    resolved = replace(
-        cells.table, columns=column_headers.recipe_columns(table, cells, found), time_unit=t.unit, zone=t.zone
-    )
+    t = cells.times(found["t"], "frames", replace(table, zone=zone, shift=shift), like)
+    resolved = replace(cells.table, columns=recipe_columns(table, cells, found), time_unit=t.unit, zone=t.zone)
     if "image" in found:
         parts = (
             1 if len({path.name for path in exposed.path}) == len(exposed.path) else 2

@@ -12,9 +12,10 @@ import numpy as np
 from rig.arrays import Floats
 from rig.errors import RigError
 from rig.formats.checked_entries import name_problem
-from rig.formats.importers import column_headers, units_and_timestamps
 from rig.formats.importers.csv_dialect import read_foreign_table
+from rig.formats.importers.foreign_table_columns import TIME, find_columns
 from rig.formats.importers.import_recipe import ForeignTable
+from rig.formats.importers.units_and_timestamps import LENGTHS, split_header
 
 
 def _over(per: float, values: Floats) -> Floats:
@@ -27,7 +28,7 @@ TO_SI: dict[str, Callable[[Floats], Floats]] = {
     "F": lambda v: (v - 32) / 1.8,
     "kg": lambda v: v,
     "g": lambda v: v / 1000,
-    **{unit: partial(_over, per) for unit, per in units_and_timestamps.LENGTHS.items()},
+    **{unit: partial(_over, per) for unit, per in LENGTHS.items()},
 }
 SI = {"C": "C", "K": "C", "F": "C", "kg": "kg", "g": "kg"}
 
@@ -48,23 +49,14 @@ def read_sensors(table: ForeignTable, are_plausible: Callable[[Floats], bool]) -
     """
     cells = read_foreign_table(table, "sensors")
     stated = {header: ours for ours, header in table.columns if ours != "t"}
-    found = column_headers.find_columns(cells, "sensors", {"t": column_headers.TIME}, ("t",))
-    unit = units_and_timestamps.split_header(cells.header[found["t"]])[1]
-    read_times = units_and_timestamps.read_times(
-        cells.column(found["t"]),
-        "sensors",
-        table.file.name,
-        table.time_unit or (unit if unit in units_and_timestamps.TIMES else None),
-        table.zone,
-        table.shift,
-        are_plausible,
-    )
+    found = find_columns(cells, "sensors", TIME, ("t",))
+    read_times = cells.times(found["t"], "sensors", table, are_plausible)
     kept, renamed = [("t", cells.header[found["t"]])], []
     channels: list[tuple[str, Floats]] = []
     for at, header in enumerate(cells.header):
         if at == found["t"]:
             continue
-        unit = units_and_timestamps.split_header(header)[1]
+        unit = cells.unit(at)
         name = stated.get(header) or _name(header, unit)
         if name_problem(name):
             raise RigError(f"{table.file}: column {name_problem(name)}; --set 'sensors.columns.NAME={header}' names it")
@@ -90,7 +82,7 @@ def read_sensors(table: ForeignTable, are_plausible: Callable[[Floats], bool]) -
 
 def _name(header: str, unit: str | None) -> str:
     """A channel's name out of a header: words joined, its unit as a recording has it behind it."""
-    bare = units_and_timestamps.split_header(header)[0] if unit else header
+    bare = split_header(header)[0] if unit else header
     name = re.sub(r"[^A-Za-z0-9.-]+", "_", bare).strip("_.-")
     if unit in SI:
         known = re.fullmatch(r"(?i)(ambient|strut_?[1-6]|camera_.+)_temp(erature)?", name)

@@ -1,7 +1,5 @@
 """Design file (rig.toml) read into a Design: every value checked, errors with file, line and column."""
 
-import re
-import tomllib
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
@@ -9,12 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from rig.arrays import Floats
-from rig.errors import FileError
 from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries
 from rig.formats.input_files import read_text
 from rig.formats.rig_toml import arm_joint_entries, camera_instrument_and_cube_entries
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table
-from rig.formats.toml_positions import value_positions
+from rig.formats.structured_files import toml_entries
 from rig.model.controller_settings import PROTOCOLS, Controller, port_problem
 from rig.model.design import (
     DICTIONARIES,
@@ -49,25 +46,7 @@ def load_design(path: str | Path) -> Design:
 def load_entries(path: str | Path) -> Entries:
     """Load the unchecked Entries of a rig.toml. Raises FileError where it cannot be read or is no TOML."""
     path = Path(path)
-    return entries_of_text(read_text(path, LARGEST, "no such file; every recording has a rig.toml"), path)
-
-
-def entries_of_text(text: str, path: Path) -> Entries:
-    """Unchecked Entries of a rig.toml's text. path : for messages. Raises FileError where it is no TOML.
-    path : of the file, as complaints name it. Raises FileError where it is no TOML.
-    """
-    try:
-        tree = tomllib.loads(text)
-        places = value_positions(text)
-    except tomllib.TOMLDecodeError as error:
-        where = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
-        line, column = map(int, where.groups()) if where else (len(text.splitlines()), None)
-        raise FileError(path, f"not valid TOML: {str(error).split(' (at')[0]}", line, column) from None
-    except RecursionError:
-        raise FileError(path, "not valid TOML: nested too deep") from None
-    except ValueError as error:  # a number of thousands of digits, a date that there is not
-        raise FileError(path, f"not valid TOML: {error}") from None
-    return Entries(tree, (), path, places)
+    return toml_entries(read_text(path, LARGEST, "no such file; every recording has a rig.toml"), path)
 
 
 def design_of_entries(root: Entries) -> Design:

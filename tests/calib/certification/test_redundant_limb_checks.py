@@ -14,6 +14,7 @@ from calib.online.measuring_limb_poses import LiveLimbPoses
 from rig.cli import command_line
 from rig.errors import RigError
 from rig.formats.rig_toml import design_file
+from rig.formats.structured_files import toml_entries
 from rig.model.mechanisms import hexapod
 from rig.model.pose import transform_points
 from rig.planning.configuration_sets import sobol_configurations
@@ -76,7 +77,7 @@ def test_checks_close_on_stretches_left_out_by_as_much_as_is_said(machine, limbs
 def test_of_six_limbs_none_is_over_to_be_checked(machine):
     _, true, read, _ = machine
     stated = design_file.design_of_entries(
-        design_file.entries_of_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, limbs=6), "rig.toml")
+        toml_entries(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, limbs=6), "rig.toml")
     ).insitu
     six = measuring_limbs.Limbs(
         measuring_limbs.limb_hexapod(true, np.arange(6)), 1e-14 * np.eye(42), np.full(6, 1e-6), np.arange(6)

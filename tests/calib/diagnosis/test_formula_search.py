@@ -32,7 +32,7 @@ from rig.effects.framework.formula_quantities import quantities_of_motion
 from rig.effects.texts.formula_effect_file import Term, Written
 from rig.effects.texts.user_effect_files import load_effect_file
 from rig.errors import FileError
-from rig.formats import json_file
+from rig.formats import structured_files
 from rig.formats.rig_toml import design_file
 from tests.calib import laws
 from tests.calib.diagnosis.test_arm_diagnosis import recorded as arm_recorded
@@ -172,11 +172,14 @@ def test_a_spoilt_suggestion_is_refused(tmp_path, spoil, said):
         )
     )
     (tmp_path / "diagnosis.json").write_text(json.dumps({"schema": "diagnosis/1", "model": model}))
-    assert Written.read(json_file.load(tmp_path / "diagnosis.json", "diagnosis", "diagnosis/1").table("model")) == SAG
+    assert (
+        Written.read(structured_files.load_json(tmp_path / "diagnosis.json", "diagnosis", "diagnosis/1").table("model"))
+        == SAG
+    )
     spoil(model)
     (tmp_path / "diagnosis.json").write_text(json.dumps({"schema": "diagnosis/1", "model": model}))
     with pytest.raises(FileError, match=f"diagnosis.json.*({said})"):
-        Written.read(json_file.load(tmp_path / "diagnosis.json", "diagnosis", "diagnosis/1").table("model"))
+        Written.read(structured_files.load_json(tmp_path / "diagnosis.json", "diagnosis", "diagnosis/1").table("model"))
 
 
 def test_commands_write_what_is_to_be_edited(tmp_path, capsys, monkeypatch):

@@ -11,7 +11,7 @@ from calib.certification.platform_certification import certify_platform, platfor
 from calib.files import calibration_file
 from calib.models import machine_models
 from rig.errors import FileError
-from rig.formats.json_file import Places, first_repeated_key
+from rig.formats.structured_files import Places, first_repeated_key
 from rig.model.mechanisms import hexapod
 from tests.calib.correction.test_correction import wavy
 from tests.calib.worlds import sampled, workspace

@@ -1,11 +1,10 @@
-"""Cameras as other programs calibrated them: Kalibr, multical, caliscope, ROS and OpenCV, one module each, brought onto
+"""Cameras as other programs calibrated them: Kalibr, multical, caliscope, ROS and OpenCV, brought onto
 a rig.toml.
 """
 
 from rig.formats.importers.camera_calibrations.calibration_files_to_rig_toml import (
-    KINDS,
     read_camera_calibration,
     rig_toml_with_cameras,
 )
 
-__all__ = ["KINDS", "read_camera_calibration", "rig_toml_with_cameras"]
+__all__ = ["read_camera_calibration", "rig_toml_with_cameras"]

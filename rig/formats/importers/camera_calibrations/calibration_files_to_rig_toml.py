@@ -1,6 +1,5 @@
 """Camera calibration files of other programs read, and their cameras written into a rig.toml."""
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,30 +8,29 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.errors import FileError, RigError
-from rig.formats import json_file, yaml_file
+from rig.formats import structured_files
 from rig.formats.checked_entries import LARGEST_RIG, Entries, name_problem
-from rig.formats.importers.camera_calibrations import caliscope, kalibr, multical, opencv_and_ros
+from rig.formats.importers.camera_calibrations.calibration_programs import PROGRAMS
 from rig.formats.importers.camera_calibrations.foreign_camera_and_fisheye_lens import ForeignCamera
 from rig.formats.importers.import_recipe import Cameras
 from rig.formats.input_files import read_text, short_repr
 from rig.formats.number_parsing_and_rounding import parse_numbers
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import camera_toml, replace_cameras
-from rig.formats.toml_positions import value_positions
 from rig.model.design import Camera
 from rig.model.pose import pose
 
-KINDS = {"Kalibr": kalibr, "multical": multical, "caliscope": caliscope, "ROS camera_info or OpenCV": opencv_and_ros}
 LARGEST = 1 << 22  # bytes
 
 
 def read_camera_calibration(path: Path) -> tuple[str, list[ForeignCamera]]:
     """Camera calibration file read: (program that wrote it, its ForeignCameras).
+
     Raises FileError, with line and key, for anything that cannot be used.
     """
     root = _root(path)
-    for kind, module in KINDS.items():
-        if module.recognises(root):
-            return kind, module.read(root)
+    for program, (recognises, read) in PROGRAMS.items():
+        if recognises(root):
+            return program, read(root)
     target = (
         f"; it holds a target of Kalibr ({root.tree['target_type']}), the cameras are in its camchain"
         if "target_type" in root.tree
@@ -40,7 +38,7 @@ def read_camera_calibration(path: Path) -> tuple[str, list[ForeignCamera]]:
     )
     raise FileError(
         path,
-        f"holds no cameras as {', '.join(KINDS)} write "
+        f"holds no cameras as {', '.join(PROGRAMS)} write "
         f"them{target or '; its keys are ' + ', '.join(list(root.tree)[:8])}",
     )
 
@@ -48,18 +46,14 @@ def read_camera_calibration(path: Path) -> tuple[str, list[ForeignCamera]]:
 def _root(path: Path) -> Entries:
     suffix = path.suffix.lower()
     if suffix == ".json":
-        return json_file.load(path, "calibration of cameras")
+        return structured_files.load_json(path, "calibration of cameras")
     if suffix != ".toml":
         if suffix == ".xml":
             raise FileError(
                 path, "XML of OpenCV is not read here; write it as .yml (cv2.FileStorage takes the name's end)"
             )
-        return yaml_file.load(path)
-    text = read_text(path, LARGEST)
-    try:
-        return Entries(tomllib.loads(text), (), path, value_positions(text))
-    except (ValueError, RecursionError) as error:
-        raise FileError(path, f"not valid TOML: {str(error) or 'nested too deep'}") from None
+        return structured_files.load_yaml(path)
+    return structured_files.toml_entries(read_text(path, LARGEST), path)
 
 
 def rig_toml_with_cameras(

@@ -97,24 +97,22 @@ ROUNDS = 8  # of the fit, weighted by the last one's denominator
 
 
 def rational_lens_of_fisheye(
-    entries: Entries, key: str, fisheye_terms: Floats, matrix: Floats, size: tuple[int, int]
-) -> tuple[Floats, float]:
-    """Rational lens of a fisheye: (distortion (8,) in OpenCV's order, largest deviation in px).
+    entries: Entries, keys: tuple[str, str], fisheye_terms: Floats, matrix: Floats, size: tuple[int, int], lens: str
+) -> tuple[Floats, tuple[str, ...]]:
+    """Rational lens of a fisheye: (distortion (8,) in OpenCV's order, sentence on how far it deviates).
 
-    matrix : (3, 3) px; size : (width, height) px. Raises FileError where no rational lens follows it, with how far one
-        does
+    keys : of the model and of its terms; matrix : (3, 3) px; size : (width, height) px; lens : camera and lens, in
+        words
+    Raises FileError for other than four terms, and where no rational lens follows it, with how far one does
     """
+    key, terms_key = keys
+    if len(fisheye_terms) != 4:
+        entries.fail(f"{entries.name(terms_key)}: a fisheye has 4 terms, got {len(fisheye_terms)}", terms_key)
     corners = np.array([[u, v] for u in (0, size[0] - 1) for v in (0, size[1] - 1)], float)
     focal = np.array([matrix[0, 0], matrix[1, 1]])
     reach = float(np.linalg.norm((corners - matrix[:2, 2]) / focal, axis=1).max())
     theta = np.linspace(0, WIDEST, 20 * POINTS)
-    radius = theta * (
-        1
-        + fisheye_terms[0] * theta**2
-        + fisheye_terms[1] * theta**4
-        + fisheye_terms[2] * theta**6
-        + fisheye_terms[3] * theta**8
-    )
+    radius = _fisheye_radius(theta, fisheye_terms)
     grows = np.diff(radius) > 0
     last = int(np.argmin(grows)) if not grows.all() else len(radius) - 1
     if radius[last] < reach:
@@ -125,13 +123,7 @@ def rational_lens_of_fisheye(
             key,
         )
     angle = np.interp(np.linspace(0, reach, POINTS + 1)[1:], radius[: last + 1], theta[: last + 1])
-    wanted = angle * (
-        1
-        + fisheye_terms[0] * angle**2
-        + fisheye_terms[1] * angle**4
-        + fisheye_terms[2] * angle**6
-        + fisheye_terms[3] * angle**8
-    )
+    wanted = _fisheye_radius(angle, fisheye_terms)
     coefficients = _fitted(np.tan(angle), wanted)
     off = float(np.abs(_radius(np.tan(angle), coefficients) - wanted).max() * focal.max())
     if not off <= FOLLOWS:
@@ -143,23 +135,12 @@ def rational_lens_of_fisheye(
             key,
         )
     a, d = coefficients[:3], coefficients[3:]
-    return np.array([a[0], a[1], 0, 0, a[2], *d]), off
+    sentence = f"{lens} becomes OpenCV's rational lens, which follows it to {off:.2g} px in the whole image"
+    return np.array([a[0], a[1], 0, 0, a[2], *d]), (sentence,)
 
 
-def require_four_fisheye_terms(entries: Entries, key: str, values: Floats) -> None:
-    """Raise FileError unless the terms (n,) are the four of a fisheye lens."""
-    if len(values) != 4:
-        entries.fail(f"{entries.name(key)}: a fisheye has 4 terms, got {len(values)}", key)
-
-
-def conversion_sentence(camera_name: str, error_px: float) -> str:
-    """Sentence about a camera whose fisheye lens was converted to a rational lens. error_px : px
-    error_px : px
-    """
-    return (
-        f"{camera_name}: its fisheye becomes OpenCV's rational lens, which follows it to {error_px:.2g} px in "
-        "the whole image"
-    )
+def _fisheye_radius(theta: Floats, k: Floats) -> Floats:
+    return theta * (1 + k[0] * theta**2 + k[1] * theta**4 + k[2] * theta**6 + k[3] * theta**8)
 
 
 def _radius(r: Floats, c: Floats) -> Floats:

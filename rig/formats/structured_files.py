@@ -1,21 +1,26 @@
-"""JSON file of ours read into Entries with line and column of each value; repeated keys are errors."""
+"""Structured text files (JSON, YAML, TOML) loaded into Entries with line and column of each value."""
 
 from __future__ import annotations
 
 import json
 import math
 import re
+import tomllib
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import yaml
 
 from rig.errors import FileError
+from rig.formats.checked_entries import Entries
 from rig.formats.input_files import read_text, require_schema, short_repr
 from rig.formats.json_tree import Json
+from rig.formats.toml_positions import value_positions
 
 LARGEST_INDEXED = 1 << 22  # characters of a text that is looked through; in a larger one nothing but the file is named
-_TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{},:]|[^\s\[\]{},:"]+', re.DOTALL)
+_JSON_TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{},:]|[^\s\[\]{},:"]+', re.DOTALL)
 KeyPath = tuple[str | int, ...]
 Place = tuple[int | None, int | None]
 
@@ -33,7 +38,7 @@ class Places(Mapping[KeyPath, Place]):
         found: dict[KeyPath, Place] = {(): (None, None)}
         if len(self._text) <= LARGEST_INDEXED:
             line, start, before = 1, 0, 0
-            for path, at in _values(self._text):
+            for path, at in _json_values(self._text):
                 line += self._text.count("\n", before, at)
                 start = self._text.rfind("\n", 0, at) + 1
                 before = at
@@ -54,7 +59,7 @@ class Places(Mapping[KeyPath, Place]):
 def first_repeated_key(text: str) -> tuple[str, Place] | None:
     """The first repeated key of a JSON text and the position of its second value, or None."""
     seen = set()
-    for path, at in _values(text):
+    for path, at in _json_values(text):
         if path and path in seen:
             return str(path[-1]), (text.count("\n", 0, at) + 1, at - text.rfind("\n", 0, at))
         seen.add(path)
@@ -75,12 +80,12 @@ class RepeatedKey(ValueError):
     """A JSON text has a table with a key that is there twice; see `first_repeated_key`."""
 
 
-def _values(text: str) -> Iterator[tuple[KeyPath, int]]:
+def _json_values(text: str) -> Iterator[tuple[KeyPath, int]]:
     """(path, offset) of every value, in the text's order; of a text that json accepts."""
     above: list[
         str | int | None
     ] = []  # keys and indices that lead to what is read; None where a table's key is still to come
-    for token in _TOKEN.finditer(text):
+    for token in _JSON_TOKEN.finditer(text):
         word = token.group()
         if word in "]}":
             above.pop()
@@ -96,21 +101,15 @@ def _values(text: str) -> Iterator[tuple[KeyPath, int]]:
                 above.append(0 if word == "[" else None)
 
 
-if TYPE_CHECKING:
-    from rig.formats.checked_entries import Entries
-
 LARGEST = 1 << 26  # bytes
 
 
-def load(path: Path, file_kind: str, *schemas: str) -> Entries:
+def load_json(path: Path, file_kind: str, *schemas: str) -> Entries:
     """Load the Entries of a JSON file. file_kind : as in "calibration"; schemas : accepted ones, none for any.
-    file_kind : it should be, as in "calibration"; schemas : of which it must name one; none for any.
 
     Raises FileError for a file that is missing, cut off, no JSON, nested too deep, of another schema, or with a key
         twice in one table
     """
-    from rig.formats.checked_entries import Entries
-
     path = Path(path)
     text = read_text(path, LARGEST)
     try:
@@ -139,3 +138,92 @@ def nan_to_null(data: Any) -> Any:
     if isinstance(data, list | tuple):
         return [nan_to_null(value) for value in data]
     return None if isinstance(data, float) and not math.isfinite(data) else data
+
+
+def toml_entries(text: str, path: Path) -> Entries:
+    """Unchecked Entries of a TOML file's text.
+    path : of the file, for messages. Raises FileError where it is no TOML.
+    """
+    try:
+        tree = tomllib.loads(text)
+        places = value_positions(text)
+    except tomllib.TOMLDecodeError as error:
+        where = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
+        line, column = map(int, where.groups()) if where else (len(text.splitlines()), None)
+        raise FileError(path, f"not valid TOML: {str(error).split(' (at')[0]}", line, column) from None
+    except RecursionError:
+        raise FileError(path, "not valid TOML: nested too deep") from None
+    except ValueError as error:  # a number of thousands of digits, a date that there is not
+        raise FileError(path, f"not valid TOML: {error}") from None
+    return Entries(tree, (), path, places)
+
+
+LARGEST_YAML = 1 << 22  # bytes
+MOST_YAML_VALUES = 100_000  # values: an alias may stand for many
+DIRECTIVE = re.compile(r"\A%YAML[: ]1\.[0-9][^\n]*")  # as OpenCV writes it, which is no YAML
+WHOLE = re.compile(r"[-+]?[0-9]{1,300}")
+NUMBER = re.compile(r"[-+]?([0-9]{1,300}\.?[0-9]{0,300}|\.[0-9]{1,300})([eE][-+]?[0-9]{1,3})?")
+WORDS = {
+    "true": True,
+    "false": False,
+    "null": None,
+    "~": None,
+    "": None,
+    ".inf": float("inf"),
+    "-.inf": float("-inf"),
+    ".nan": float("nan"),
+}
+
+
+def load_yaml(path: Path) -> Entries:
+    """Load the Entries of a YAML file.
+    Raises FileError for a file that is missing, cut off, no YAML, no table or larger than such files are.
+    """
+    text = DIRECTIVE.sub("", read_text(path, LARGEST_YAML))
+    try:
+        root = yaml.compose(text, Loader=yaml.SafeLoader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        where = (mark.line + 1, mark.column + 1) if mark else (None, None)
+        raise FileError(path, f"not valid YAML: {error.problem or error.context} (cut off?)", *where) from None
+    except yaml.YAMLError as error:
+        raise FileError(path, f"not valid YAML: {str(error).splitlines()[0]}") from None
+    except RecursionError:
+        raise FileError(path, "not valid YAML: nested too deep") from None
+    if not isinstance(root, yaml.MappingNode):
+        raise FileError(path, "holds no table of keys and values")
+    places: dict[tuple[str | int, ...], tuple[int, int]] = {}
+    try:
+        tree = _yaml_value(root, (), places, path)
+    except RecursionError:
+        raise FileError(path, "not valid YAML: nested too deep, or an alias within itself") from None
+    return Entries(tree, (), path, places)
+
+
+def _yaml_value(
+    node: yaml.Node, at: tuple[str | int, ...], places: dict[tuple[str | int, ...], tuple[int, int]], file: Path
+) -> Any:
+    """A node as Python has it: tables, lists, texts, numbers, whatever tag it bears."""
+    line, column = node.start_mark.line + 1, node.start_mark.column + 1
+    places[at] = (line, column)
+    if len(places) > MOST_YAML_VALUES:
+        raise FileError(file, f"holds more than {MOST_YAML_VALUES} values", line, column)
+    if isinstance(node, yaml.SequenceNode):
+        return [_yaml_value(inner, (*at, i), places, file) for i, inner in enumerate(node.value)]
+    if isinstance(node, yaml.MappingNode):
+        tree: Json = {}
+        for key, inner in node.value:
+            if key.value in tree:
+                raise FileError(
+                    file, f"{key.value} is there twice", key.start_mark.line + 1, key.start_mark.column + 1, key.value
+                )
+            tree[str(key.value)] = _yaml_value(inner, (*at, str(key.value)), places, file)
+        return tree
+    return node.value if getattr(node, "style", None) in ("'", '"') else _plain_yaml_word(node.value)
+
+
+def _plain_yaml_word(text: str) -> Any:
+    """A bare word: a number as every other language reads it (1e-5 is one, 010 is ten), true, false, null or text."""
+    if WHOLE.fullmatch(text):
+        return int(text)
+    return float(text) if NUMBER.fullmatch(text) else WORDS.get(text.lower(), text)

@@ -1,0 +1,208 @@
+"""Columns of foreign tables: cells as text and numbers, columns found by their headers, headers and times added."""
+
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from pathlib import Path
+
+from rig.arrays import Floats
+from rig.errors import FileError, RigError
+from rig.formats.checked_entries import LARGEST_NUMBER
+from rig.formats.importers.import_recipe import ForeignTable
+from rig.formats.importers.units_and_timestamps import TIMES, Times, read_times, split_header
+from rig.formats.input_files import short_repr
+from rig.recording.time_origin import DIGITS
+
+TIME = {
+    "t": (
+        *("t", "time", "timestamp", "stamp", "zeit", "zeitstempel", "uhrzeit", "elapsed", "elapsedtime"),
+        *("epoch", "datetime", "utc", "unixtime", "clock"),
+    )
+}  # {our name of a column: what its header may be called}
+FRAME = {"frame": ("frame", "index", "nr", "no", "number", "i", "id", "bild", "n", "pose", "point")}
+IMAGE = {"image": ("image", "file", "filename", "img", "picture", "path")}
+CAMERA = {"camera": ("camera", "cam", "kamera")}
+LIMB = ("l", "leg", "strut", "length", "actuator", "act", "axis", "limb", "bein", "m", "pos")
+JOINT = ("q", "joint", "j", "theta", "axis", "a", "angle")
+
+
+LONGEST = 100  # characters of a number
+NUMBER = {
+    "point": re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII),
+    "comma": re.compile(r"[+-]?(\d+(,\d*)?|,\d+)([eE][+-]?\d{1,3})?", re.ASCII),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """A table as text. path; header : n names; rows : lists of n texts, decimals with a point; lines : of the file,
+    from 1
+    table : ForeignTable with separator and decimal; said : sentences about what was found out."""
+
+    path: Path
+    header: tuple[str, ...]
+    rows: list[list[str]]
+    lines: list[int]
+    table: ForeignTable
+    said: tuple[str, ...]
+
+    def column(self, at: int) -> list[str]:
+        """A column's texts. at : index"""
+        return [row[at] for row in self.rows]
+
+    def numbers(self, at: int) -> list[float]:
+        """A column's numbers. Raises FileError at the first that is none."""
+        return [self._number(row[at], line, at) for row, line in zip(self.rows, self.lines)]
+
+    def unit(self, at: int) -> str | None:
+        """Unit that a column's header states, or None."""
+        return split_header(self.header[at])[1]
+
+    def times(self, at: int, section: str, stated: ForeignTable, are_plausible: Callable[[Floats], bool]) -> Times:
+        """A column's times, in the unit stated for the table or by the header; see `read_times`."""
+        unit = stated.time_unit or (self.unit(at) if self.unit(at) in TIMES else None)
+        return read_times(self.column(at), section, stated.file.name, unit, stated.zone, stated.shift, are_plausible)
+
+    def _number(self, cell: str, line: int, at: int) -> float:
+        if len(cell) > LONGEST or not NUMBER["point"].fullmatch(cell) or abs(float(cell)) > LARGEST_NUMBER:
+            raise FileError(
+                self.path,
+                f"column {short_repr(self.header[at])} is no number that can be meant: {short_repr(cell)}",
+                line,
+                at + 1,
+                cell,
+            )
+        return float(cell)
+
+
+def _normalised_header(header: str) -> str:
+    """A header's name without its unit, capitals and punctuation: what is compared."""
+    return re.sub(r"[^a-z0-9]+", "", split_header(header)[0].lower())
+
+
+def axis_header_names(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """{axis: accepted header names} for the axes l1.. or q1.."""
+    return {name: tuple(f"{word}{name[1:]}" for word in (LIMB if name[0] == "l" else JOINT)) for name in names}
+
+
+def find_columns(
+    cells: Cells, section: str, header_names: dict[str, tuple[str, ...]], required_names: Iterable[str]
+) -> dict[str, int]:
+    """Columns found by their headers: {our name: column index}.
+
+    header_names : {our name: what a header may be called}; required_names : that must be there. Raises RigError for
+        what is missing or there twice
+    """
+    stated = dict(cells.table.columns)
+    found: dict[str, int] = {}
+    for ours, names in header_names.items():
+        if ours in stated:
+            if stated[ours] not in cells.header:
+                raise FileError(
+                    cells.path, f"has no column {short_repr(stated[ours])}; its header is {', '.join(cells.header)}"
+                )
+            found[ours] = cells.header.index(stated[ours])
+            continue
+        exact = [k for k, header in enumerate(cells.header) if header == ours]
+        alike = exact or [
+            k
+            for k, header in enumerate(cells.header)
+            if _normalised_header(header) in names and header not in stated.values()
+        ]
+        if len(alike) > 1:
+            raise RigError(
+                "\n".join(
+                    [
+                        f"{cells.path}: several columns can be {ours}:",
+                        *(f"  {cells.header[k]}: --set '{section}.columns.{ours}={cells.header[k]}'" for k in alike),
+                    ]
+                )
+            )
+        if alike:
+            found[ours] = alike[0]
+    missing = [ours for ours in required_names if ours not in found]
+    if missing:
+        raise RigError(
+            f"{cells.path}: no column is {missing[0]}: the header is {', '.join(cells.header)}; state which "
+            "one it is with "
+            f"--set '{section}.columns.{missing[0]}=HEADER'"
+        )
+    return found
+
+
+def recipe_columns(table: ForeignTable, cells: Cells, found: dict[str, int]) -> tuple[tuple[str, str], ...]:
+    """The columns found, in the form that an import recipe stores."""
+    return tuple((ours, cells.header[at]) for ours, at in found.items())
+
+
+TUM = "t x y z qx qy qz qw"  # what its eight columns are, the quaternion's real part last
+SAMPLE = ("sample", "samplenumber", "tick", "n")
+LOST = "overrun"  # a line that halsampler writes where samples were lost
+FIGURES = re.compile(r"[-+0-9.eE]+( +[-+0-9.eE]+){7}")
+
+
+@dataclass(frozen=True, slots=True)
+class Headed:
+    """lines : (number, text) pairs, a header first; table : ForeignTable with the header; said : sentences."""
+
+    lines: list[tuple[int, str]]
+    table: ForeignTable
+    said: tuple[str, ...] = ()
+
+
+def lines_with_header(table: ForeignTable, section: str, lines: list[tuple[int, str]]) -> Headed:
+    """Lines of a table with a header added where it has none: the stated one, or TUM's.
+    section : of the table's section
+
+    Raises FileError where samples were lost and nothing tells when
+    """
+    if (
+        table.header is None
+        and section == "poses"
+        and table.separator in (None, "space")
+        and all(FIGURES.fullmatch(text) for _, text in lines[:2])
+    ):
+        return Headed(
+            [(0, TUM), *lines],
+            replace(table, header=TUM, separator="space", decimal="point"),
+            (f"{table.file.name} has no header and eight columns: a trajectory as TUM's, {TUM}, in m",),
+        )
+    if table.header is None:
+        return Headed(lines, table)
+    lost = [number for number, text in lines if text == LOST]
+    if lost and not _sample_column(table.header.replace(",", " ").split()):
+        raise FileError(
+            table.file,
+            "samples were lost here and nothing tells how many: log with halsampler -t, and name the first "
+            "column sample",
+            lost[0],
+        )
+    said = (f"{table.file.name}: samples were lost {len(lost)} times, first at line {lost[0]}",) if lost else ()
+    return Headed([(0, table.header), *(line for line in lines if line[1] != LOST)], table, said)
+
+
+def _sample_column(header: list[str]) -> str | None:
+    """The column that counts samples, or None."""
+    return next((word for word in header if re.sub(r"[^a-z]", "", word.lower()) in SAMPLE), None)
+
+
+def add_time_column(
+    table: ForeignTable, header: tuple[str, ...], rows: list[list[str]]
+) -> tuple[tuple[str, ...], list[list[str]]]:
+    """Table (header, rows) with a time column added where a period is stated.
+
+    Raises FileError for samples that are no whole numbers
+    """
+    if table.period is None:
+        return header, rows
+    count, by = _sample_column(list(header)), Decimal(repr(table.period))
+    numbers = [str(k) for k in range(len(rows))] if count is None else [row[header.index(count)] for row in rows]
+    for number in numbers:
+        if not re.fullmatch(r"\d{1,15}", number):
+            raise FileError(
+                table.file, f"column {count} counts samples, and {number!r} is no whole number", value=number
+            )
+    return (*header, "t [s]"), [
+        [*row, f"{DIGITS.multiply(Decimal(number), by):f}"] for row, number in zip(rows, numbers)
+    ]
