@@ -10,7 +10,7 @@ from rig.cli.go import parse_pose
 from rig.effects.texts.effect_notation import parse_effect
 from rig.errors import FileError, RigError
 from rig.formats import csv_table
-from rig.formats.importers.csv_dialect import NUMBER
+from rig.formats.importers.foreign_table_columns import NUMBER
 from rig.formats.number_parsing_and_rounding import NotFinite, parse_number, parse_whole_number
 from rig.recording.frame_selection import parse_frame_ranges
 from vision.lenses import calibration_board
