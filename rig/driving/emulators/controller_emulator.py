@@ -21,15 +21,16 @@ LONGEST = 4096  # bytes kept of a line that does not end
 class Emulator:
     """Base of the dialects, which take whole lines and single bytes that act at once, and say things.
 
-    machine : Machine; faults : Faults, the machine's; clock : Clock
+    machine : Machine; faults : Faults, the machine's; clock : Clock; limits : (n, 2) m of the counters
     plugged : whether the line is whole; replugged : how often it came back
     """
 
     ends = b"\n\r"
     buffer = 1024
 
-    def __init__(self, machine: Machine, faults: Faults, clock: Clock) -> None:
+    def __init__(self, machine: Machine, faults: Faults, clock: Clock, limits: Floats) -> None:
         self.machine, self.faults, self.clock = machine, faults, clock
+        self.limits = np.asarray(limits, float)
         self.replugged = 0
         self._cut_until: float | None = None
         self._in = b""
@@ -53,6 +54,31 @@ class Emulator:
             self._cut_until = None
             self.replugged += 1
         return self._cut_until is None
+
+    @property
+    def busy(self) -> bool:
+        """Whether the axes move or home."""
+        return self.machine.moving(self.now) or self.machine.homing(self.now)
+
+    def is_beyond_limits(self, target: Floats) -> bool:
+        """Whether a target (n,) m of the counters lies beyond the limits."""
+        low, high = self.limits.T
+        return bool(((target < low - 1e-9) | (target > high + 1e-9)).any())
+
+    def start_move(self, target: Floats, duration: float) -> set[str]:
+        """Start a move to a target (n,) m of the counters within a duration (s), unless an armed fault prevents it.
+
+        Returns the faults of the answer: "ok-after-error" or "resend", where nothing moves, "resend-moving",
+            "runs-after-error"
+        """
+        self.faults.begin()
+        for fault in ("ok-after-error", "resend"):
+            if self.faults.take(fault):
+                return {fault}
+        struck = {fault for fault in ("resend-moving", "runs-after-error") if self.faults.take(fault)}
+        self.machine.go(self.now, target, duration)
+        self.strikes_on_move(self.machine.axes.until - self.now)
+        return struck
 
     def lengths_at(self, t: Floats | float) -> Floats:
         """(..., n) m at which the axes truly stood at t (...) s."""

@@ -17,13 +17,13 @@ READY, NOT_READY = "\xb1", "\xb0"
 
 
 class GCS(Emulator):
-    """axes : names; limits : (n, 2) m of the counters"""
+    """axes : names; the rest as of an Emulator"""
 
     ends = b"\n"
 
     def __init__(self, machine: Machine, faults: Faults, clock: Clock, axes: tuple[str, ...], limits: Floats) -> None:
-        super().__init__(machine, faults, clock)
-        self.axes, self.limits = axes, np.asarray(limits, float)
+        super().__init__(machine, faults, clock, limits)
+        self.axes = axes
         self.velocity, self.acceleration = machine.axes.speed.copy(), machine.axes.acceleration.copy()
         self.servo, self.error = np.zeros(len(axes), bool), 0
         self.greet()
@@ -35,7 +35,7 @@ class GCS(Emulator):
 
     def at_once(self, byte: int) -> bool:
         if byte == 5:
-            self.say(f"{(1 << len(self.axes)) - 1 if self._moving() else 0:X}\n")
+            self.say(f"{(1 << len(self.axes)) - 1 if self.busy else 0:X}\n")
         elif byte == 7:
             self.say(f"{NOT_READY if self.machine.homing(self.now) else READY}\n")
         elif byte == 24:
@@ -77,9 +77,6 @@ class GCS(Emulator):
         super().deaf_alarm()
         self.servo[:], self.error = False, -1024
 
-    def _moving(self) -> bool:
-        return self.machine.moving(self.now) or self.machine.homing(self.now)
-
     def _halt(self) -> None:
         self._hold(self.machine.halt(self.now))
         self.error = 10
@@ -90,7 +87,7 @@ class GCS(Emulator):
 
     def _tell_error(self) -> None:
         t = self.now
-        if self.machine.fault(t) and not self._moving():
+        if self.machine.fault(t) and not self.busy:
             self.error, self.servo = -1024, self.servo & False
         self.say(f"{self.error}\n", acknowledges=self._moved)
         self.error = 0
@@ -113,7 +110,7 @@ class GCS(Emulator):
             "TMX?": lambda: MM * self.limits[:, 1],
         }
         flags: dict[str, Callable[[], Booleans]] = {
-            "ONT?": lambda: np.full(n, not self._moving() and self._on_target()),
+            "ONT?": lambda: np.full(n, not self.busy and self._on_target()),
             "SVO?": lambda: self.servo,
             "FRF?": lambda: np.full(n, self.machine.homed and not self.machine.homing(t)) & self._referenced(),
         }
@@ -168,33 +165,26 @@ class GCS(Emulator):
             (self.velocity if word == "VEL" else self.acceleration)[index] = values / MM
 
     def _move(self, target: Floats, index: list[int]) -> None:
-        low, high = self.limits.T
         self._moved = True
         if not self.servo[index].all() or not self._referenced().all():
             self.error = 5
-        elif ((target < low - 1e-9) | (target > high + 1e-9)).any():
+        elif self.is_beyond_limits(target):
             self.error = 7
         else:
             self._begin(target)
 
     def _begin(self, target: Floats) -> None:
-        self.faults.begin()
-        take = self.faults.take
-        if take("ok-after-error"):
+        duration = (np.abs(target - self.machine.counters(self.now)) / self.velocity).max()
+        struck = self.start_move(target, duration)
+        if "ok-after-error" in struck:
             self.say("24\n0\n")
             return
-        if take("resend"):
+        if struck & {"resend", "resend-moving"}:
             self._in = b""  # the line came broken, and what came with it
+        if "resend" in struck:
             return
-        asks, fails = take("resend-moving"), take("runs-after-error")
-        self.target = target
-        duration = (np.abs(target - self.machine.counters(self.now)) / self.velocity).max()
-        self.machine.go(self.now, target, duration)
-        self._goal = self.machine.executed[-1].target
-        self.strikes_on_move(self.machine.axes.until - self.now)
-        if asks:
-            self._in = b""
-        if fails:
+        self.target, self._goal = target, self.machine.executed[-1].target
+        if "runs-after-error" in struck:
             self.error = 25
 
     def _reference(self, arguments: list[str]) -> None:

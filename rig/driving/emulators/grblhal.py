@@ -23,7 +23,7 @@ MODAL = ("G0", "G1", "G20", "G21", "G90", "G91", "G94", "G54", "G17", "G61", "G8
 
 
 class GrblHAL(Emulator):
-    """axes : letters; limits : (n, 2) m of the counters; settings : numbers as $$ lists them, on top of the usual"""
+    """axes : letters; settings : numbers as $$ lists them, on top of the usual; the rest as of an Emulator"""
 
     def __init__(
         self,
@@ -34,8 +34,8 @@ class GrblHAL(Emulator):
         limits: Floats,
         settings: dict[int, float] | None = None,
     ) -> None:
-        super().__init__(machine, faults, clock)
-        self.axes, self.limits = axes, np.asarray(limits, float)
+        super().__init__(machine, faults, clock, limits)
+        self.axes = axes
         n = len(axes)
         self.settings = {
             0: 5.0,
@@ -271,28 +271,17 @@ class GrblHAL(Emulator):
                 target[i] += value
             else:
                 target[i] = value + (0 if machine_coordinates else self.offset[i])
-        low, high = self.limits.T
-        if self.settings[20] and ((target < low - 1e-9) | (target > high + 1e-9)).any():
+        if self.settings[20] and self.is_beyond_limits(target):
             self.alarm = 2
             self.say("ALARM:2\r\n[MSG:Reset to continue]\r\n")
             return
-        self.faults.begin()
-        take = self.faults.take
         duration = float(np.linalg.norm(target - start)) / (self._feed / MM / 60) if self._motion else 0.0
-        if take("ok-after-error"):
+        struck = self.start_move(target, duration)
+        if "ok-after-error" in struck:
             self._fail(1)
             self._error = 0
             self.say("ok\r\n")
-            return
-        if take("resend"):
+        elif struck & {"resend", "resend-moving"}:
             self.say("Resend:1\r\n")
-            return
-        asks, fails = take("resend-moving"), take("runs-after-error")
-        self.machine.go(self.now, target, duration)
-        self.strikes_on_move(self.machine.axes.until - self.now)
-        if asks:
-            self.say("Resend:1\r\n")
-        elif fails:
-            self._verdict(1)
         else:
-            self._verdict(0)
+            self._verdict(1 if struck else 0)

@@ -32,8 +32,8 @@ class LinuxCNC(Emulator):
         limits: Floats,
         hexapod: Hexapod | None,
     ) -> None:
-        super().__init__(machine, faults, clock)
-        self.axes, self.limits, self.hexapod = axes, np.asarray(limits, float), hexapod
+        super().__init__(machine, faults, clock, limits)
+        self.axes, self.hexapod = axes, hexapod
         self.greet()
 
     def greet(self) -> None:
@@ -68,14 +68,11 @@ class LinuxCNC(Emulator):
         self._estop, self._power = True, False
         self._errors.append("emergency stop")
 
-    def _moving(self) -> bool:
-        return self.machine.moving(self.now) or self.machine.homing(self.now)
-
     def _get(self, word: str) -> None:
         t, n = self.now, len(self.limits)
         self.machine.settle(t)
         fault = self.machine.fault(t)
-        if fault.startswith("motor") and not self._moving() and self._power:
+        if fault.startswith("motor") and not self.busy and self._power:
             self._power = False
             self._errors.append(f"joint {int(fault.split()[-1]) - 1} amplifier fault")
         answers = {
@@ -151,7 +148,7 @@ class LinuxCNC(Emulator):
         if not self._power or self._mode != "MDI" or not self.machine.homed:
             self._errors.append("can't do that (EMC_TASK_PLAN_EXECUTE:MDI) in this mode, or before homing")
             return self._answer("MDI", True)
-        if not {1.0, 53.0, 93.0} <= codes or set(words) != {*self.axes, "F"} or words["F"] <= 0 or self._moving():
+        if not {1.0, 53.0, 93.0} <= codes or set(words) != {*self.axes, "F"} or words["F"] <= 0 or self.busy:
             self._errors.append("bad MDI line, or it came while another runs")
             return self._answer("MDI", True)
         values = np.array([words[axis] for axis in self.axes]) * (25.4 if 20.0 in codes else 1.0)
@@ -160,24 +157,19 @@ class LinuxCNC(Emulator):
         else:
             pose = RigidTransform.from_components(values[:3] / MM, Rotation.from_euler("xyz", values[3:], degrees=True))
             target = mechanisms.kinematics_of(self.hexapod).inverse(pose, self.hexapod) - self.machine.zero
-        low, high = self.limits.T
-        if ((target < low - 1e-9) | (target > high + 1e-9)).any():
+        if self.is_beyond_limits(target):
             self._errors.append("Linear move in MDI would exceed a joint's limit")
             return self._answer("MDI", True)
         return self._go(target, 60 / words["F"])
 
     def _go(self, target: Floats, duration: float) -> None:
-        self.faults.begin()
-        take = self.faults.take
-        if take("ok-after-error"):
+        struck = self.start_move(target, duration)
+        if "ok-after-error" in struck:
             self.say(f"SET MDI NAK{SET_END}SET MDI ACK{SET_END}")
             return
-        if take("resend"):
+        if "resend" in struck:
             return  # the line never came
-        asks, fails = take("resend-moving"), take("runs-after-error")
-        self.machine.go(self.now, target, duration)
-        self.strikes_on_move(self.machine.axes.until - self.now)
-        if not asks:
-            self._answer("MDI", not fails)
+        if "resend-moving" not in struck:
+            self._answer("MDI", not struck)
         if self.faults.take("stale-alarm"):
             self._errors.append("stale")

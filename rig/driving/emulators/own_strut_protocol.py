@@ -13,13 +13,12 @@ from rig.driving.protocols.own_strut_protocol import NM, VERSION, decode_frame, 
 
 
 class Struts(Emulator):
-    """limits : (n, 2) m of the counters"""
+    """Its controller; see Emulator."""
 
     ends = b"\n"
 
     def __init__(self, machine: Machine, faults: Faults, clock: Clock, limits: Floats) -> None:
-        super().__init__(machine, faults, clock)
-        self.limits = np.asarray(limits, float)
+        super().__init__(machine, faults, clock, limits)
         self._watch, self._heard = 1.0, clock.now()
         self._silent = False
         self._answered: tuple[int, str, bytes] | None = None  # number, text and answer of the last request
@@ -128,24 +127,19 @@ class Struts(Emulator):
             return "ERR 7"
         if not self.machine.homed:
             return "ERR 3"
-        if self.machine.moving(self.now) or self.machine.homing(self.now):
+        if self.busy:
             return "ERR 5"
         cruise, _, *nm = (int(word) for word in arguments[1:])
         target = np.array(nm) / NM
-        low, high = self.limits.T
-        if ((target < low - 1e-9) | (target > high + 1e-9)).any():
+        if self.is_beyond_limits(target):
             return "ERR 4"
-        self.faults.begin()
-        take = self.faults.take
-        if take("ok-after-error"):
+        struck = self.start_move(target, cruise / 1e3)
+        if "ok-after-error" in struck:
             self.say(encode_frame("<", None, "NAK").decode())
             return "ERR 2" if self.faults.rng.random() < 0.5 else None
-        if take("resend"):
+        if "resend" in struck:
             return "NAK" if self.faults.rng.random() < 0.5 else None
-        asks, fails = take("resend-moving"), take("runs-after-error")
-        self.machine.go(self.now, target, cruise / 1e3)
-        self.strikes_on_move(self.machine.axes.until - self.now)
-        if asks:
+        if "resend-moving" in struck:
             self.say(encode_frame("<", None, "NAK").decode())
             return None
-        return "ERR 2" if fails else "OK"
+        return "ERR 2" if struck else "OK"

@@ -11,12 +11,23 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from rig.arrays import Booleans, Floats
-from rig.driving.protocols.protocol_interface import TRIES, Dialogue, Exchange, Lines, Segment, State, Verdict
+from rig.driving.protocols.protocol_interface import (
+    POLL,
+    REST,
+    TRIES,
+    Dialogue,
+    Exchange,
+    Lines,
+    Segment,
+    State,
+    Verdict,
+    never_complete,
+    pause_dialogue,
+    query_dialogue,
+)
 from rig.errors import ControllerFault, NoAnswer
 
 UNITS = {"M": 1.0, "MM": 1e3, "UM": 1e6, "µM": 1e6}  # of a metre
-POLL = 0.05  # s between looks at axes that are to come to rest
-REST = 20.0  # s that a halt may take
 STOPPED = 10  # the error that every stop leaves
 _AXIS = r"[A-Za-z0-9_-]+"
 _NUMBER = r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?"
@@ -51,12 +62,7 @@ class GCS:
         self._unit = 1e3
 
     def hello(self) -> Dialogue[str]:
-        for _ in range(TRIES):
-            lines = yield Exchange(b"*IDN?\n", lambda lines: lines[-1].count(",") >= 2)
-            if lines is not None:
-                break
-        else:
-            raise NoAnswer(f"no answer to *IDN?, asked {TRIES} times")
+        lines = yield from query_dialogue(b"*IDN?\n", lambda lines: lines[-1].count(",") >= 2)
         self._identity = lines[-1].strip()
         listed = tuple(line.strip() for line in (yield from self._ask(b"SAI?\n", _whole(_AXIS))))
         self.axes = self.axes or listed[: self._count]
@@ -123,16 +129,16 @@ class GCS:
                 referenced = yield from self._values("FRF?")
                 missing = [axis for axis, done in zip(self.axes, referenced) if not done]
                 return Verdict(not missing, f"not referenced: {' '.join(missing)}" if missing else "")
-            yield Exchange(b"", _never, POLL)
+            yield from pause_dialogue()
         return Verdict(None, f"not referenced after {timeout:g} s")
 
     def stop(self) -> Dialogue[Verdict]:
-        yield Exchange(b"HLT\n", _never, 0.0)
+        yield Exchange(b"HLT\n", never_complete, 0.0)
         for _ in range(int(REST / POLL)):
             if not (yield from self._moving()):
                 error = yield from self._error()
                 return Verdict(True) if error in (0, STOPPED) else Verdict(False, _reason(error))
-            yield Exchange(b"", _never, POLL)
+            yield from pause_dialogue()
         return Verdict(None, f"still moving {REST:g} s after HLT")
 
     def unlock(self) -> Dialogue[Verdict]:
@@ -206,10 +212,7 @@ class GCS:
 
     def _in_step(self) -> Dialogue[None]:
         """Have every older answer come and go."""
-        for _ in range(TRIES):
-            if (yield Exchange(b"*IDN?\n", lambda lines: lines[-1].strip() == self._identity)) is not None:
-                return
-        raise NoAnswer(f"no answer to *IDN?, asked {TRIES} times")
+        yield from query_dialogue(b"*IDN?\n", lambda lines: lines[-1].strip() == self._identity)
 
 
 def _whole(pattern: str) -> Callable[[Sequence[str]], bool]:
@@ -219,10 +222,6 @@ def _whole(pattern: str) -> Callable[[Sequence[str]], bool]:
 
 def _is_error(lines: Sequence[str]) -> bool:
     return re.fullmatch(r"-?\d{1,5}", lines[-1].strip()) is not None
-
-
-def _never(lines: Sequence[str]) -> bool:
-    return False
 
 
 def _reason(error: int) -> str:

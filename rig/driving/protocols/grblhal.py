@@ -12,7 +12,17 @@ from typing import cast
 import numpy as np
 
 from rig.arrays import Floats
-from rig.driving.protocols.protocol_interface import Dialogue, Exchange, Segment, State, Verdict, query_dialogue
+from rig.driving.protocols.protocol_interface import (
+    POLL,
+    Dialogue,
+    Exchange,
+    Segment,
+    State,
+    Verdict,
+    never_complete,
+    pause_dialogue,
+    query_dialogue,
+)
 from rig.errors import ControllerFault, NoAnswer
 
 MM = 1e3
@@ -193,8 +203,8 @@ class GrblHAL:
 
     def stop(self) -> Dialogue[Verdict]:
         word, self._homing = "Home" if self._homing else "Run", False
-        yield Exchange(b"!", lambda lines: False, 0.0)
-        for _ in range(int(HOLD / 0.05) if word != "Home" else 0):
+        yield Exchange(b"!", never_complete, 0.0)
+        for _ in range(int(HOLD / POLL) if word != "Home" else 0):
             try:
                 lines = yield from query_dialogue(b"?", lambda lines: _STATUS.search(lines[-1]) is not None, *ASKED)
             except NoAnswer:
@@ -203,7 +213,7 @@ class GrblHAL:
             word = status[1] if status is not None else word
             if word not in _SLOWING:
                 break
-            yield Exchange(b"", lambda lines: False, 0.05)
+            yield from pause_dialogue()
         if word != "Idle":
             yield Exchange(b"\x18", lambda lines: bool(_BANNER.match(lines[-1])))
             yield from _told(READY.encode() + b"\n", locked=True)
@@ -291,7 +301,7 @@ def _told(data: bytes, locked: bool = False, patience: float = 0.0) -> Dialogue[
         end = lines[-1].strip()
         if end != "error:8":
             break
-        yield Exchange(b"", lambda lines: False, AGAIN)
+        yield from pause_dialogue(AGAIN)
     if end != "ok" and not (locked and end == "error:9"):
         raise ControllerFault(f"the controller refuses {data.decode().strip()}: {_reason(end)}")
     return tuple(line.strip() for line in lines)

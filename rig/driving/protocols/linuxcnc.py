@@ -13,16 +13,25 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from rig.arrays import Floats
-from rig.driving.protocols.protocol_interface import Dialogue, Exchange, Lines, Segment, State, Verdict, query_dialogue
+from rig.driving.protocols.protocol_interface import (
+    POLL,
+    REST,
+    Dialogue,
+    Exchange,
+    Lines,
+    Segment,
+    State,
+    Verdict,
+    pause_dialogue,
+    query_dialogue,
+)
 from rig.errors import ControllerFault, NoAnswer
 
 CLIENT = "rig 1.0"
 UNITS = {"MM": 1e3, "INCH": 1 / 0.0254, "CM": 1e2}  # of a metre
 IDENTITY = "1"  # KINEMATICS_TYPE
-POLL = 0.05  # s
 ECHO = 0.3  # s to wait for an answer that need not come
 MOST_ERRORS = 20  # that may be waiting to be read
-REST = 20.0  # s that an abort may take
 _NUMBER = r"-?\d+\.\d+"
 
 
@@ -122,7 +131,7 @@ class LinuxCNC:
             if (yield from self._all_homed()):
                 self._homed = True
                 return Verdict(True)
-            yield Exchange(b"", _never, POLL)
+            yield from pause_dialogue()
         return Verdict(None, f"not home after {timeout:g} s")
 
     def stop(self) -> Dialogue[Verdict]:
@@ -139,7 +148,7 @@ class LinuxCNC:
             ):
                 return Verdict(True)
             last = positions
-            yield Exchange(b"", _never, POLL)
+            yield from pause_dialogue()
         return Verdict(None, f"still moving {REST:g} s after the abort")
 
     def unlock(self) -> Dialogue[Verdict]:
@@ -219,7 +228,3 @@ class LinuxCNC:
 
 def _either(fits: Callable[[str], object]) -> Callable[[Sequence[str]], bool]:
     return lambda lines: bool(fits(lines[-1].strip()))
-
-
-def _never(lines: Sequence[str]) -> bool:
-    return False

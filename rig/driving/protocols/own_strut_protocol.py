@@ -2,18 +2,27 @@
 
 import binascii
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from rig.driving.protocols.protocol_interface import TRIES, Dialogue, Exchange, Lines, Segment, State, Verdict
+from rig.driving.protocols.protocol_interface import (
+    POLL,
+    REST,
+    TRIES,
+    Dialogue,
+    Exchange,
+    Lines,
+    Segment,
+    State,
+    Verdict,
+    pause_dialogue,
+)
 from rig.errors import ControllerFault, NoAnswer
 
 NM = 1e9
 VERSION = "struts/1"
 NUMBERS = 65536  # sequence numbers, going round
-POLL = 0.05  # s between looks at a homing
 _FRAME = re.compile(r"([<>])(-|\d{1,5}) ([^*<>!]*)\*([0-9A-F]{4})")
 _ACTIVITY = {"idle": "idle", "moving": "moving", "homing": "homing", "alarm": "alarm"}
 ERRORS = {
@@ -121,17 +130,17 @@ class Struts:
                 return Verdict(False, state.fault or state.said)
             if state.activity == "idle":
                 return Verdict(bool(state.homed), "" if state.homed else "it stands and is not homed")
-            yield Exchange(b"", _never, POLL)
+            yield from pause_dialogue()
         return Verdict(None, f"not home after {timeout:g} s")
 
     def stop(self) -> Dialogue[Verdict]:
         yield from self._told("STOP")
-        for _ in range(400):
+        for _ in range(int(REST / POLL)):
             state, _ = yield from self._read()
             if state.activity not in ("moving", "homing"):
                 return Verdict(True)
-            yield Exchange(b"", _never, POLL)
-        return Verdict(None, "still moving 20 s after STOP")
+            yield from pause_dialogue()
+        return Verdict(None, f"still moving {REST:g} s after STOP")
 
     def unlock(self) -> Dialogue[Verdict]:
         return (yield from self._command("UNLOCK"))
@@ -193,7 +202,3 @@ def _answers(line: str, number: int) -> bool:
     return frame is not None and (
         frame.number == number and frame.text.split(" ")[0] in ("OK", "ERR") or frame == Frame(None, "NAK")
     )
-
-
-def _never(lines: Sequence[str]) -> bool:
-    return False

@@ -12,6 +12,8 @@ from rig.errors import NoAnswer
 
 T = TypeVar("T")
 TRIES = 4  # times that a question is asked which moves nothing
+POLL = 0.05  # s between looks at axes that are to come to rest
+REST = 20.0  # s that a stop may take
 ACTIVITIES = ("idle", "moving", "homing", "held", "alarm", "off")
 
 
@@ -102,6 +104,16 @@ class Protocol(Interface):
 
     def event(self, line: str) -> str:
         """What a line says that nobody asked for: "restarted", an alarm or an error in words, or "" for nothing."""
+
+
+def pause_dialogue(seconds: float = POLL) -> Dialogue[None]:
+    """Dialogue that sends nothing and takes so many seconds."""
+    yield Exchange(b"", never_complete, seconds)
+
+
+def never_complete(lines: Sequence[str]) -> bool:
+    """False: no lines are the whole answer, so that the time runs out."""
+    return False
 
 
 def query_dialogue(
