@@ -19,7 +19,7 @@ from calib.certification.calibration_evidence import (
     evidence_with_verification,
 )
 from calib.certification.platform_certification import Progress
-from calib.files import calibration_file
+from calib.files import calibration_from_recording
 from calib.files.calibration_from_recording import SEED
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.recording_samples import Sampled, sample_recording
@@ -100,7 +100,7 @@ def certify(
     made = calibration.provenance
     source = provenance or {
         "calibration": {"recording": made.get("recording"), "created": made.get("created")},
-        "versions": calibration_file.package_versions(),
+        "versions": calibration_from_recording.package_versions(),
         "seed": SEED,
         "recordings": [recording.name for recording in every],
     }
@@ -140,7 +140,7 @@ def _held_out_recordings(
     known: set[str] = set()
     for recording in recordings:
         path, frames = recording.folder, len(recording.exposures.times()[0])
-        same = calibration_file.frames_used_in_calibration(calibration, recording)
+        same = calibration_from_recording.frames_used_in_calibration(calibration, recording)
         if same:
             raise RigError(
                 f"{path}: {len(same)} of {frames} frames (the first: {same[0]}) took part in fitting {name}, "

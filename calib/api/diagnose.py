@@ -24,7 +24,7 @@ from calib.diagnosis.report.diagnosis_report import Report
 from calib.diagnosis.report.diagnosis_verdict import diagnosis_verdict
 from calib.diagnosis.report.report_entries import diagnosis_report, write_diagnosis
 from calib.experiment.diagnosis_questions import diagnosis_questions
-from calib.files import calibration_file
+from calib.files import calibration_from_recording
 from calib.samples.recording_samples import Sampled, sample_recording
 from rig.effects.texts.effect_notation import Kinds, parse_effect_and_place, require_known_effect
 from rig.effects.texts.user_effect_files import Plugin, catalogue_with_files
@@ -159,7 +159,7 @@ def _refuse_same_data(options: DiagnoseOptions, recording: Recording) -> None:
     """Raise RigError where a calibration was made from this very recording, which would count twice."""
     if options.calibration is None:
         return
-    same = calibration_file.frames_used_in_calibration(options.calibration, recording)
+    same = calibration_from_recording.frames_used_in_calibration(options.calibration, recording)
     if same:
         raise RigError(
             f"{options.name} was made from {len(same)} of the frames of {recording.folder}, which would count twice; "

@@ -19,7 +19,7 @@ from calib.certification.held_out_errors import (
     pose_errors,
 )
 from calib.certification.platform_certification import Progress
-from calib.files import calibration_file
+from calib.files import calibration_from_recording
 from calib.files.calibration_from_recording import SEED
 from calib.models.corrected_pose_covariance import corrected_pose_covariance
 from calib.report.verification_and_visit_pages import (
@@ -143,7 +143,7 @@ def verify(
         verify_claim_on_samples(calibration, samples, np.random.default_rng(SEED)),
         calibration,
         refutations,
-        calibration_file.frames_used_in_calibration(calibration, recording),
+        calibration_from_recording.frames_used_in_calibration(calibration, recording),
         None if wanted is None else _driven(calibration, recording, sampled.samples, wanted),
         sampled.measurement.unsolved if sampled.measurement is not None else {},
         confounds_of_recordings([recording]),

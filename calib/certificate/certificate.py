@@ -30,7 +30,7 @@ from calib.certification.promise_and_conformity import (
     promise_by_cell,
 )
 from calib.certification.uncertainty_budget import rms_length_uncertainty, thermometer_covariance, uncertainty_budget
-from calib.files import calibration_file
+from calib.files import calibration_from_recording
 from calib.models.corrected_pose_covariance import corrected_pose_covariance
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.recording_samples import Sampled
@@ -209,7 +209,7 @@ def certificate_provenance(
     inputs = {path.name: {"file": hashlib.sha256(path.read_bytes()).hexdigest()}}
     for recording in recordings:
         name = recording.folder.resolve().name
-        origin = calibration_file.calibration_provenance(recording, (), seed, recording.has_images)
+        origin = calibration_from_recording.calibration_provenance(recording, (), seed, recording.has_images)
         content = hashlib.sha256("\n".join(hashes_of_frames(content_hashes(recording))).encode()).hexdigest()
         inputs[name if name not in inputs else str(recording.folder)] = {
             **origin["inputs_sha256"],
@@ -220,7 +220,7 @@ def certificate_provenance(
     return {
         "inputs_sha256": inputs,
         "calibration": {"recording": made.get("recording"), "created": made.get("created")},
-        "versions": calibration_file.package_versions(),
+        "versions": calibration_from_recording.package_versions(),
         "seed": seed,
         "arguments": list(arguments),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),

@@ -1,13 +1,8 @@
 """calibration.json: a calibration with its provenance, saved and loaded."""
 
-import hashlib
 import json
 import math
-import platform
-from collections.abc import Iterable, Sequence
 from dataclasses import asdict
-from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +11,6 @@ import numpy as np
 from calib.certification.calibration import Calibration
 from calib.certification.held_out_errors import Figures, HeldOut
 from calib.certification.workspace_claim import Claim
-from calib.correction.interpolation.gaussian_process import Radial
 from calib.correction.interpolation.interpolation_methods import field_from_entries, field_to_dict
 from calib.correction.pose_space_map_json import pose_map_dict
 from calib.files.calibration_file_entries import (
@@ -29,21 +23,16 @@ from calib.files.calibration_file_entries import (
     require_text,
 )
 from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.joint_profiles import Profile
 from calib.models.machine_models import model_of
 from calib.samples.confounded_conditions import confounds_from_entries
 from calib.workspace.workspace_cells import workspace_dict, workspace_from_entries
 from rig.arrays import Floats
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.texts.effect_notation import Kinds
-from rig.formats import remote_folders, structured_files
+from rig.formats import structured_files
 from rig.formats.checked_entries import Entries
-from rig.formats.input_files import read_bytes
 from rig.formats.json_tree import Json
 from rig.formats.output_files import write_text
-from rig.recording.exposures_and_images import LARGEST_IMAGE_FILE
-from rig.recording.frame_content_hashes import content_hashes, frames_with_known_hashes, hashes_of_frames
-from rig.recording.recording_folder import Recording
 
 SCHEMA = "calibration/1"
 WITH_PHYSICS = (
@@ -58,88 +47,11 @@ CONTENTS: dict[
     WITH_PHYSICS: (("physics",), ("pose_maps",)),
     WITH_POSE_MAPS: (("pose_maps",), ()),
 }
-PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "rig")
 
 _NONE = Figures(0, (math.nan,) * 3, (math.nan,) * 3, (math.nan,) * 6, (math.nan,) * 2)
 NOT_HELD_OUT = HeldOut(
     _NONE, _NONE, (math.nan,) * 2, (math.nan,) * 3, 0
 )  # keeps the file's shape where nothing was held out
-
-
-def calibration_provenance(
-    recording: Recording,
-    arguments: Sequence[str],
-    seed: int,
-    used_images: bool,
-    other_files: Iterable[Path] = (),
-    data: Iterable[str] = (),
-) -> Json:
-    """dict of the inputs' SHA-256, the marks of their data (see rig.recording.frame_content_hashes), versions,
-    arguments and seed.
-
-    recording : Recording; used_images : whether they were read; other_files : other files that were read, data : marks
-        of theirs
-    """
-    files: dict[str, str] = {}
-    for k, part in enumerate(recording.apart):
-        own = _input_digests(part.recording, used_images)
-        files |= (
-            {f"{k + 1} {part.recording.name}/{name}": digest for name, digest in own.items()}
-            if recording.parts
-            else own
-        )
-    files.update({Path(path).name: _hash([path]) for path in other_files})
-    return {
-        "recording": recording.name,
-        "inputs_sha256": files,
-        "data": sorted({*hashes_of_frames(content_hashes(recording)), *data}),
-        "arguments": list(arguments),
-        "seed": seed,
-        "versions": package_versions(),
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-    }
-
-
-def _input_digests(recording: Recording, used_images: bool) -> dict[str, str]:
-    """{file: SHA-256} of a recording's files, its images together. used_images : whether they were read"""
-    folder = recording.folder
-    files = {
-        name: _hash([folder / name]) for name in remote_folders.list_folder(folder) if name.endswith((".toml", ".csv"))
-    }
-    if used_images:
-        names = sorted(name for name in recording.exposures.image if name)
-        files[f"images ({len(names)})"] = _hash([folder / name for name in names])
-    return files
-
-
-def package_versions() -> dict[str, str]:
-    """{package name: version} of the packages that results depend on."""
-    return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
-
-
-def additional_pass_provenance(own: Json, previous_provenance: Calibration, requested_pass: Json) -> Json:
-    """Provenance of an additional pass: its own, the passes before it, and the marks of all data."""
-    kept = ("recording", "inputs_sha256", "arguments", "created", "pass")
-    first = {name: previous_provenance.provenance[name] for name in kept if name in previous_provenance.provenance}
-    passes = [*previous_provenance.provenance.get("passes", []), first]
-    return {
-        **own,
-        "pass": requested_pass,
-        "data": [*previous_provenance.provenance.get("data", []), *own["data"]],
-        "passes": passes,
-    }
-
-
-def frames_used_in_calibration(calibration: Calibration, recording: Recording) -> list[int]:
-    """Frames of a recording that were used in a calibration, directly or through its measurement."""
-    return frames_with_known_hashes(content_hashes(recording), calibration.provenance.get("data", ()))
-
-
-def _hash(paths: Iterable[Path]) -> str:
-    digest = hashlib.sha256()
-    for path in paths:
-        digest.update(read_bytes(Path(path), LARGEST_IMAGE_FILE))
-    return digest.hexdigest()
 
 
 def save(path: Path | str, calibration: Calibration) -> None:
@@ -156,7 +68,7 @@ def save(path: Path | str, calibration: Calibration) -> None:
         "parameter_covariance": calibration.covariance.tolist(),
         model.scatter_key: calibration.scatter.tolist(),
         **({} if calibration.strut_covariance is None else {"strut_covariance": calibration.strut_covariance.tolist()}),
-        "remainder": [None if part is None else _part_out(part) for part in correction.remainder],
+        "remainder": structured_files.json_data(correction.remainder),
         **({"extension": field_to_dict(correction.extension)} if correction.extension is not None else {}),
         **({"pose_maps": [pose_map_dict(one) for one in correction.posed]} if correction.posed else {}),
         **({"visited": correction.visited.tolist()} if isinstance(correction, ArmCorrection) else {}),
@@ -203,13 +115,6 @@ def load(path: Path | str, effect_kinds: Kinds = BY_NAME) -> Calibration:
         confounds_from_entries(tree.table("confounds")) if tree.get("confounds", None) is not None else None,
         _strut_covariance_in(tree) if "strut_covariance" in tree.tree else None,
     )
-
-
-def _part_out(part: Radial | Profile) -> Json:
-    return {
-        name: value.tolist() if isinstance(value, np.ndarray) else value
-        for name, value in ((name, getattr(part, name)) for name in type(part).__slots__)
-    }
 
 
 def _parts_in(tree: Entries, axes: int) -> list[Entries | None]:

@@ -1,7 +1,7 @@
 """Entries of a calibration file as JSON: mechanism, physics and pose space maps, and their checks."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from functools import partial
 
 import numpy as np
 
@@ -9,16 +9,16 @@ from calib.correction.physics_compensation import Physics, Unknown
 from rig.arrays import Booleans
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.fit_coordinates import coordinates_of_effects
-from rig.effects.texts.effect_notation import Kinds, effect_from_dict, effect_to_dict, require_existing_place
-from rig.errors import FileError, RigError
+from rig.effects.texts.effect_notation import Kinds, effect_to_dict
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.input_files import short_repr
 from rig.formats.json_tree import Json
+from rig.formats.machine_json import effects_from_entries
+from rig.formats.structured_files import json_data
 from rig.model import mechanisms
 from rig.model.design import Actuator, Platform
 from rig.model.mechanism_geometry import Arm, Chain, Hexapod, Planar2
 from rig.model.mechanism_kinds import Struts, has_links, has_stages, has_struts
-from rig.model.pose import pose_to_entry
 
 
 def require_text(tree: Entries, key: str, known_texts: Sequence[str]) -> None:
@@ -137,19 +137,10 @@ def mechanism_dict(mechanism: Struts | Arm | Chain) -> Json:
         return {
             "kind": mechanism.kind,
             "joints": mechanism.rows.tolist(),
-            "limits": mechanism.limits.tolist(),
-            "base": pose_to_entry(mechanism.base),
-            "tool": pose_to_entry(mechanism.tool),
+            **{name: json_data(getattr(mechanism, name)) for name in ("limits", "base", "tool")},
             **({"slides": mechanism.slides.tolist()} if mechanism.slides.any() else {}),
         }
-    geometry, home = mechanism.geometry_arrays, mechanism.home_pose
-    arrays = {name: array for name, array in geometry.items() if name != "strut_zeros"}
-    arrays |= {"strut_range": mechanism.strut_range, "strut_zeros": mechanism.strut_zeros}
-    return {
-        "kind": mechanism.kind,
-        **{name: array.tolist() for name, array in arrays.items()},
-        **({} if home is None else {"home": pose_to_entry(home)}),
-    }
+    return {"kind": mechanism.kind, **{name: json_data(getattr(mechanism, name)) for name in SHAPES[mechanism.kind]}}
 
 
 def mechanism_from_entries(table: Entries, stated: bool = False) -> Struts | Arm | Chain:
@@ -169,12 +160,12 @@ def _stage_in(table: Entries, stated: bool) -> Struts | Arm:
     return found
 
 
-def _planar(table: Entries) -> Planar2:
-    return Planar2(
-        table.array("base_joints", (2, 2), length_limit=LARGEST_RIG),
-        table.array("strut_range", (2, 2), length_limit=LARGEST_RIG),
-        table.array("strut_zeros", (2,), length_limit=LARGEST_RIG),
-    )
+def _struts(kind: type[Hexapod] | type[Planar2], table: Entries) -> Hexapod | Planar2:
+    figures: Json = {
+        name: table.pose(name) if shape == POSE else table.array(name, shape, length_limit=LARGEST_RIG)
+        for name, shape in SHAPES[kind.kind].items()
+    }
+    return kind(**figures)
 
 
 def _arm(table: Entries) -> Arm:
@@ -192,16 +183,6 @@ def _arm(table: Entries) -> Arm:
     )
 
 
-def _hexapod(table: Entries) -> Hexapod:
-    return Hexapod(
-        table.array("base_joints", (6, 3), length_limit=LARGEST_RIG),
-        table.array("platform_joints", (6, 3), length_limit=LARGEST_RIG),
-        table.array("strut_range", (6, 2), length_limit=LARGEST_RIG),
-        table.pose("home"),
-        table.array("strut_zeros", (6,), length_limit=LARGEST_RIG),
-    )
-
-
 def _slides_in(table: Entries, count: int) -> Booleans:
     """(count,) bool, which joints slide; none where nothing is said."""
     listed = table.get("slides", [False] * count)
@@ -210,26 +191,37 @@ def _slides_in(table: Entries, count: int) -> Booleans:
     return np.array(listed, bool)
 
 
-READERS: dict[str, Callable[[Entries], Struts | Arm]] = {"hexapod": _hexapod, "planar2": _planar, "arm": _arm}
+POSE = ()
+SHAPES: dict[str, dict[str, tuple[int, ...]]] = {
+    Hexapod.kind: {
+        "base_joints": (6, 3),
+        "platform_joints": (6, 3),
+        "strut_range": (6, 2),
+        "strut_zeros": (6,),
+        "home": POSE,
+    },
+    Planar2.kind: {"base_joints": (2, 2), "strut_range": (2, 2), "strut_zeros": (2,)},
+}  # {kind: {entry: its shape}}, in a file's order
+READERS: dict[str, Callable[[Entries], Struts | Arm]] = {
+    Hexapod.kind: partial(_struts, Hexapod),
+    Planar2.kind: partial(_struts, Planar2),
+    Arm.kind: _arm,
+}
 CHAIN = Chain.kind
 
 
 def physics_dict(physics: Physics) -> Json:
     """dict of Physics, as JSON holds it."""
-    platform = {
-        name: value.tolist() if isinstance(value, np.ndarray) else value
-        for name, value in ((name, getattr(physics.platform, name)) for name in Platform.__slots__)
-    }
     return {
         "effects": [effect_to_dict(effect) for effect in physics.effects],
         "parameter_order": [_told(c.effect, c.name, c.index, c.role, physics) for c in physics.coordinates],
         "covariance": physics.own.tolist(),
         "cross_covariance": physics.cross.tolist(),
         "gravity": physics.gravity.tolist(),
-        "actuator": asdict(physics.actuator),
-        "platform": platform,
+        "actuator": json_data(physics.actuator),
+        "platform": json_data(physics.platform),
         "channels": {name: {"median": value, "sigma": sigma} for name, (value, sigma) in physics.channels.items()},
-        "unknown": [asdict(u) for u in physics.unknown],
+        "unknown": json_data(physics.unknown),
     }
 
 
@@ -264,19 +256,8 @@ def physics_from_entries(
         ),
         {},
     )
-    effects = []
-    for entry in table.tables("effects"):
-        try:
-            effects.append(
-                require_existing_place(effect_from_dict(entry.tree, kinds), held.machine(mechanism))
-                if not _seen(entry)
-                else effect_from_dict(entry.tree, kinds)
-            )
-        except FileError:
-            raise
-        except RigError as error:
-            table.fail(f"physics: {error}", "effects")
-    own = len(coordinates_of_effects(tuple(effects)))
+    effects = effects_from_entries(table, held.machine(mechanism), kinds, lambda entry: not _seen(entry))
+    own = len(coordinates_of_effects(effects))
     covariance, cross = table.array("covariance", (own, own)), table.array("cross_covariance", (parameter_count, own))
     if (np.diag(covariance) < 0).any() or not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-300):
         table.fail("physics.covariance is no covariance", "covariance")
@@ -289,7 +270,7 @@ def physics_from_entries(
         Unknown(u.text("place"), u.number("magnitude"), u.text("unit"), u.texts("depends_on"), u.flag("corrected"))
         for u in table.tables("unknown")
     )
-    return Physics(tuple(effects), covariance, cross, held.gravity, held.actuator, held.platform, logged, unknown)
+    return Physics(effects, covariance, cross, held.gravity, held.actuator, held.platform, logged, unknown)
 
 
 def _seen(entry: Entries) -> bool:

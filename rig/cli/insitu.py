@@ -136,7 +136,7 @@ def _held(
     import numpy as np
 
     from calib.certification import measuring_limb_checks, measuring_limbs
-    from calib.files.calibration_file import calibration_provenance
+    from calib.files.calibration_from_recording import calibration_provenance
     from calib.online import measuring_limbs_file
 
     stated, (frames, every) = measuring_limbs.stated_limbs(recording.design), read

@@ -1,6 +1,6 @@
 """Machine as a JSON file: its true or identified geometry, cameras and effects."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,9 +26,7 @@ def machine_dict(design: Design, effects: Iterable[Effect]) -> Json:
     out = {"effects": [effect_to_dict(effect) for effect in effects], **_geometry(m)}
     out["cameras"] = [
         {
-            "name": c.name,
-            "matrix": c.matrix.tolist(),
-            "distortion": c.distortion.tolist(),
+            **{name: structured_files.json_data(getattr(c, name)) for name in ("name", "matrix", "distortion")},
             "pose": pose_to_vector(c.pose).tolist(),
         }
         for c in design.cameras
@@ -70,9 +68,8 @@ def load_machine(
         limbs = replace(
             limbs, **{name: table.array(name, getattr(limbs, name).shape, length_limit=LARGEST_RIG) for name in LIMBS}
         )
-    return replace(nominal_design, mechanism=mechanism, cameras=cameras, insitu=limbs), _effects(
-        found, nominal_design, effect_kinds
-    )
+    effects = effects_from_entries(found, nominal_design, effect_kinds)
+    return replace(nominal_design, mechanism=mechanism, cameras=cameras, insitu=limbs), effects
 
 
 def _mechanism(stated: Mechanism, table: Entries) -> Mechanism:
@@ -105,14 +102,19 @@ def _camera(camera: Camera, table: Entries) -> Camera:
     return replace(camera, matrix=matrix, distortion=terms, pose=pose(vector_[:3], vector_[3:]))
 
 
-def _effects(table: Entries, design: Design, kinds: Kinds) -> tuple[Effect, ...]:
-    """The effects listed. Raises FileError for one that there is not, or not on this rig."""
+def effects_from_entries(
+    table: Entries, design: Design, kinds: Kinds, has_place: Callable[[Entries], bool] = lambda entry: True
+) -> tuple[Effect, ...]:
+    """Effects listed under "effects". Raises FileError for an unknown one, or one whose place a design has not.
+    has_place : whether an entry's place is looked up in the design
+    """
     found = []
     for number, entry in enumerate(table.tables("effects"), 1):
         try:
-            found.append(require_existing_place(effect_from_dict(entry.tree, kinds), design))
+            effect = effect_from_dict(entry.tree, kinds)
+            found.append(require_existing_place(effect, design) if has_place(entry) else effect)
         except FileError:
             raise
         except RigError as error:
-            table.fail(f"effects.{number}: {error}", "effects")
+            table.fail(f"{table.name('effects')}.{number}: {error}", "effects")
     return tuple(found)

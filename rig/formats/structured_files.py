@@ -7,17 +7,21 @@ import math
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
+from scipy.spatial.transform import RigidTransform
 
 from rig.errors import FileError
 from rig.formats.checked_entries import Entries
 from rig.formats.input_files import read_text, require_schema, short_repr
 from rig.formats.json_tree import Json
 from rig.formats.toml_positions import value_positions
+from rig.model.pose import pose_to_entry
 
 LARGEST_INDEXED = 1 << 22  # characters of a text that is looked through; in a larger one nothing but the file is named
 _JSON_TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{},:]|[^\s\[\]{},:"]+', re.DOTALL)
@@ -129,6 +133,17 @@ def load_json(path: Path, file_kind: str, *schemas: str) -> Entries:
     if schemas:
         require_schema(path, file_kind, tree.get("schema"), schemas, places.get(("schema",), (None, None)))
     return Entries(tree, (), path, places)
+
+
+def json_data(value: Any) -> Any:
+    """Value as JSON holds it: arrays and tuples as lists, dataclasses as tables of their fields, poses as entries."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, RigidTransform):
+        return pose_to_entry(value)
+    if is_dataclass(value):
+        return {part.name: json_data(getattr(value, part.name)) for part in fields(value)}
+    return [json_data(one) for one in value] if isinstance(value, tuple | list) else value
 
 
 def nan_to_null(data: Any) -> Any:

@@ -16,6 +16,7 @@ from rig.arrays import Floats
 from rig.errors import RigError
 from rig.formats.checked_entries import Entries
 from rig.formats.json_tree import Json
+from rig.formats.structured_files import json_data
 
 SHAPES = {  # of the arrays: a axes, m outputs, the other letters any number, the same wherever they stand
     **dict.fromkeys(("linear", "simplex"), {"levels": "ragged", "values": "nm", "variances": "nm", "misfit": "m"}),
@@ -53,7 +54,7 @@ def field_to_dict(field: Field) -> Json:
             "high": _bounds(field.part.high),
         }
     parts = parts_of(field)  # type: ignore[arg-type]
-    return {"kind": field.kind} | {part.name: _plain(getattr(field, part.name)) for part in parts if part.init}
+    return {"kind": field.kind} | {part.name: json_data(getattr(field, part.name)) for part in parts if part.init}
 
 
 def _bounds(values: Floats) -> list[float | None]:
@@ -67,14 +68,6 @@ def _part(table: Entries, axes: int) -> SpacePart:
         return SpacePart(np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high))
     except ValueError as error:
         table.fail(f"{table.name('low')}: {error}", "low")
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, Radial):
-        return {part.name: _plain(getattr(value, part.name)) for part in parts_of(value)}
-    return [_plain(one) for one in value] if isinstance(value, tuple) else value
 
 
 def field_from_entries(table: Entries, axes: int) -> Field:

@@ -15,7 +15,7 @@ from calib.correction.correction import Correction
 from calib.correction.interpolation import interpolation_methods
 from calib.correction.interpolation.field import Known
 from calib.correction.interpolation.field_combinations import RestrictedMap, SpacePart, SummedPasses
-from calib.files import calibration_file
+from calib.files import calibration_file, calibration_from_recording
 from calib.samples.pose_samples import Samples
 from rig.errors import FileError, NotEnoughData
 from rig.model.mechanisms import hexapod
@@ -135,7 +135,7 @@ def test_maps_of_both_spaces_are_kept_and_read_again(machine, tmp_path):
     done, _, _ = certify_additional_pass(
         samples, before, Pass("polynomial", "both", poses=SpacePart(low, high)), np.random.default_rng(0)
     )
-    source = calibration_file.additional_pass_provenance(
+    source = calibration_from_recording.additional_pass_provenance(
         {"recording": "b", "data": ["2"]}, before, {"number": 2, "space": "both"}
     )
     calibration_file.save(

@@ -12,7 +12,7 @@ from calib.certification.calibration import Calibration
 from calib.certification.extension_certification import Asked, certify_extended_correction, claim_without_geometry
 from calib.certification.platform_certification import platform_pose_covariance, platform_workspace_claim
 from calib.correction.summand_extension import single_step_errors
-from calib.files import calibration_file
+from calib.files import calibration_file, calibration_from_recording
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
@@ -196,7 +196,7 @@ def test_a_second_pass_takes_what_the_first_one_left(gridded, design, tmp_path):
     np.testing.assert_allclose(
         calibration_file.load(tmp_path / "c.json").correction.rho(inner), second.correction.rho(inner), atol=1e-18
     )
-    source = calibration_file.additional_pass_provenance(
+    source = calibration_from_recording.additional_pass_provenance(
         {"recording": "b", "data": ["2"]},
         replace(kept, provenance={"recording": "a", "data": ["1"], "created": "then"}),
         {"number": 2},
