@@ -1,7 +1,7 @@
 """Columns of foreign tables: cells as text and numbers, columns found by their headers, headers and times added."""
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
@@ -87,7 +87,7 @@ def axis_header_names(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
 
 
 def find_columns(
-    cells: Cells, section: str, header_names: dict[str, tuple[str, ...]], required_names: Iterable[str]
+    cells: Cells, section: str, header_names: Mapping[str, tuple[str, ...]], required_names: Iterable[str]
 ) -> dict[str, int]:
     """Columns found by their headers: {our name: column index}.
 
