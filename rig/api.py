@@ -34,7 +34,7 @@ def load(path: Path | str, skip_unreadable: bool = False, mask: str | None = Non
     4
     """
     from rig.checks.unreadable_recording import unreadable_recording_mistakes
-    from rig.recording.frame_selection import remove_frames
+    from rig.recording.recording_frames import remove_frames
 
     path = Path(path)
     try:

@@ -21,8 +21,8 @@ from rig.model.mechanism_kinds import require_axes
 from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.planning.plan import build_plan
 from rig.planning.plan_construction_and_table import Plan
-from rig.recording.corner_and_pose_tables import Corners
 from rig.recording.recording_folder import Sensors
+from rig.recording.recording_tables import Corners
 from synthetic import blind_image_settings, secret_machine, unlisted_physics
 from synthetic import recording_simulation as simulation
 from synthetic.blind_image_settings import ImageSettings

@@ -19,9 +19,8 @@ from rig.model.mechanism_kinds import require_axes
 from rig.model.pose import exp, pose_to_vector, transform_points
 from rig.planning.plan import sensors_with_payload
 from rig.planning.plan_construction_and_table import Plan
-from rig.recording.corner_and_pose_tables import DISTANCE, POSE_COLUMNS, Corners
 from rig.recording.recording_folder import LIMB, Sensors
-from rig.recording.recording_tables import write_corners, write_table
+from rig.recording.recording_tables import DISTANCE, POSE_COLUMNS, Corners, write_corners, write_table
 from synthetic import secret_machine as worlds
 from synthetic.occlusion import is_occluded
 from synthetic.secret_machine import remount_cubes

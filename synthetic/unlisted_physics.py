@@ -19,7 +19,7 @@ from rig.model.design import Camera, Design
 from rig.model.mechanism_kinds import require_hexapod
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, transform_points
-from rig.recording.corner_and_pose_tables import Corners
+from rig.recording.recording_tables import Corners
 from vision.targets import MarkerMap
 
 WAVES = 4  # sinusoids of a smooth random course

@@ -14,7 +14,7 @@ import pytest
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
-from rig.recording import corner_and_pose_tables, recording_folder, recording_tables
+from rig.recording import recording_folder, recording_tables
 from tests.cli import RIG, Links, run
 from tests.conftest import BENCH, make_recording
 
@@ -35,7 +35,7 @@ def test_measure_writes_what_the_contract_says(worked):
     out = base / "measured"
     header = (out / "poses.csv").read_text().splitlines()[0].split(",")
     assert header[:7] == ["frame", "x", "y", "z", "rx", "ry", "rz"] and header[7:] == list(
-        corner_and_pose_tables.COVARIANCE_COLUMNS
+        recording_tables.COVARIANCE_COLUMNS
     )
     assert (out / "corners.csv").read_text().splitlines()[0].startswith("frame,camera,marker,corner,u,v,sigma")
     nominal, adjusted = design_file.load_design(base / "fit" / "rig.toml"), design_file.load_design(out / "rig.toml")

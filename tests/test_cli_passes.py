@@ -12,7 +12,7 @@ from rig.model.mechanisms import hexapod
 from rig.model.pose import exp
 from rig.planning.configuration_sets import sobol_configurations
 from rig.recording import recording_tables
-from rig.recording.corner_and_pose_tables import Poses
+from rig.recording.recording_tables import Poses
 
 SIGMAS = '\n[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = 1e-6\nrotation_sigma = 1e-5\n'
 

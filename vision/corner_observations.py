@@ -15,7 +15,7 @@ import numpy as np
 
 from rig.arrays import Booleans, Floats, Integers
 from rig.model.design import Design
-from rig.recording.corner_and_pose_tables import Corners
+from rig.recording.recording_tables import Corners
 from vision.predict import State
 from vision.targets import MarkerMap
 

@@ -12,8 +12,8 @@ from rig.formats.output_files import write_text
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import replace_cameras, replace_target_markers
 from rig.model.pose import pose_to_vector, rms_uncertainty
 from rig.recording import recording_tables
-from rig.recording.corner_and_pose_tables import Poses
 from rig.recording.recording_folder import Recording
+from rig.recording.recording_tables import Poses
 from rig.report.pages.html_elements import result_html
 from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge_evidence
 from vision.bundle.adjustment_validation import DeterminedUnknowns, HeldOut, NotHeldOut

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.arrays import Booleans, Floats, Integers
 from rig.model.design import Camera, Design
-from rig.recording.corner_and_pose_tables import Corners
+from rig.recording.recording_tables import Corners
 from rig.report.pages.html_elements import result_html
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.bundle.printing_error_estimation import adjust_with_estimated_printing_errors

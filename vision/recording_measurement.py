@@ -7,8 +7,8 @@ import numpy as np
 from rig.arrays import Floats
 from rig.errors import NotEnoughData
 from rig.model.design import Camera, Design
-from rig.recording.corner_and_pose_tables import Corners
 from rig.recording.recording_folder import Recording
+from rig.recording.recording_tables import Corners
 from vision import stages_and_remounted_cubes
 from vision.bundle.bundle_adjustment import NoOptimum
 from vision.bundle.marker_displacements import HALVED, are_stated_places_doubtful, marker_displacements

@@ -26,8 +26,8 @@ from calib.samples.recording_samples import Sampled, sample_recording
 from rig.errors import RigError
 from rig.formats.json_tree import Json
 from rig.formats.output_files import write_text
-from rig.recording.frame_content_hashes import content_hashes, frames_with_known_hashes, hashes_of_frames
 from rig.recording.recording_folder import Recording
+from rig.recording.recording_frames import content_hashes, frames_with_known_hashes, hashes_of_frames
 from rig.report.pages.page_and_svg_templates import Link
 from rig.report.refutations import Refutation
 from rig.report.verdict import Evidence, Verdict

@@ -18,9 +18,8 @@ from rig.errors import RigError, Unreachable
 from rig.formats.json_tree import Json
 from rig.model import mechanisms
 from rig.model.pose import pose_difference
-from rig.recording.corner_and_pose_tables import Poses
 from rig.recording.recording_folder import Sensors, Wanted
-from rig.recording.recording_tables import write_table
+from rig.recording.recording_tables import Poses, write_table
 from rig.report.pages.html_elements import result_html
 
 APPROACHES = ("auto", "always", "never")

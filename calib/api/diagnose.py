@@ -30,8 +30,8 @@ from rig.effects.texts.effect_notation import Kinds, parse_effect_and_place, req
 from rig.effects.texts.user_effect_files import Plugin, catalogue_with_files
 from rig.errors import RigError
 from rig.formats import structured_files
-from rig.recording.frame_content_hashes import content_hashes
 from rig.recording.recording_folder import Recording
+from rig.recording.recording_frames import content_hashes
 from rig.report.pages.html_elements import result_html
 from rig.report.pages.page_and_svg_templates import Link
 from rig.report.verdict import State, Verdict

@@ -11,8 +11,8 @@ from rig.formats.input_files import read_bytes
 from rig.formats.output_files import write_bytes
 from rig.model.pose import rms_uncertainty
 from rig.recording import recording_tables
-from rig.recording.corner_and_pose_tables import Poses
 from rig.recording.recording_folder import Recording
+from rig.recording.recording_tables import Poses
 from rig.report.pages.html_elements import result_html
 from vision.api import Progress
 from vision.checks.recording_refusal import Notice, ignore_notice

@@ -9,8 +9,7 @@ from calib.certification.calibration import Calibration
 from calib.models.corrected_pose_covariance import corrected_pose_covariance
 from rig.formats.csv_table import Table
 from rig.model import mechanisms
-from rig.recording.corner_and_pose_tables import Poses
-from rig.recording.recording_tables import write_poses
+from rig.recording.recording_tables import Poses, write_poses
 from rig.report.pages.html_elements import result_html
 
 BEYOND = 0.05  # of an axis' range, by which a reading may lie beyond it

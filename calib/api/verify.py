@@ -35,8 +35,8 @@ from rig.arrays import Floats
 from rig.errors import RigError
 from rig.formats.json_tree import Json
 from rig.model.pose import rms_uncertainty
-from rig.recording.corner_and_pose_tables import Poses
 from rig.recording.recording_folder import Recording
+from rig.recording.recording_tables import Poses
 from rig.report.pages.html_elements import result_html
 from rig.report.pages.page_and_svg_templates import Link
 from rig.report.refutations import Refutation

@@ -37,8 +37,8 @@ from calib.samples.recording_samples import Sampled
 from rig.arrays import Floats
 from rig.errors import NotEnoughData
 from rig.formats.json_tree import Json
-from rig.recording.frame_content_hashes import content_hashes, hashes_of_frames
 from rig.recording.recording_folder import Recording
+from rig.recording.recording_frames import content_hashes, hashes_of_frames
 from rig.report.pages.html_elements import result_html
 from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
 

@@ -7,8 +7,8 @@ from calib.drift.instrument_displacement import remove_instrument_displacement
 from rig.checks import platform_commands_and_poses
 from rig.checks.mistake_report import Mistake, sort_mistakes
 from rig.recording.combined_recordings import is_measured_by_instrument
-from rig.recording.corner_and_pose_tables import Corners
 from rig.recording.recording_folder import Recording
+from rig.recording.recording_tables import Corners
 from vision.checks.recording_refusal import (
     Notice,
     refuse_mistakes,

@@ -34,8 +34,8 @@ from calib.samples.recording_samples import Sampled
 from rig.arrays import Floats
 from rig.errors import NotEnoughData
 from rig.formats.json_tree import Json
-from rig.recording.frame_content_hashes import Marks, frames_with_known_hashes
 from rig.recording.recording_folder import Recording
+from rig.recording.recording_frames import Marks, frames_with_known_hashes
 from rig.report.refutations import refutations_of_file
 from rig.report.verdict import State
 

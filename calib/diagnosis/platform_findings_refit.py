@@ -32,8 +32,8 @@ from rig.formats import machine_json, structured_files
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files.folder_manifest import load_manifest as manifest
 from rig.model.mechanism_kinds import require_struts
-from rig.recording.frame_content_hashes import content_hashes, frames_with_known_hashes
 from rig.recording.recording_folder import Recording
+from rig.recording.recording_frames import content_hashes, frames_with_known_hashes
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,8 +23,8 @@ from rig.formats.checked_entries import Entries
 from rig.formats.output_files import write_text
 from rig.model.design import DISTORTION_TERMS, Camera
 from rig.model.pose import pose_to_entry
-from rig.recording.frame_content_hashes import content_hashes, frames_with_known_hashes, hashes_of_frames
 from rig.recording.recording_folder import Recording
+from rig.recording.recording_frames import content_hashes, frames_with_known_hashes, hashes_of_frames
 
 KEPT = 8  # latest visits that a change may have begun with; older ones are one
 BELIEVED = 200  # numbers' worth of belief that covariances are right, against which quiet visits' scatter counts

@@ -18,8 +18,7 @@ from rig.model.mechanism_kinds import require_arm
 from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan
 from rig.planning.plan_construction_and_table import write_plan_table
-from rig.recording.corner_and_pose_tables import Poses
-from rig.recording.recording_tables import write_poses
+from rig.recording.recording_tables import Poses, write_poses
 
 REACH = 0.7  # of the strokes, over which new poses lie: what is corrected has to be reached as well
 VERIFYING = 1000  # added to the seed for the new poses

@@ -13,8 +13,8 @@ from rig.model.design import Design
 from rig.model.pose import exp
 from rig.planning.plan import sensors_with_payload
 from rig.planning.plan_construction_and_table import Plan
-from rig.recording.corner_and_pose_tables import Corners
 from rig.recording.recording_folder import PAYLOAD, Sensors
+from rig.recording.recording_tables import Corners
 from vision.corner_observations import observations_from_corners
 from vision.predict import State, is_inside_image, markers_facing_cameras, predict_sightings
 from vision.targets import marker_map

@@ -23,8 +23,8 @@ from rig.formats import remote_folders
 from rig.formats.input_files import read_bytes
 from rig.formats.json_tree import Json
 from rig.recording.exposures_and_images import LARGEST_IMAGE_FILE
-from rig.recording.frame_content_hashes import content_hashes, frames_with_known_hashes, hashes_of_frames
 from rig.recording.recording_folder import Recording
+from rig.recording.recording_frames import content_hashes, frames_with_known_hashes, hashes_of_frames
 
 PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "rig")
 SEED = 0  # of draws; results are the same from run to run
@@ -81,7 +81,7 @@ def calibration_provenance(
     other_files: Iterable[Path] = (),
     data: Iterable[str] = (),
 ) -> Json:
-    """dict of the inputs' SHA-256, the marks of their data (see rig.recording.frame_content_hashes), versions,
+    """dict of the inputs' SHA-256, the marks of their data (see rig.recording.recording_frames), versions,
     arguments and seed.
 
     recording : Recording; used_images : whether they were read; other_files : other files that were read, data : marks

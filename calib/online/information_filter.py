@@ -53,7 +53,7 @@ class Update:
 class Online:
     """The filter. Its estimate is `hexapod`, with `covariance`; `save` and `load` carry it over a restart exactly.
 
-    number : poses so far; data : marks of what was learnt (see rig.recording.frame_content_hashes), so that it is not
+    number : poses so far; data : marks of what was learnt (see rig.recording.recording_frames), so that it is not
         learnt again
     """
 

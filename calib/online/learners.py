@@ -30,7 +30,7 @@ class Learner(ABC):
     """nominal : Hexapod; the estimate is `hexapod`; `memory` : what is kept of the poses beside it; `setting` : its one
     choice, named SETTING.
 
-    number : poses so far; data : marks of what was learnt (see rig.recording.frame_content_hashes), so that it is not
+    number : poses so far; data : marks of what was learnt (see rig.recording.recording_frames), so that it is not
         learnt again
     """
 

@@ -24,8 +24,8 @@ from calib.samples.recording_samples import Sampled
 from rig.arrays import Booleans, Floats, Integers
 from rig.model.mechanism_geometry import Hexapod
 from rig.model.mechanism_kinds import require_hexapod
-from rig.recording.frame_selection import select_frames
 from rig.recording.recording_folder import Recording
+from rig.recording.recording_frames import select_frames
 from vision.recording_measurement import measure_recording
 
 IN_A_ROW = 3  # poses of vision that agree with nothing, from which it is not vision that is wrong

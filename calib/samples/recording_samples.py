@@ -11,8 +11,8 @@ from rig.arrays import Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Instrument
 from rig.model.mechanism_kinds import has_links
-from rig.recording.corner_and_pose_tables import Corners, Poses
 from rig.recording.recording_folder import Recording
+from rig.recording.recording_tables import Corners, Poses
 from vision.reading.recording_corners import Collected
 from vision.recording_adjustment import Measurement
 from vision.recording_measurement import measure_recording
@@ -25,7 +25,7 @@ CAMERAS = Instrument("free", "free", *UNSTATED)  # that see an arm's hand, or th
 class Sampled:
     """samples : Samples; source : where the poses came from, in words; measurement, collected : from vision, or None
     files : beside the recording, from which the poses were computed; data : marks of what those were learnt from (see
-        rig.recording.frame_content_hashes)
+        rig.recording.recording_frames)
     instrument : who saw the poses and whether it is known where it stands and where its target sits: of an arm that
     cameras see neither is, so that its base among the base's targets and its hand in the platform's frame are solved
     for; None where all are known

@@ -16,8 +16,8 @@ from rig.formats import csv_table
 from rig.model.mechanism_geometry import Hexapod
 from rig.model.mechanism_kinds import require_hexapod
 from rig.model.mechanisms import hexapod as kinematics
-from rig.recording.corner_and_pose_tables import POSE_COLUMNS
 from rig.recording.recording_folder import Commands, Recording
+from rig.recording.recording_tables import POSE_COLUMNS
 
 LEAST = 6  # frames from which commands are held against poses
 AWAY = 6e-3  # m, RMS of what commands and poses disagree by, beyond which it is no calibration's matter

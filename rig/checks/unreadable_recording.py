@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.arrays import Floats
-from rig.checks import clock_mistakes, rig_toml_values
+from rig.checks import clock_mistakes, recording_files
 from rig.checks.mistake_report import Mistake, sort_mistakes
 from rig.errors import FileError, RigError
 from rig.formats import csv_table, remote_folders
@@ -40,7 +40,7 @@ def _figures(folder: Path, complaint: str) -> Iterator[Mistake]:
     if "rig.toml" not in complaint:
         return
     tree = tomllib.loads(read_text(folder / "rig.toml"))
-    yield from rig_toml_values.overlong_rotation_vectors(tree)
+    yield from recording_files.overlong_rotation_vectors(tree)
     for target in tree.get("target", []):
         if (
             isinstance(target.get("marker"), float)

@@ -74,7 +74,7 @@ def run(arguments: Namespace) -> None:
     progress("reading the recording", 0, 1)
     recordings = recording_checks.read_recordings(arguments)
     from calib.api.diagnose import diagnose
-    from rig.recording import frame_content_hashes
+    from rig.recording import recording_frames
 
     out, options = arguments.outputs.folder(arguments.out), _options(arguments, recordings)
     notice = recording_checks.print_notices(progress)
@@ -93,7 +93,7 @@ def run(arguments: Namespace) -> None:
             print(f"written: {arguments.next}")
     print(result)
     _print_report(result.report)
-    arguments.outputs.data = frame_content_hashes.hash_lines(frame_content_hashes.content_hashes(result.recording))
+    arguments.outputs.data = recording_frames.hash_lines(recording_frames.content_hashes(result.recording))
     arguments.result = json.loads((out / "diagnosis.json").read_text())
     print(f"written: {arguments.out / 'diagnosis.json'}; look at {arguments.out / 'diagnosis.html'}")
 

@@ -99,7 +99,7 @@ def _export(arguments: Namespace) -> list[str]:
     if arguments.format in CAMERAS or arguments.format in SEEN:
         (_cameras if arguments.format in CAMERAS else _seen)(arguments)
         return []
-    from rig.formats.exporters import geometry_and_camera_files, linuxcnc_and_compensation_tables, urdf_and_sdf
+    from rig.formats.exporters import geometry_and_camera_files, urdf_and_sdf
     from rig.formats.output_files import write_text
 
     mechanism, left_out, lead = _machine(arguments.machine)
@@ -130,7 +130,7 @@ def _export(arguments: Namespace) -> list[str]:
         )
     out = arguments.outputs.file(arguments.out) if arguments.out else None
     text = {
-        "genhexkins": lambda: linuxcnc_and_compensation_tables.genhexkins_settings(
+        "genhexkins": lambda: geometry_and_camera_files.genhexkins_settings(
             require_hexapod(mechanism), arguments.units, lead, arguments.coupling
         ),
         "urdf": lambda: (
@@ -158,7 +158,7 @@ def _tables(arguments: Namespace) -> None:
 
     from calib.correction.correction_tables import axis_correction_tables, grid_correction_table
     from calib.files import calibration_file
-    from rig.formats.exporters import linuxcnc_and_compensation_tables
+    from rig.formats.exporters import geometry_and_camera_files
     from rig.formats.output_files import write_text
     from rig.model import mechanisms
 
@@ -169,14 +169,14 @@ def _tables(arguments: Namespace) -> None:
     if mechanism.link_rows is not None:
         raise RigError(f"{arguments.format} takes a hexapod's calibration; an arm's is corrected by `rig correct`")
     parts = arguments.parts if arguments.parts is not None else 3 if arguments.format == "grid" else 64
-    most = 9 if arguments.format == "grid" else linuxcnc_and_compensation_tables.MOST - 1
+    most = 9 if arguments.format == "grid" else geometry_and_camera_files.MOST - 1
     if not 1 <= parts <= most:
         raise RigError(f"--parts is 1 to {most} for {arguments.format}, not {parts}")
     if arguments.format == "grid":
         out = arguments.outputs.file(arguments.out)
         write_text(
             out,
-            linuxcnc_and_compensation_tables.correction_grid_csv(
+            geometry_and_camera_files.correction_grid_csv(
                 *grid_correction_table(correction, parts), mechanism.axes, mechanisms.kinematics_of(mechanism).UNIT
             ),
         )
@@ -190,7 +190,7 @@ def _tables(arguments: Namespace) -> None:
     for i, (levels, trims) in enumerate(zip(found.levels, found.trims)):
         write_text(
             folder / f"joint_{i}.comp",
-            linuxcnc_and_compensation_tables.linuxcnc_compensation_file(
+            geometry_and_camera_files.linuxcnc_compensation_file(
                 levels + correction.fitted.strut_zeros[i], trims, arguments.units
             ),
         )

@@ -44,14 +44,14 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Print what joint values give, or all joint values that give poses, step by step where asked for."""
     from rig.formats import csv_table
-    from rig.recording import corner_and_pose_tables
+    from rig.recording import recording_tables
 
     arm, correction = _arm(arguments.arm)
     if arguments.forward:
         rows = csv_table.read(arguments.forward, ("frame", *arm.axes))
         tree = _forward(rows.whole("frame"), rows.matrix(arm.axes), arm, correction, arguments.steps)
     else:
-        poses = corner_and_pose_tables.load_poses(arguments.inverse)
+        poses = recording_tables.load_poses(arguments.inverse)
         tree = _inverse(poses.frame, poses.T_base_platform, arm, correction, arguments.steps)
     if arguments.json:
         print_json(tree)

@@ -55,16 +55,16 @@ def run(arguments: Namespace) -> None:
         return _by_limbs(arguments, recording, limbs, progress)
     from calib.report.measurement_page import write_measurement_page
     from rig.cli.shared.measurement_summary import print_measurement
-    from rig.recording import frame_content_hashes
+    from rig.recording import recording_frames
     from vision.api import MeasureOptions, measure
 
     out, options = (
         arguments.outputs.folder(arguments.out),
         MeasureOptions(hold, arguments.places, arguments.detect, arguments.anyway),
     )
-    with frame_content_hashes.start_content_hashing(recording) as marks:
+    with recording_frames.start_content_hashing(recording) as marks:
         result = measure(recording, options, progress, recording_checks.print_notices(progress))
-        arguments.outputs.data = frame_content_hashes.hash_lines(marks())
+        arguments.outputs.data = recording_frames.hash_lines(marks())
     result.write(out)
     write_measurement_page(out / "report.html", result, page_links(arguments, arguments.out / "report.html"))
     arguments.result = result.tree()
@@ -89,11 +89,11 @@ def _by_limbs(arguments: Namespace, recording: Recording, limbs: LimbSource, pro
         raise RigError("--hold, --places and --detect are about cameras and what they see; leave them out with --limbs")
     from calib.api.measure_limbs import measure_limbs
     from rig.cli.shared.measurement_summary import print_limb_poses
-    from rig.recording import frame_content_hashes
+    from rig.recording import recording_frames
 
     out = arguments.outputs.folder(arguments.out)
     found = measure_limbs(recording, limbs, arguments.anyway, progress, recording_checks.print_notices(progress))
-    arguments.outputs.data = frame_content_hashes.hash_lines(frame_content_hashes.content_hashes(recording))
+    arguments.outputs.data = recording_frames.hash_lines(recording_frames.content_hashes(recording))
     found.write(out)
     print_limb_poses(found)
     print(f"written: {arguments.out}/poses.csv, rpy.csv (roll, pitch, yaw), rig.toml as stated")

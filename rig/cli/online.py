@@ -121,7 +121,7 @@ def _of_calibrations(arguments: Namespace, recording: Recording, calibration: Ca
     """
     from calib.certification.calibration_evidence import calibration_evidence
     from calib.diagnosis.calibration_left_out_physics import unexplained_and_refuted_calibrations
-    from rig.recording.frame_content_hashes import content_hashes
+    from rig.recording.recording_frames import content_hashes
 
     beside = unexplained_and_refuted_calibrations(
         content_hashes(recording), calibration_and_effect_files.neighbouring_json_files(recording.folder), True
@@ -168,7 +168,7 @@ def learn_recording(
     from calib.report.online_and_limb_pages import online_verdict
     from calib.samples.confounded_conditions import confounds_of_recordings
     from rig.model.mechanism_kinds import require_hexapod
-    from rig.recording.frame_content_hashes import content_hashes, hashes_of_frames
+    from rig.recording.recording_frames import content_hashes, hashes_of_frames
 
     of, mechanism = content_hashes(recording), require_hexapod(recording.design.mechanism)
     learnt = (

@@ -19,7 +19,7 @@ from rig.formats.output_files import write_bytes
 
 if TYPE_CHECKING:
     from rig.arrays import Floats
-    from rig.driving.cameras.settling_check import Settling
+    from rig.driving.cameras.grab_and_settling import Settling
     from rig.driving.clock import Clock
     from rig.driving.run_journal import Began, Journal
     from rig.driving.run_steps_and_progress import Step
@@ -89,7 +89,7 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> int:
     """Check, home, and visit every pose of the plan; or go on where another process ended."""
     from rig.cli.shared.controller_session import design_with_controller
-    from rig.driving.cameras.settling_check import parse_settling
+    from rig.driving.cameras.grab_and_settling import parse_settling
     from rig.driving.run_steps_and_progress import steps_of_plan
     from rig.model.cube_remounting import quarter_turns, turning_instructions
     from rig.planning.plan import build_plan

@@ -42,7 +42,7 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> int:
     """Hold a calibration against a recording and print the figures; 3 where the verdict is bad."""
     from calib.api.verify import verify
-    from rig.recording.corner_and_pose_tables import load_poses
+    from rig.recording.recording_tables import load_poses
     from rig.report.refutations import refutations_of_file
 
     progress = Progress()

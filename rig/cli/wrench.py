@@ -142,7 +142,7 @@ def _write(out: Path, t: Floats, seen: Observed, plain: tuple[Floats, Floats, Fl
     from rig.model.pose import TRIANGLE
     from rig.posture.force_transmission import DIRECTIONS
     from rig.recording import recording_tables
-    from rig.recording.corner_and_pose_tables import COVARIANCE_COLUMNS
+    from rig.recording.recording_tables import COVARIANCE_COLUMNS
 
     header = ["t", *DIRECTIONS, *COVARIANCE_COLUMNS, *(f"plain_{name}" for name in (*DIRECTIONS, *COVARIANCE_COLUMNS))]
     both = [

@@ -11,8 +11,7 @@ import numpy as np
 
 from rig.arrays import Floats, Pixels
 from rig.driving.cameras.camera_interface_and_clock import Frame
-from rig.driving.cameras.settling_check import Settling
-from rig.driving.cameras.synchronised_grab_and_exposure import Shutter
+from rig.driving.cameras.grab_and_settling import Settling, Shutter
 from rig.driving.clock import Clock
 from rig.driving.recording_from_journal import Growing
 from rig.driving.run_journal import (

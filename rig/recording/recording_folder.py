@@ -17,8 +17,8 @@ from rig.formats.output_files import require_complete_folder
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design
 from rig.model.mechanism_kinds import target_bodies
-from rig.recording.corner_and_pose_tables import Corners, Poses, load_corners, load_instrument_poses, load_poses
 from rig.recording.exposures_and_images import Exposures, Unreadable, load_exposures
+from rig.recording.recording_tables import Corners, Poses, load_corners, load_instrument_poses, load_poses
 from rig.recording.time_origin import Origin, parse_exact_decimal
 from rig.report.pages.html_elements import result_html
 

@@ -1,25 +1,216 @@
-"""Recording tables written as CSV: poses, corners, configurations, times."""
+"""Tables of a recording's corners, poses and configurations (CSV), loaded with checks and written."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NoReturn
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Floats
-from rig.formats import remote_folders
+from rig.arrays import Floats, Integers
+from rig.errors import FileError
+from rig.formats import csv_table, remote_folders
+from rig.formats.checked_entries import LARGEST_RIG
+from rig.formats.csv_table import Table
 from rig.formats.input_files import read_bytes
 from rig.formats.output_files import write_bytes, write_text
-from rig.model.pose import TRIANGLE, angle_sigmas, pose_to_vector, roll_pitch_yaw
-from rig.recording.corner_and_pose_tables import (
-    CORNER_COLUMNS,
-    CORNER_COVARIANCE,
-    COVARIANCE_COLUMNS,
-    POSE_COLUMNS,
-    Corners,
-    Poses,
-)
+from rig.model.design import Design, Instrument
+from rig.model.pose import TRIANGLE, angle_sigmas, covariance_from_triangle, pose, pose_to_vector, roll_pitch_yaw
 from rig.recording.exposures_and_images import Exposures
 from rig.recording.time_origin import Origin
+
+POSE_COLUMNS = ("x", "y", "z", "rx", "ry", "rz")
+DISTANCE = "distance"  # column of a drawn wire's length, m
+COVARIANCE_COLUMNS = tuple(f"c{i}{j}" for i, j in zip(*TRIANGLE))
+CORNER_COLUMNS = ("frame", "camera", "marker", "corner", "u", "v")
+CORNER_COVARIANCE = ("cuu", "cuv", "cvv")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Corners:
+    """Marker corners in images. frame, marker, corner : (n,) int; camera : n names; uv : (n, 2) px;
+    covariance : (n, 2, 2) px^2, or None where the recording states none."""
+
+    frame: Integers
+    camera: list[str]
+    marker: Integers
+    corner: Integers
+    uv: Floats
+    covariance: Floats | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Poses:
+    """Platform in base. frame : (n,) int; T_base_platform : RigidTransform (n,); covariance : (n, 6, 6) m, rad, on the
+    right, order x y z rx ry rz, or None."""
+
+    frame: Integers
+    T_base_platform: RigidTransform
+    covariance: Floats | None
+
+
+def load_corners(path: Path, design: Design, exposures: Exposures) -> Corners | None:
+    """Load the Corners of a corners.csv, None where there is none. Raises FileError.
+    Raises FileError with line and column.
+    """
+    if not remote_folders.exists(path):
+        return None
+    rows = csv_table.read(path, CORNER_COLUMNS, ("sigma", *CORNER_COVARIANCE))
+    frame, marker, corner, camera = rows.whole("frame"), rows.whole("marker"), rows.whole("corner"), rows.text("camera")
+    uv = rows.matrix(("u", "v"))
+    cameras = {c.name for c in design.cameras}
+    markers = {number for target in design.targets for number in target.ids}
+    exposed = set(zip(exposures.frame.tolist(), exposures.camera))
+    keys = list(zip(frame.tolist(), camera, marker.tolist(), corner.tolist()))
+    sound = (
+        len(set(keys)) == len(keys)
+        and set(camera) <= cameras
+        and set(marker.tolist()) <= markers
+        and set(zip(frame.tolist(), camera)) <= exposed
+    )
+    if not sound or corner.max() > 3:
+        _refuse(rows, keys, cameras, markers, exposed)
+    return Corners(frame, camera, marker, corner, uv, _corner_covariance(rows))
+
+
+def _refuse(
+    rows: Table,
+    keys: list[tuple[int, str, int, int]],
+    cameras: set[str],
+    markers: set[int],
+    exposed: set[tuple[int, str]],
+) -> NoReturn:
+    """Raise FileError at the first corner, by (frame, camera, marker, corner), that cannot be or is there twice."""
+    seen: dict[Any, Any] = {}
+    for i, key in enumerate(keys):
+        if key[1] not in cameras:
+            rows.fail(
+                f"unknown camera {key[1]!r}; rig.toml has {', '.join(sorted(cameras)) or 'none'}", i, "camera", key[1]
+            )
+        if key[2] not in markers:
+            rows.fail(f"unknown marker {key[2]}: no target of rig.toml has it", i, "marker", key[2])
+        if key[3] > 3:
+            rows.fail(f"a marker has corners 0..3, not {key[3]}", i, "corner", key[3])
+        if key[:2] not in exposed:
+            rows.fail(f"frame {key[0]} of camera {key[1]!r} is not in frames.csv", i, "frame", key[0])
+        if key in seen:
+            rows.fail(
+                f"corner {key[3]} of marker {key[2]} is listed twice in frame {key[0]}, camera {key[1]!r}, "
+                "first in line "
+                f"{rows.lines[seen[key]]}",
+                i,
+                "marker",
+                key[2],
+            )
+        seen[key] = i
+    raise AssertionError("unreachable: bad corners without a bad one")
+
+
+def _corner_covariance(rows: Table) -> Floats | None:
+    if all(name in rows.columns for name in CORNER_COVARIANCE):
+        cuu, cuv, cvv = rows.matrix(CORNER_COVARIANCE).T
+        bad = np.flatnonzero((cuu <= 0) | (cuu * cvv <= cuv**2))
+        if len(bad):
+            rows.fail("cuu, cuv, cvv are no covariance: not positive definite", bad[0], "cuu")
+        return np.stack([np.stack([cuu, cuv], -1), np.stack([cuv, cvv], -1)], -2)
+    if "sigma" not in rows.columns:
+        return None
+    sigma = rows.numbers("sigma")
+    bad = np.flatnonzero(sigma <= 0)
+    if len(bad):
+        rows.fail(f"sigma must be positive px, not {sigma[bad[0]]:g}", bad[0], "sigma", sigma[bad[0]])
+    return sigma[:, None, None] ** 2 * np.eye(2)
+
+
+def load_poses(
+    path: str | Path, known_frames: set[int] | None = None, positions_only: bool = False, are_commands: bool = False
+) -> Poses:
+    """Load the Poses of a poses.csv, measured or wanted.
+
+    known_frames : set of frame numbers that there are, or None; positions_only : rotations and covariances, if there
+    are any, mean nothing: the poses are unrotated; are_commands : a covariance may be 0 in directions in which the
+    machine has no freedom
+    Raises FileError with line and column.
+    """
+    rows = csv_table.read(path, ("frame", *POSE_COLUMNS[: 3 if positions_only else 6]), COVARIANCE_COLUMNS)
+    frame = _frames(rows, known_frames)
+    values = np.zeros((len(rows), 6))
+    values[:, : 3 if positions_only else 6] = rows.matrix(POSE_COLUMNS[: 3 if positions_only else 6])
+    _plausible(rows, values[:, :3], POSE_COLUMNS[:3])
+    return Poses(
+        frame, pose(values[:, :3], values[:, 3:]), None if positions_only else _pose_covariance(rows, are_commands)
+    )
+
+
+def load_instrument_poses(path: Path, known_frames: set[int], instrument: Instrument | None) -> Poses:
+    """Load the Poses of a poses.csv as its instrument measures them: poses, orientations or distances.
+
+    Raises FileError with line and column
+    """
+    kind = "pose" if instrument is None else instrument.kind
+    if kind == "pose":
+        return load_poses(path, known_frames, instrument is not None and instrument.rotation_sigma is None)
+    columns = POSE_COLUMNS[3:] if kind == "orientation" else (DISTANCE,)
+    rows = csv_table.read(path, ("frame", *columns))
+    frame, values = _frames(rows, known_frames), rows.matrix(columns)
+    nothing = np.zeros((len(rows), 3))
+    if kind == "orientation":
+        return Poses(frame, pose(nothing, values), None)
+    _plausible(rows, values, columns)
+    short = np.flatnonzero(values[:, 0] <= 0)
+    if len(short):
+        rows.fail(
+            f"a wire's length must be positive, not {values[short[0], 0]:g} m", short[0], DISTANCE, values[short[0], 0]
+        )
+    return Poses(frame, pose(np.pad(values, ((0, 0), (0, 2))), nothing), None)
+
+
+def _frames(rows: Table, known_frames: set[int] | None) -> Integers:
+    """(n,) frame of each row, each once and known."""
+    frame = rows.whole("frame")
+    seen: dict[Any, Any] = {}
+    for i, number in enumerate(frame.tolist()):
+        if known_frames is not None and number not in known_frames:
+            rows.fail(f"frame {number} is not in frames.csv", i, "frame", number)
+        if number in seen:
+            rows.fail(f"frame {number} is listed twice, first in line {rows.lines[seen[number]]}", i, "frame", number)
+        seen[number] = i
+    return frame
+
+
+def _plausible(rows: Table, values: Floats, columns: tuple[str, ...]) -> None:
+    """Raise FileError at the first length (n, k) that no rig has."""
+    far = np.argwhere(np.abs(values) > LARGEST_RIG)
+    if len(far):
+        i, j = far[0]
+        rows.fail(
+            f"{columns[j]} = {values[i, j]:g} m is implausible: poses are in metres (millimetres?)",
+            i,
+            columns[j],
+            values[i, j],
+        )
+
+
+def _pose_covariance(rows: Table, commanded: bool) -> Floats | None:
+    given = [name for name in COVARIANCE_COLUMNS if name in rows.columns]
+    if not given:
+        return None
+    if len(given) < len(COVARIANCE_COLUMNS):
+        missing = next(name for name in COVARIANCE_COLUMNS if name not in given)
+        raise FileError(
+            rows.path, f"column {missing!r} is missing: a covariance has all of {','.join(COVARIANCE_COLUMNS)}", 1
+        )
+    covariance = covariance_from_triangle(rows.matrix(COVARIANCE_COLUMNS))
+    scale = np.sqrt(np.abs(np.einsum("nii->ni", covariance)))
+    whitened = covariance / np.maximum(scale[:, :, None] * scale[:, None, :], 1e-300)
+    if commanded:
+        whitened = whitened + np.eye(6) * (scale == 0)[:, None]
+    bad = np.flatnonzero(np.linalg.eigvalsh(whitened)[:, 0] <= 0)
+    if len(bad):
+        rows.fail("c00 .. c55 are no covariance: not positive definite", bad[0], "c00")
+    return covariance
+
 
 ANGLES = ("x", "y", "z", "roll", "pitch", "yaw")
 

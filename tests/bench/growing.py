@@ -18,8 +18,7 @@ from rig.cli.shared.run_observation import RunObserver, Stopping
 from rig.cli.shared.run_page import RunPage
 from rig.cli.shared.run_preparation import save_image, warm_up
 from rig.driving.cameras.camera_interface_and_clock import Frame
-from rig.driving.cameras.settling_check import parse_settling
-from rig.driving.cameras.synchronised_grab_and_exposure import Shutter
+from rig.driving.cameras.grab_and_settling import Shutter, parse_settling
 from rig.driving.clock import SystemClock
 from rig.driving.move_and_record_loop import Bench, Operator
 from rig.driving.run_journal import Began, Journal

@@ -24,7 +24,7 @@ from calib.models.platform.parameter_accuracy import PLAUSIBLE, parameter_combin
 from calib.online.information_filter import Online
 from calib.online.learners import Drifting, FirstOrder, Forgetting
 from calib.samples.recording_samples import sample_recording
-from rig.formats.exporters import linuxcnc_and_compensation_tables
+from rig.formats.exporters import geometry_and_camera_files
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference
@@ -190,7 +190,7 @@ def _exports(design):
     true = secret_machine.draw_machine(design, np.random.default_rng(0)).true
     commands = configuration_sets.sobol_configurations(true.mechanism.strut_range, 200, 0.9)
     theirs = genhex_forward(
-        linuxcnc_and_compensation_tables.genhexkins_settings(true.mechanism), commands, design.mechanism.home, 1e3
+        geometry_and_camera_files.genhexkins_settings(true.mechanism), commands, design.mechanism.home, 1e3
     )
     worst = np.linalg.norm(pose_difference(hexapod.forward(commands, true.mechanism), theirs)[:, :3], axis=1).max()
     yield (

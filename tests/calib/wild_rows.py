@@ -11,7 +11,7 @@ from rig.model.pose import exp
 from rig.planning import plan
 from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
 from rig.recording import recording_folder
-from rig.recording.corner_and_pose_tables import Poses
+from rig.recording.recording_tables import Poses
 from synthetic import recording_simulation, secret_machine
 
 POSE = np.array([5e-6] * 3 + [3e-5] * 3)  # m, rad; noise of a pose, as stated

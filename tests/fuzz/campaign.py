@@ -23,7 +23,7 @@ WATCHED = (
     "rig.recording.time_origin",
     "rig.recording.image_file_check",
     "rig.recording.exposures_and_images",
-    "rig.recording.corner_and_pose_tables",
+    "rig.recording.recording_tables",
     "rig.recording.recording_folder",
     "rig.formats.rig_toml.design_file",
     "rig.formats.toml_positions",

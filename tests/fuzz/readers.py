@@ -32,9 +32,9 @@ from rig.model.pose import TRIANGLE
 from rig.planning import plan
 from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.recording import recording_folder
-from rig.recording.corner_and_pose_tables import COVARIANCE_COLUMNS, load_corners, load_poses
 from rig.recording.exposures_and_images import load_exposures
 from rig.recording.image_file_check import image_file_problem
+from rig.recording.recording_tables import COVARIANCE_COLUMNS, load_corners, load_poses
 from synthetic import diagnosis_score, recording_simulation, secret_machine
 from tests.fuzz.laws import laws
 from vision.lenses import calibration_board

@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.driving.cameras.camera_interface_and_clock import CameraError, Frame
-from rig.driving.cameras.settling_check import parse_settling
-from rig.driving.cameras.synchronised_grab_and_exposure import Shutter
+from rig.driving.cameras.grab_and_settling import Shutter, parse_settling
 from rig.driving.clock import SimulatedClock
 from rig.driving.move_and_record_loop import Bench, Operator
 from rig.driving.run_journal import Arrival, Began, Journal

@@ -11,8 +11,8 @@ from scipy.spatial.transform import RigidTransform
 from rig.checks import Mistake, platform_commands_and_poses, sort_mistakes
 from rig.effects.framework.edge_motion import move_edges_inward
 from rig.model.design import Camera, Design
-from rig.recording.corner_and_pose_tables import Corners
 from rig.recording.recording_folder import Recording
+from rig.recording.recording_tables import Corners
 from vision.checks import camera_mistakes as cameras
 from vision.checks import corner_convention_trials as order
 from vision.checks import target_mistakes

@@ -9,7 +9,7 @@ import numpy as np
 from rig.arrays import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Design
-from rig.recording.corner_and_pose_tables import Corners
+from rig.recording.recording_tables import Corners
 from vision.corner_observations import observations_from_corners
 from vision.recording_adjustment import Measurement, measure
 from vision.recording_measurement import unsolved_frames_with_enough_markers

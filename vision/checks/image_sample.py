@@ -9,8 +9,8 @@ import numpy as np
 from rig.arrays import Pixels
 from rig.checks import Mistake
 from rig.errors import FileError
-from rig.recording.corner_and_pose_tables import Corners
 from rig.recording.recording_folder import Recording
+from rig.recording.recording_tables import Corners
 from vision.checks.corner_convention_trials import FRAMES
 from vision.corners.marker_detection import Detection, detect_markers, opencv_detector
 from vision.reading.parallel_images import map_images_in_threads

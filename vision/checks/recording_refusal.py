@@ -8,8 +8,8 @@ from rig.checks.mistake_report import Mistake
 from rig.checks.recording_files import recording_file_mistakes
 from rig.errors import RigError
 from rig.model.cube_remounting import WORDS, quarter_turns
-from rig.recording.corner_and_pose_tables import Corners
 from rig.recording.recording_folder import Recording
+from rig.recording.recording_tables import Corners
 from vision.checks.corner_consistency import find_corner_mistakes
 
 Notice = Callable[[str], None]

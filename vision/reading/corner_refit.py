@@ -11,9 +11,9 @@ import numpy as np
 
 from rig.compute.dask_cluster import path_on_workers
 from rig.model.design import Camera
-from rig.recording.corner_and_pose_tables import Corners
 from rig.recording.exposures_and_images import read_image
 from rig.recording.recording_folder import Recording
+from rig.recording.recording_tables import Corners
 from vision.corners import local_lens
 from vision.corners.edge_spread import PLAIN_EDGE_SPREAD
 from vision.corners.marker_detection import Detection, fit_read_markers, grey_images_for_reader_and_fit

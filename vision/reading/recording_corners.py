@@ -13,9 +13,9 @@ from rig.arrays import Floats, Integers, Pixels
 from rig.compute.dask_cluster import path_on_workers
 from rig.errors import FileError
 from rig.model.design import Camera, Design
-from rig.recording.corner_and_pose_tables import Corners
 from rig.recording.exposures_and_images import read_image, undecodable_images, unusable_images_error
 from rig.recording.recording_folder import Recording
+from rig.recording.recording_tables import Corners
 from vision.corner_observations import corner_covariance_rows
 from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, EdgeSpread, empty_profile, learn_edge_spread
 from vision.corners.marker_detection import Detection, detect_markers, fit_read_markers, grey_images_for_reader_and_fit

@@ -15,8 +15,8 @@ from rig.formats.number_parsing_and_rounding import parse_number
 if TYPE_CHECKING:
     from calib.samples.pose_samples import Samples
     from rig.arrays import Floats
-    from rig.recording.frame_content_hashes import Marks
     from rig.recording.recording_folder import Recording
+    from rig.recording.recording_frames import Marks
 
 
 def unlearnt_frame_numbers(recording: Recording, marks: Marks, learnt: set[str]) -> list[int]:
@@ -24,7 +24,7 @@ def unlearnt_frame_numbers(recording: Recording, marks: Marks, learnt: set[str])
 
     Raises RigError where none is left: what is learnt twice counts twice
     """
-    from rig.recording.frame_content_hashes import frames_with_known_hashes
+    from rig.recording.recording_frames import frames_with_known_hashes
 
     frames, again = recording.exposures.times()[0], frames_with_known_hashes(marks, learnt)
     if len(again) == len(marks) > 0:
@@ -120,7 +120,7 @@ def learn_poses(
     from calib.online import learners
     from calib.report.online_and_limb_pages import OnlineResult
     from rig.model.mechanism_kinds import require_hexapod
-    from rig.recording.frame_content_hashes import content_hashes, hashes_of_frames
+    from rig.recording.recording_frames import content_hashes, hashes_of_frames
 
     refuse_other_learners_settings(arguments)
     learner = _learner(arguments, recording, calibration)

@@ -23,8 +23,7 @@ from rig.cli.shared.run_observation import Display, RunObserver, Stopping
 from rig.cli.shared.run_page import RunPage
 from rig.cli.shared.run_terminal_display import terminal_display
 from rig.driving.cameras import CameraError, open_camera
-from rig.driving.cameras.settling_check import Settling
-from rig.driving.cameras.synchronised_grab_and_exposure import CLIPPED, Shutter, set_exposure_for_markers
+from rig.driving.cameras.grab_and_settling import CLIPPED, Settling, Shutter, set_exposure_for_markers
 from rig.driving.clock import Clock
 from rig.driving.move_and_record_loop import Bench
 from rig.driving.serial_port import Sensing

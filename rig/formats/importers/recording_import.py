@@ -24,9 +24,8 @@ from rig.formats.output_files import write_bytes
 from rig.formats.rig_toml import design_file
 from rig.formats.structured_files import toml_entries
 from rig.model.design import Design
-from rig.recording.corner_and_pose_tables import Poses
 from rig.recording.image_file_check import image_file_problem
-from rig.recording.recording_tables import write_poses, write_table
+from rig.recording.recording_tables import Poses, write_poses, write_table
 from rig.recording.time_origin import DIGITS
 
 LARGEST_IMAGE_FILE = 1 << 31  # bytes

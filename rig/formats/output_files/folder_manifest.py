@@ -36,7 +36,7 @@ class Origin:
     """command : that makes a folder whole; arguments : as they were given, but for what a recording must not tell about
     its truth
     complete : whether it came to its end; data : marks of the exposures that what is in the folder was computed from
-    (see rig.recording.frame_content_hashes)"""
+    (see rig.recording.recording_frames)"""
 
     command: str
     arguments: tuple[str, ...] = ()

@@ -32,8 +32,8 @@ from rig.model import motion_simulation
 from rig.model.pose import exp, pose_difference
 from rig.planning import configuration_sets, plan
 from rig.recording import recording_folder, recording_tables
-from rig.recording.corner_and_pose_tables import Poses
 from rig.recording.recording_folder import Sensors
+from rig.recording.recording_tables import Poses
 from synthetic import secret_machine
 
 GAP = 40e-6

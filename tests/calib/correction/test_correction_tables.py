@@ -16,7 +16,7 @@ from calib.correction.correction_tables import (
 from calib.correction.interpolation import interpolation_methods
 from calib.correction.interpolation.field import Known
 from calib.correction.summand_extension import measured_summands
-from rig.formats.exporters import linuxcnc_and_compensation_tables
+from rig.formats.exporters import geometry_and_camera_files
 from rig.model.mechanisms import hexapod
 from rig.planning.configuration_sets import sobol_configurations
 from tests.calib.worlds import real, sampled
@@ -47,15 +47,9 @@ def test_joint_tables_read_back_as_linuxcnc_reads_them_correct_as_we_do(additive
     assert (found.left < 2e-7).all()
     wanted = sobol_configurations(design.mechanism.strut_range, 60, 0.7, 5)
     T = hexapod.forward(wanted, additive.fitted)
-    commands, scale, zeros = (
-        additive.inverse(T),
-        linuxcnc_and_compensation_tables.SCALE[units],
-        additive.fitted.strut_zeros,
-    )
+    commands, scale, zeros = (additive.inverse(T), geometry_and_camera_files.SCALE[units], additive.fitted.strut_zeros)
     for i in range(6):
-        text = linuxcnc_and_compensation_tables.linuxcnc_compensation_file(
-            found.levels[i] + zeros[i], found.trims[i], units
-        )
+        text = geometry_and_camera_files.linuxcnc_compensation_file(found.levels[i] + zeros[i], found.trims[i], units)
         told = by_linuxcnc(text, (wanted[:, i] + zeros[i]) * scale) / scale - zeros[i]
         np.testing.assert_allclose(told, commands[:, i], atol=3e-7)
         assert np.abs(wanted[:, i] - commands[:, i]).max() > 1e-5
@@ -73,7 +67,7 @@ def test_a_table_for_each_joint_says_what_it_cannot_hold(design):
 
 def test_a_grid_read_back_gives_the_commands(additive, design):
     m = design.mechanism
-    text = linuxcnc_and_compensation_tables.correction_grid_csv(*grid_correction_table(additive, 2), m.axes, "m")
+    text = geometry_and_camera_files.correction_grid_csv(*grid_correction_table(additive, 2), m.axes, "m")
     lines = text.splitlines()
     comments, header = (
         [line for line in lines if line.startswith("#")],

@@ -19,7 +19,7 @@ from calib.diagnosis.report.report_entries import diagnosis_report
 from calib.samples.recording_samples import sample_recording
 from rig.model.design import Arm
 from rig.recording import recording_folder
-from rig.recording.corner_and_pose_tables import Poses
+from rig.recording.recording_tables import Poses
 from rig.report.verdict import State
 from tests.calib import arm_worlds
 from tests.calib.diagnosing import diagnosis_of

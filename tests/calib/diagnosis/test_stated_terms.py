@@ -15,7 +15,7 @@ from calib.diagnosis.report.report_sentences import evidence_sentence
 from rig.cli import command_line
 from rig.effects.texts.effect_notation import parse_effect_and_place
 from rig.errors import NotEnoughData, RigError
-from rig.recording.frame_selection import remove_frames
+from rig.recording.recording_frames import remove_frames
 from tests.calib.diagnosing import diagnosis_of
 from tests.calib.recorded import recorded
 

@@ -26,9 +26,8 @@ from rig.model import mechanisms
 from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.layout import hexapod_and_two_strut_layout, shipped_arm_layout
 from rig.recording import recording_folder
-from rig.recording.corner_and_pose_tables import Poses
 from rig.recording.recording_folder import Sensors, Wanted
-from rig.recording.recording_tables import write_poses
+from rig.recording.recording_tables import Poses, write_poses
 from tests import chained
 from tests.cli import command
 

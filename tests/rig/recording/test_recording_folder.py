@@ -9,9 +9,9 @@ import pytest
 from rig.errors import FileError, RigError
 from rig.formats import csv_table
 from rig.model.pose import pose, pose_difference
-from rig.recording import corner_and_pose_tables, recording_tables
 from rig.recording import recording_folder as recording
-from rig.recording.frame_selection import remove_frames
+from rig.recording import recording_tables
+from rig.recording.recording_frames import remove_frames
 from tests.conftest import BENCH, SHARED
 
 
@@ -178,7 +178,7 @@ def test_commands_are_linear_between_rows_and_dwell_after_the_last():
 
 
 def test_frames_that_are_masked_are_in_no_poses():
-    poses = corner_and_pose_tables.Poses(
+    poses = recording_tables.Poses(
         np.arange(4), pose(np.zeros((4, 3)), np.zeros((4, 3))), np.tile(np.eye(6), (4, 1, 1))
     )
     whole = replace(recording.load_recording(BENCH / "check"), poses=poses, stages={1: poses})
@@ -220,7 +220,7 @@ def test_poses_that_are_none(tmp_path, rows, says):
 
 
 def test_a_covariance_must_be_one(tmp_path):
-    header = ",".join(["frame", *corner_and_pose_tables.POSE_COLUMNS, *corner_and_pose_tables.COVARIANCE_COLUMNS])
+    header = ",".join(["frame", *recording_tables.POSE_COLUMNS, *recording_tables.COVARIANCE_COLUMNS])
     (tmp_path / "poses.csv").write_text(header + "\n0" + ",0" * 6 + ",-1" + ",0" * 20 + "\n")
     with pytest.raises(FileError, match="not positive definite"):
         recording.load_poses(tmp_path / "poses.csv")

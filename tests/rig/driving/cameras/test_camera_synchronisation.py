@@ -3,10 +3,15 @@
 import numpy as np
 import pytest
 
-from rig.driving.cameras import CameraError, settling_check
+from rig.driving.cameras import CameraError, grab_and_settling
 from rig.driving.cameras.camera_interface_and_clock import Frame
-from rig.driving.cameras.settling_check import NotSettled, image_difference, parse_settling
-from rig.driving.cameras.synchronised_grab_and_exposure import Shutter, set_exposure_for_markers
+from rig.driving.cameras.grab_and_settling import (
+    NotSettled,
+    Shutter,
+    image_difference,
+    parse_settling,
+    set_exposure_for_markers,
+)
 from rig.errors import RigError
 from tests.rig.ticking import SIZE, Ticking
 
@@ -94,4 +99,4 @@ def test_rest_is_told_by_limbs_and_by_time():
     for text in ("time:-1", "time:x", "images:3", "speed:1", "limbs:inf"):
         with pytest.raises(RigError, match="settling takes"):
             parse_settling(text)
-    assert settling_check.MOST < 60
+    assert grab_and_settling.MOST < 60

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.effects.texts.effect_notation import parse_effect
 from rig.errors import RigError
-from rig.formats.exporters import geometry_and_camera_files, linuxcnc_and_compensation_tables, urdf_and_sdf
+from rig.formats.exporters import geometry_and_camera_files, urdf_and_sdf
 from rig.model import motion_simulation
 from rig.model.design import Arm, Hexapod
 from rig.model.mechanisms import arm as serial
@@ -33,10 +33,10 @@ def true(design):
 def test_genhexkins_goes_where_we_go(true, units, scale):
     m = true.mechanism
     commands = configuration_sets.sobol_configurations(m.strut_range, 60, 0.9)
-    found = forward(linuxcnc_and_compensation_tables.genhexkins_settings(m, units), commands, m.home, scale)
+    found = forward(geometry_and_camera_files.genhexkins_settings(m, units), commands, m.home, scale)
     error = pose_difference(hexapod.forward(commands, m), found)
     assert np.linalg.norm(error[:, :3], axis=1).max() < 1e-9 and np.abs(error[:, 3:]).max() < 1e-8
-    assert settings(linuxcnc_and_compensation_tables.genhexkins_settings(m, units))["genhexkins.screw-lead"] == 0
+    assert settings(geometry_and_camera_files.genhexkins_settings(m, units))["genhexkins.screw-lead"] == 0
 
 
 @pytest.mark.parametrize("gain", [1.0, -0.6])
@@ -53,22 +53,22 @@ def test_genhexkins_screws_couple_as_ours_do(true, gain):
     )
     plain = motion_simulation.run_machine(true, steps.commands, steps.t)
     assert np.linalg.norm(pose_difference(plain.T_base_platform, run.T_base_platform)[:, :3], axis=1).max() > 5e-6
-    text = linuxcnc_and_compensation_tables.genhexkins_settings(m, "mm", true.actuator.screw_lead, gain)
+    text = geometry_and_camera_files.genhexkins_settings(m, "mm", true.actuator.screw_lead, gain)
     error = pose_difference(run.T_base_platform, forward(text, steps.commands.at(steps.t), m.home, 1e3))
     assert np.linalg.norm(error[:, :3], axis=1).max() < 1e-9
 
 
 def test_genhexkins_refuses_what_it_cannot_hold(true):
     with pytest.raises(RigError, match="lead, m per revolution"):
-        linuxcnc_and_compensation_tables.genhexkins_settings(true.mechanism, screw_coupling=0.5)
+        geometry_and_camera_files.genhexkins_settings(true.mechanism, screw_coupling=0.5)
     with pytest.raises(ValueError, match="mm or m"):
-        linuxcnc_and_compensation_tables.genhexkins_settings(true.mechanism, "inch")
+        geometry_and_camera_files.genhexkins_settings(true.mechanism, "inch")
     turned = replace(
         true.mechanism,
         platform_joints=Rotation.from_rotvec([0, 0, 1.2]).apply(np.array(true.mechanism.platform_joints)),
     )
     with pytest.raises(RigError, match="degrees to each other"):
-        linuxcnc_and_compensation_tables.genhexkins_settings(turned, screw_lead=0.004, screw_coupling=1.0)
+        geometry_and_camera_files.genhexkins_settings(turned, screw_lead=0.004, screw_coupling=1.0)
 
 
 def test_sheets_hold_every_bit_of_a_hexapod(true):
