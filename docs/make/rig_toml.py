@@ -15,7 +15,7 @@ from docs.make.told import fields_told, headline
 from rig.formats.checked_entries import REQUIRED, Entries, Key
 from rig.formats.rig_toml import arm_dynamics_entries, design_file
 from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
-from rig.formats.rig_toml.arm_joint_entries import Joint
+from rig.formats.rig_toml.mechanism_entries import Joint
 from rig.formats.toml_positions import value_positions
 from rig.model.controller_settings import Controller
 from rig.model.design import (

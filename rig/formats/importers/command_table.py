@@ -1,4 +1,4 @@
-"""Command table of another program: lengths or angles, their units and zeros, times; one clock with frames."""
+"""Command table of another program: lengths or angles, their units and zeros, times."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -7,7 +7,7 @@ from decimal import Decimal
 import numpy as np
 
 from rig.arrays import Floats, Integers
-from rig.checks.clock_mistakes import FASTEST, SLOWEST, USUAL, dwell_clock_shift
+from rig.checks.clock_mistakes import FASTEST, SLOWEST, USUAL
 from rig.errors import FileError, RigError
 from rig.formats.importers.csv_dialect import read_foreign_table
 from rig.formats.importers.foreign_table_columns import (
@@ -18,7 +18,6 @@ from rig.formats.importers.foreign_table_columns import (
     find_columns,
     recipe_columns,
 )
-from rig.formats.importers.image_file_frames import Exposed
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.importers.units_and_timestamps import (
     ANGLES,
@@ -33,8 +32,6 @@ from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry import Arm
 from rig.model.mechanism_kinds import has_links, require_arm, require_struts
-from rig.recording.recording_folder import LAST_DWELL
-from rig.recording.time_origin import DIGITS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,39 +229,3 @@ def _pace(values: Floats, design: Design) -> Callable[[Floats], bool]:
         return bool((step > 0).any()) and low <= float(np.quantile(step[step > 0], 0.9)) <= high
 
     return plausible
-
-
-def require_one_clock(exposures: Exposed, commands: Commanded | None) -> None:
-    """Raise RigError unless exposures and commands are on one clock."""
-    if commands is None or commands.t is None:
-        return
-    t = sorted(set(exposures.times()))
-    section = "images" if any(exposures.camera) else "poses"
-    first, last = commands.t[0], commands.t[-1]
-    after = sum(s > last for s in t)
-    if t[0] >= first and (after <= 1 or after <= LAST_DWELL * len(t)):
-        return
-    clash = (
-        f"frames and commands are on different clocks: frames run from {t[0]:f} to {t[-1]:f} s, commands from "
-        f"{first:f} to {last:f} s"
-    )
-    standing = dwell_clock_shift(
-        seconds_since_origin(t, first), seconds_since_origin(commands.t, first), commands.values
-    )
-    if standing is not None:
-        raise RigError(
-            f"{clash}; --set {section}.shift={standing.shift:.3f} is what puts {standing.frames} of {len(t)} "
-            "frames where the commands "
-            f"stand still, the middle of what does, +-{standing.room:.2g} s"
-        )
-    by = first - t[0]
-    raise RigError(
-        f"{clash}; state the unit or what is to be added: --set {section}.shift={by:.6f} brings the first "
-        "frame to the first command"
-        "; --set commands.shift=S moves the commands"
-    )
-
-
-def seconds_since_origin(t: list[Decimal], origin: Decimal) -> Floats:
-    """Seconds (n,) of times since an origin."""
-    return np.array([float(DIGITS.subtract(one, origin)) for one in t])

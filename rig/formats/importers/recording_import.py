@@ -1,6 +1,5 @@
 """Import of a recording: all foreign files of a recipe assembled and written as one recording."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import partial
@@ -12,11 +11,16 @@ from rig.arrays import Floats, Integers
 from rig.errors import RigError
 from rig.formats.importers import image_file_frames
 from rig.formats.importers.camera_calibrations import rig_toml_with_cameras
-from rig.formats.importers.command_table import Commanded, read_commands, require_one_clock, seconds_since_origin
-from rig.formats.importers.csv_dialect import read_foreign_table
-from rig.formats.importers.foreign_table_columns import CAMERA, FRAME, IMAGE, TIME, find_columns, recipe_columns
+from rig.formats.importers.command_table import Commanded, read_commands
+from rig.formats.importers.frame_times import (
+    LISTED,
+    Like,
+    exposures_with_times,
+    require_one_clock,
+    seconds_since_origin,
+)
 from rig.formats.importers.image_file_frames import Exposed
-from rig.formats.importers.import_recipe import ForeignTable, Images, Recipe
+from rig.formats.importers.import_recipe import Images, Recipe
 from rig.formats.importers.pose_table import Posed, read_poses
 from rig.formats.importers.sensor_table import Logged, read_sensors
 from rig.formats.input_files import read_bytes, read_text
@@ -29,10 +33,8 @@ from rig.recording.recording_tables import Poses, write_poses, write_table
 from rig.recording.time_origin import DIGITS
 
 LARGEST_IMAGE_FILE = 1 << 31  # bytes
-Like = Callable[[Floats], bool]
 SAME_MOMENT = 0.05  # s that a pose may be from its frame
 SPANS = (0.02, 50.0)  # of another file's span, that a file's may have
-LISTED = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +96,7 @@ def assemble_recording(recipe: Recipe, skip_unreadable: bool = False) -> Importe
         else None
     )
     if exposed is not None:
-        exposed, recipe = _timed(exposed, commanded, recipe, like)
+        exposed, recipe = exposures_with_times(exposed, commanded, recipe, like)
         exposed = _usable(exposed, design, skip_unreadable)
     posed = None
     if recipe.poses is not None:
@@ -123,103 +125,6 @@ def _like(others: list[Decimal] | None) -> Like:
     """Whether times (n,) s from the first can be of the same recording as others, by how long they last."""
     span = 0.0 if others is None else float(max(others) - min(others))
     return lambda t: not span or SPANS[0] <= abs(t[-1] - t[0]) / span <= SPANS[1]
-
-
-def _timed(exposed: Exposed, commanded: Commanded | None, recipe: Recipe, like: Like) -> tuple[Exposed, Recipe]:
-    """The exposures with times: of their names, of a table of frames, or of the commands' rows, one for one."""
-    if recipe.frames is not None:
-        return _by_table(exposed, recipe, recipe.frames, like)
-    if exposed.t is not None:
-        return exposed, recipe
-    numbers = sorted(set(exposed.frame))
-    if exposed.images.shift:
-        raise RigError(
-            f"--set images.shift={exposed.images.shift:g} moves times that images have none of their own: "
-            "they are taken at those of the "
-            "commands' rows; leave it out, or give a table of times (--frames FILE.csv)"
-        )
-    if commanded is None or commanded.t is None:
-        raise RigError(
-            "the images' names tell no times, and there is no table that does: --frames FILE.csv (frame or "
-            "image, t), or times in names: "
-            "--set 'images.names={camera}_{time}'"
-        )
-    if commanded.frame is not None:
-        at = dict(zip(commanded.frame.astype(int).tolist(), commanded.t))
-        missing = [n for n in numbers if n not in at]
-        if missing:
-            raise RigError(f"{commanded.table.file}: frame {missing[0]}, of which there are images, has no row")
-        said = (
-            f"images belong to the rows of {commanded.table.file.name} with their number, and were taken at the "
-            "rows' times"
-        )
-    elif len(numbers) == len(commanded.t):
-        at = dict(zip(numbers, commanded.t))
-        said = (
-            f"the {len(numbers)} frames belong to the {len(numbers)} rows of {commanded.table.file.name}, in "
-            "order, and were taken at the rows' "
-            "times"
-        )
-    else:
-        raise RigError(
-            f"there are {len(numbers)} frames and {len(commanded.t)} rows of {commanded.table.file}: which "
-            "belongs to which? Give a table "
-            "of the frames' times: --frames FILE.csv (frame or image, t)"
-        )
-    return replace(exposed, t=[at[n] for n in exposed.frame], said=(*exposed.said, said)), recipe
-
-
-def _by_table(exposed: Exposed, recipe: Recipe, table: ForeignTable, like: Like) -> tuple[Exposed, Recipe]:
-    """The exposures with the times that a table gives frames or images."""
-    cells = read_foreign_table(table, "frames")
-    found = find_columns(cells, "frames", {**TIME, **FRAME, **IMAGE, **CAMERA}, ("t",))
-    if "frame" not in found and "image" not in found:
-        raise RigError(
-            f"{cells.path}: no column names the frame or the image; --set 'frames.columns.frame=HEADER' states which"
-        )
-    if "image" not in found and any(
-        Path(cell).suffix.lower() in image_file_frames.KINDS for cell in cells.column(found["frame"])
-    ):
-        found["image"] = found.pop("frame")  # a column such as Bild may number images or name their files
-    of_images = recipe.images
-    if table.shift and of_images is not None and of_images.shift:
-        raise RigError(
-            f"--set frames.shift={table.shift:g} and images.shift={of_images.shift:g} both move the times of "
-            f"{table.file.name}; state one"
-        )
-    zone = table.zone or (of_images.zone if of_images is not None else None)
-    shift = table.shift or (of_images.shift if of_images is not None else 0.0)
-    t = cells.times(found["t"], "frames", replace(table, zone=zone, shift=shift), like)
-    resolved = replace(cells.table, columns=recipe_columns(table, cells, found), time_unit=t.unit, zone=t.zone)
-    if "image" in found:
-        parts = (
-            1 if len({path.name for path in exposed.path}) == len(exposed.path) else 2
-        )  # of a path, that tell images apart
-        at = {"/".join(Path(cell).parts[-parts:]): s for cell, s in zip(cells.column(found["image"]), t.seconds)}
-        keys = ["/".join(path.parts[-parts:]) for path in exposed.path]
-        gone = [name for name in at if name not in set(keys)]
-    else:
-        at, keys = (
-            dict(zip((f"{n:.0f}" for n in cells.numbers(found["frame"])), t.seconds)),
-            [str(n) for n in exposed.frame],
-        )
-        gone = []
-    missing = [str(path) for path, key in zip(exposed.path, keys) if key not in at]
-    if missing:
-        raise RigError(
-            f"{cells.path}: {missing[0]} has no row"
-            + (f", nor have {len(missing) - 1} more" if len(missing) > 1 else "")
-        )
-    first: dict[int, Decimal] = {}
-    for frame, key in zip(exposed.frame, keys):
-        first.setdefault(frame, at[key])
-    absent = (
-        (f"{table.file.name} names images that are not there, {len(gone)} of {len(at)}: {', '.join(gone[:LISTED])}",)
-        if gone
-        else ()
-    )
-    said = (*exposed.said, *cells.said, *t.said, *absent)
-    return replace(exposed, t=[first[frame] for frame in exposed.frame], said=said), replace(recipe, frames=resolved)
 
 
 def _usable(exposed: Exposed, design: Design, skip: bool) -> Exposed:

@@ -6,7 +6,7 @@ Source: ROS, common_interfaces (sensor_msgs, geometry_msgs, nav_msgs) and REP 10
 
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,16 @@ from rig.arrays import Floats
 from rig.errors import FileError, MissingLibrary, RigError
 from rig.formats.checked_entries import name_problem
 from rig.formats.importers.import_recipe import FROM_BAG, TABLES, Bag, ForeignTable, Images, Recipe
-from rig.formats.importers.ros_image_messages import encode_image_message
+from rig.formats.importers.ros_messages import (
+    IMAGES,
+    JOINTS,
+    POSES,
+    TEMPERATURES,
+    Topic,
+    append_row,
+    append_stamp,
+    write_image_message,
+)
 from rig.formats.importers.units_and_timestamps import ambiguity_error
 from rig.formats.input_files import short_repr
 from rig.formats.json_tree import Json
@@ -24,32 +33,8 @@ from rig.formats.output_files import write_bytes
 from rig.model.design import Design
 from rig.model.mechanism_kinds import has_links
 
-IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-JOINTS = ("sensor_msgs/msg/JointState",)
-POSES = (
-    "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/TransformStamped",
-    "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "nav_msgs/msg/Odometry",
-)
-TEMPERATURES = ("sensor_msgs/msg/Temperature",)
-POSE_HEADER = ("x", "y", "z", "qx", "qy", "qz", "qw")
 MOST = 5_000_000  # messages
 SAME_MOMENT = 50_000_000  # ns that a pose may be from an image, to be of its frame
-
-
-@dataclass(slots=True)
-class Topic:
-    """What a topic gave. name; kind : message type; header : names of columns; t : ns; rows : texts; stamped : whether
-    by its messages' headers.
-    """
-
-    name: str
-    kind: str
-    header: tuple[str, ...] = ()
-    t: list[int] = field(default_factory=list)
-    rows: list[list[float]] = field(default_factory=list)
-    stamped: bool | None = None
 
 
 def unpack_bags(recipe: Recipe, design: Design, folder: Path) -> Recipe:
@@ -69,11 +54,11 @@ def unpack_bags(recipe: Recipe, design: Design, folder: Path) -> Recipe:
         if count >= MOST:
             raise FileError(bag.files[0], f"holds more than {MOST} messages of the topics that are imported")
         topic = wanted[name]
-        _stamp(topic, message, received, bag.files[0])
+        append_stamp(topic, message, received, bag.files[0])
         if name in ours:
-            _image(folder / "images" / ours[name], topic, message, bag.files[0])
+            write_image_message(folder / "images" / ours[name], topic, message, bag.files[0])
         else:
-            _row(topic, message, bag.files[0])
+            append_row(topic, message, bag.files[0])
     empty = next((topic.name for topic in wanted.values() if not topic.t), None)
     if empty:
         raise FileError(bag.files[0], f"topic {empty} has no messages")
@@ -189,53 +174,6 @@ def _cameras(bag: Bag, kinds: dict[str, str], design: Design) -> list[tuple[str,
             f"--set bag.cameras.{names[0] if names else 'cam0'}={topics[0]} says it"
         )
     return found
-
-
-def _stamp(topic: Topic, message: Any, received: int, file: Path) -> None:
-    """Append the message's time in ns, of its header, or of when it was received where headers are empty."""
-    stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-    if topic.stamped is None:
-        topic.stamped = stamp != 0
-    if topic.stamped != (stamp != 0):
-        raise FileError(
-            file, f"topic {topic.name}: some messages are stamped and some are not, from message {len(topic.t) + 1} on"
-        )
-    topic.t.append(stamp or received)
-
-
-def _image(folder: Path, topic: Topic, message: Any, file: Path) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    suffix, content = encode_image_message(
-        message, topic.kind.endswith("CompressedImage"), f"{file}: topic {topic.name}, message {len(topic.t)}"
-    )
-    place = folder / f"{topic.t[-1]:020d}{suffix}"
-    if place.exists():
-        raise FileError(file, f"topic {topic.name} has two images of {topic.t[-1]} ns")
-    write_bytes(place, content)
-
-
-def _row(topic: Topic, message: Any, file: Path) -> None:
-    """Append a table's row of a message. Raises FileError for joints that are not those of the first message."""
-    if topic.kind in JOINTS:
-        names = tuple(message.name) or tuple(f"l{i + 1}" for i in range(len(message.position)))
-        topic.header = topic.header or names
-        if set(names) != set(topic.header) or len(names) != len(message.position):
-            raise FileError(
-                file,
-                f"topic {topic.name}, message {len(topic.t)}: {len(message.position)} positions of "
-                f"{short_repr(', '.join(names))}; the "
-                f"first message has those of {short_repr(', '.join(topic.header))}",
-            )
-        at = dict(zip(names, message.position))
-        topic.rows.append([float(at[name]) for name in topic.header])
-    elif topic.kind in TEMPERATURES:
-        topic.rows.append([float(message.temperature)])
-    else:
-        pose = message.transform if topic.kind.endswith("TransformStamped") else message.pose
-        pose = getattr(pose, "pose", pose)
-        p, q = (pose.translation, pose.rotation) if hasattr(pose, "translation") else (pose.position, pose.orientation)
-        topic.header = POSE_HEADER
-        topic.rows.append([float(v) for v in (p.x, p.y, p.z, q.x, q.y, q.z, q.w)])
 
 
 def _recipe(recipe: Recipe, bag: Bag, topics: dict[str, Topic], design: Design) -> Recipe:

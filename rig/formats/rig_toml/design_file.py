@@ -1,16 +1,13 @@
 """Design file (rig.toml) read into a Design: every value checked, errors with file, line and column."""
 
-from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 
-import numpy as np
-
-from rig.arrays import Floats
 from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries
 from rig.formats.input_files import read_text
-from rig.formats.rig_toml import arm_joint_entries, camera_instrument_and_cube_entries
+from rig.formats.rig_toml import camera_instrument_and_cube_entries
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table
+from rig.formats.rig_toml.mechanism_entries import mechanism_of_table
 from rig.formats.structured_files import toml_entries
 from rig.model.controller_settings import PROTOCOLS, Controller, port_problem
 from rig.model.design import (
@@ -25,9 +22,8 @@ from rig.model.design import (
     SensorPort,
     Target,
 )
-from rig.model.hexapod_geometry import singularity_description
-from rig.model.mechanism_geometry import Arm, Chain, Free, Hexapod, Planar2, Stage
-from rig.model.mechanism_kinds import Mechanism, has_struts, target_bodies
+from rig.model.mechanism_geometry import Arm, Chain, Free, Hexapod, Planar2
+from rig.model.mechanism_kinds import has_struts, target_bodies
 
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
@@ -78,7 +74,7 @@ def design_of_entries(root: Entries) -> Design:
     environment = root.table("environment", optional=True)
     environment.refuse_misspelt(("gravity",))
     gravity = environment.array("gravity", (3,), default=list(STANDARD_GRAVITY))
-    mechanism, actuator = _mechanism(root.table("mechanism")), _actuator(root.table("actuator", optional=True))
+    mechanism, actuator = mechanism_of_table(root.table("mechanism")), _actuator(root.table("actuator", optional=True))
     cameras, targets = (
         camera_instrument_and_cube_entries.cameras_of_tables(root.tables("camera")),
         _targets(root.tables("target"), target_bodies(mechanism)),
@@ -103,71 +99,6 @@ def design_of_entries(root: Entries) -> Design:
             root.table("experiment", optional=True), targets
         ),
     )
-
-
-def _mechanism(table: Entries) -> Mechanism:
-    return WHOLE[table.text("kind", tuple(WHOLE))](table)
-
-
-def _free(table: Entries) -> Free:
-    table.refuse_misspelt(("kind",))
-    return Free()
-
-
-def _chain(table: Entries) -> Chain:
-    stages = [STAGES[one.text("kind", tuple(STAGES))](one) for one in table.tables("stage")]
-    if len(stages) < 2:
-        table.fail(
-            f"{table.name('stage')}: a chain has two stages or more, [[mechanism.stage]] each, got {len(stages)}",
-            "kind",
-        )
-    table.refuse_misspelt(("kind", "stage"))
-    return Chain(tuple(stages))
-
-
-def _arm(table: Entries) -> Arm:
-    table.refuse_misspelt(("kind", "joints", "limits"))
-    joints, slides = arm_joint_entries.joint_rows_and_kinds(table)
-    return Arm(joints, arm_joint_entries.joint_limits(table, slides), slides=slides)
-
-
-def _planar(table: Entries) -> Planar2:
-    table.refuse_misspelt(("kind", "base_joints", "strut_range"))
-    return Planar2(
-        table.array("base_joints", (2, 2), length_limit=LARGEST_RIG), _ranges(table, "strut_range", 2, LARGEST_RIG)
-    )
-
-
-def _hexapod(table: Entries) -> Hexapod:
-    table.refuse_misspelt(("kind", "base_joints", "platform_joints", "strut_range", "home"))
-    base = table.array("base_joints", (6, 3), length_limit=LARGEST_RIG)
-    platform = table.array("platform_joints", (6, 3), length_limit=LARGEST_RIG)
-    hexapod = Hexapod(base, platform, _ranges(table, "strut_range", 6, LARGEST_RIG), table.pose("home"))
-    lengths = np.linalg.norm(hexapod.home.apply(platform) - base, axis=1)
-    for i, (length, (low, high)) in enumerate(zip(lengths, hexapod.strut_range)):
-        if not low <= length <= high:
-            table.fail(
-                f"{table.name('home')} needs strut {i + 1} at {length:.6f} m, outside its strut_range "
-                f"{low:g} .. {high:g} m",
-                "home",
-            )
-    if singularity_description(hexapod):
-        table.fail(f"{table.name('home')} {singularity_description(hexapod)}", "home")
-    return hexapod
-
-
-STAGES: dict[str, Callable[[Entries], Stage]] = {"hexapod": _hexapod, "planar2": _planar, "arm": _arm}
-WHOLE: dict[str, Callable[[Entries], Mechanism]] = {**STAGES, "chain": _chain, "free": _free}
-
-
-def _ranges(table: Entries, key: str, count: int, length_limit: float) -> Floats:
-    ranges = table.array(key, (count, 2), length_limit=length_limit)
-    for i, (low, high) in enumerate(ranges):
-        if not low < high:
-            table.fail(f"{table.name(key)}[{i + 1}] must run from small to large, not {low:g} .. {high:g}", key, i)
-        if low <= 0:
-            table.fail(f"{table.name(key)}[{i + 1}] must be positive, not {low:g} m", key, i, 0)
-    return ranges
 
 
 def _actuator(table: Entries) -> Actuator:

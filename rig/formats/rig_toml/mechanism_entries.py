@@ -1,5 +1,6 @@
-"""Joints and limits of an arm in rig.toml: Denavit-Hartenberg rows, or a table per joint."""
+"""Table [mechanism] of rig.toml: hexapod, planar pair, arm, chain or free, read with checks."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -8,6 +9,9 @@ import numpy as np
 from rig.arrays import Booleans, Floats
 from rig.formats.checked_entries import LARGEST_RIG, Entries, nearest_known_word
 from rig.formats.input_files import short_repr
+from rig.model.hexapod_geometry import singularity_description
+from rig.model.mechanism_geometry import Arm, Chain, Free, Hexapod, Planar2, Stage
+from rig.model.mechanism_kinds import Mechanism
 
 KINDS = {"revolute": False, "prismatic": True}
 
@@ -155,3 +159,69 @@ def _own_limits(table: Entries, slide: bool) -> tuple[float, float] | None:
     if not low < high:
         table.fail(f"{table.name('limits')} must run from small to large, not {low:g} .. {high:g}", "limits")
     return low, high
+
+
+def mechanism_of_table(table: Entries) -> Mechanism:
+    """Mechanism of the table [mechanism], lengths in m, angles in rad. Raises FileError."""
+    return WHOLE[table.text("kind", tuple(WHOLE))](table)
+
+
+def _free(table: Entries) -> Free:
+    table.refuse_misspelt(("kind",))
+    return Free()
+
+
+def _chain(table: Entries) -> Chain:
+    stages = [STAGES[one.text("kind", tuple(STAGES))](one) for one in table.tables("stage")]
+    if len(stages) < 2:
+        table.fail(
+            f"{table.name('stage')}: a chain has two stages or more, [[mechanism.stage]] each, got {len(stages)}",
+            "kind",
+        )
+    table.refuse_misspelt(("kind", "stage"))
+    return Chain(tuple(stages))
+
+
+def _arm(table: Entries) -> Arm:
+    table.refuse_misspelt(("kind", "joints", "limits"))
+    joints, slides = joint_rows_and_kinds(table)
+    return Arm(joints, joint_limits(table, slides), slides=slides)
+
+
+def _planar(table: Entries) -> Planar2:
+    table.refuse_misspelt(("kind", "base_joints", "strut_range"))
+    return Planar2(
+        table.array("base_joints", (2, 2), length_limit=LARGEST_RIG), _ranges(table, "strut_range", 2, LARGEST_RIG)
+    )
+
+
+def _hexapod(table: Entries) -> Hexapod:
+    table.refuse_misspelt(("kind", "base_joints", "platform_joints", "strut_range", "home"))
+    base = table.array("base_joints", (6, 3), length_limit=LARGEST_RIG)
+    platform = table.array("platform_joints", (6, 3), length_limit=LARGEST_RIG)
+    hexapod = Hexapod(base, platform, _ranges(table, "strut_range", 6, LARGEST_RIG), table.pose("home"))
+    lengths = np.linalg.norm(hexapod.home.apply(platform) - base, axis=1)
+    for i, (length, (low, high)) in enumerate(zip(lengths, hexapod.strut_range)):
+        if not low <= length <= high:
+            table.fail(
+                f"{table.name('home')} needs strut {i + 1} at {length:.6f} m, outside its strut_range "
+                f"{low:g} .. {high:g} m",
+                "home",
+            )
+    if singularity_description(hexapod):
+        table.fail(f"{table.name('home')} {singularity_description(hexapod)}", "home")
+    return hexapod
+
+
+STAGES: dict[str, Callable[[Entries], Stage]] = {"hexapod": _hexapod, "planar2": _planar, "arm": _arm}
+WHOLE: dict[str, Callable[[Entries], Mechanism]] = {**STAGES, "chain": _chain, "free": _free}
+
+
+def _ranges(table: Entries, key: str, count: int, length_limit: float) -> Floats:
+    ranges = table.array(key, (count, 2), length_limit=length_limit)
+    for i, (low, high) in enumerate(ranges):
+        if not low < high:
+            table.fail(f"{table.name(key)}[{i + 1}] must run from small to large, not {low:g} .. {high:g}", key, i)
+        if low <= 0:
+            table.fail(f"{table.name(key)}[{i + 1}] must be positive, not {low:g} m", key, i, 0)
+    return ranges

@@ -1,0 +1,161 @@
+"""Times of imported frames: of image names, a table or the commands' rows; one clock with the commands."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+
+from rig.arrays import Floats
+from rig.checks.clock_mistakes import dwell_clock_shift
+from rig.errors import RigError
+from rig.formats.importers import image_file_frames
+from rig.formats.importers.command_table import Commanded
+from rig.formats.importers.csv_dialect import read_foreign_table
+from rig.formats.importers.foreign_table_columns import CAMERA, FRAME, IMAGE, TIME, find_columns, recipe_columns
+from rig.formats.importers.image_file_frames import Exposed
+from rig.formats.importers.import_recipe import ForeignTable, Recipe
+from rig.recording.recording_folder import LAST_DWELL
+from rig.recording.time_origin import DIGITS
+
+LISTED = 20  # of what is missing, in a message
+Like = Callable[[Floats], bool]
+
+
+def exposures_with_times(
+    exposed: Exposed, commanded: Commanded | None, recipe: Recipe, like: Like
+) -> tuple[Exposed, Recipe]:
+    """Exposures with times: of their names, of a table of frames, or of the commands' rows, one for one.
+
+    like : whether times (n,) s from the first can be so. Raises RigError where nothing tells the times
+    """
+    if recipe.frames is not None:
+        return _by_table(exposed, recipe, recipe.frames, like)
+    if exposed.t is not None:
+        return exposed, recipe
+    numbers = sorted(set(exposed.frame))
+    if exposed.images.shift:
+        raise RigError(
+            f"--set images.shift={exposed.images.shift:g} moves times that images have none of their own: "
+            "they are taken at those of the "
+            "commands' rows; leave it out, or give a table of times (--frames FILE.csv)"
+        )
+    if commanded is None or commanded.t is None:
+        raise RigError(
+            "the images' names tell no times, and there is no table that does: --frames FILE.csv (frame or "
+            "image, t), or times in names: "
+            "--set 'images.names={camera}_{time}'"
+        )
+    if commanded.frame is not None:
+        at = dict(zip(commanded.frame.astype(int).tolist(), commanded.t))
+        missing = [n for n in numbers if n not in at]
+        if missing:
+            raise RigError(f"{commanded.table.file}: frame {missing[0]}, of which there are images, has no row")
+        said = (
+            f"images belong to the rows of {commanded.table.file.name} with their number, and were taken at the "
+            "rows' times"
+        )
+    elif len(numbers) == len(commanded.t):
+        at = dict(zip(numbers, commanded.t))
+        said = (
+            f"the {len(numbers)} frames belong to the {len(numbers)} rows of {commanded.table.file.name}, in "
+            "order, and were taken at the rows' "
+            "times"
+        )
+    else:
+        raise RigError(
+            f"there are {len(numbers)} frames and {len(commanded.t)} rows of {commanded.table.file}: which "
+            "belongs to which? Give a table "
+            "of the frames' times: --frames FILE.csv (frame or image, t)"
+        )
+    return replace(exposed, t=[at[n] for n in exposed.frame], said=(*exposed.said, said)), recipe
+
+
+def _by_table(exposed: Exposed, recipe: Recipe, table: ForeignTable, like: Like) -> tuple[Exposed, Recipe]:
+    """The exposures with the times that a table gives frames or images."""
+    cells = read_foreign_table(table, "frames")
+    found = find_columns(cells, "frames", {**TIME, **FRAME, **IMAGE, **CAMERA}, ("t",))
+    if "frame" not in found and "image" not in found:
+        raise RigError(
+            f"{cells.path}: no column names the frame or the image; --set 'frames.columns.frame=HEADER' states which"
+        )
+    if "image" not in found and any(
+        Path(cell).suffix.lower() in image_file_frames.KINDS for cell in cells.column(found["frame"])
+    ):
+        found["image"] = found.pop("frame")  # a column such as Bild may number images or name their files
+    of_images = recipe.images
+    if table.shift and of_images is not None and of_images.shift:
+        raise RigError(
+            f"--set frames.shift={table.shift:g} and images.shift={of_images.shift:g} both move the times of "
+            f"{table.file.name}; state one"
+        )
+    zone = table.zone or (of_images.zone if of_images is not None else None)
+    shift = table.shift or (of_images.shift if of_images is not None else 0.0)
+    t = cells.times(found["t"], "frames", replace(table, zone=zone, shift=shift), like)
+    resolved = replace(cells.table, columns=recipe_columns(table, cells, found), time_unit=t.unit, zone=t.zone)
+    if "image" in found:
+        parts = (
+            1 if len({path.name for path in exposed.path}) == len(exposed.path) else 2
+        )  # of a path, that tell images apart
+        at = {"/".join(Path(cell).parts[-parts:]): s for cell, s in zip(cells.column(found["image"]), t.seconds)}
+        keys = ["/".join(path.parts[-parts:]) for path in exposed.path]
+        gone = [name for name in at if name not in set(keys)]
+    else:
+        at, keys = (
+            dict(zip((f"{n:.0f}" for n in cells.numbers(found["frame"])), t.seconds)),
+            [str(n) for n in exposed.frame],
+        )
+        gone = []
+    missing = [str(path) for path, key in zip(exposed.path, keys) if key not in at]
+    if missing:
+        raise RigError(
+            f"{cells.path}: {missing[0]} has no row"
+            + (f", nor have {len(missing) - 1} more" if len(missing) > 1 else "")
+        )
+    first: dict[int, Decimal] = {}
+    for frame, key in zip(exposed.frame, keys):
+        first.setdefault(frame, at[key])
+    absent = (
+        (f"{table.file.name} names images that are not there, {len(gone)} of {len(at)}: {', '.join(gone[:LISTED])}",)
+        if gone
+        else ()
+    )
+    said = (*exposed.said, *cells.said, *t.said, *absent)
+    return replace(exposed, t=[first[frame] for frame in exposed.frame], said=said), replace(recipe, frames=resolved)
+
+
+def require_one_clock(exposures: Exposed, commands: Commanded | None) -> None:
+    """Raise RigError unless exposures and commands are on one clock."""
+    if commands is None or commands.t is None:
+        return
+    t = sorted(set(exposures.times()))
+    section = "images" if any(exposures.camera) else "poses"
+    first, last = commands.t[0], commands.t[-1]
+    after = sum(s > last for s in t)
+    if t[0] >= first and (after <= 1 or after <= LAST_DWELL * len(t)):
+        return
+    clash = (
+        f"frames and commands are on different clocks: frames run from {t[0]:f} to {t[-1]:f} s, commands from "
+        f"{first:f} to {last:f} s"
+    )
+    standing = dwell_clock_shift(
+        seconds_since_origin(t, first), seconds_since_origin(commands.t, first), commands.values
+    )
+    if standing is not None:
+        raise RigError(
+            f"{clash}; --set {section}.shift={standing.shift:.3f} is what puts {standing.frames} of {len(t)} "
+            "frames where the commands "
+            f"stand still, the middle of what does, +-{standing.room:.2g} s"
+        )
+    by = first - t[0]
+    raise RigError(
+        f"{clash}; state the unit or what is to be added: --set {section}.shift={by:.6f} brings the first "
+        "frame to the first command"
+        "; --set commands.shift=S moves the commands"
+    )
+
+
+def seconds_since_origin(t: list[Decimal], origin: Decimal) -> Floats:
+    """Seconds (n,) of times since an origin."""
+    return np.array([float(DIGITS.subtract(one, origin)) for one in t])
