@@ -95,7 +95,10 @@ def _kalibr_camera(e: Entries, name: str, T: RigidTransform) -> ForeignCamera:
         return ForeignCamera(name, wide, matrix, e.array("distortion_coeffs", (4,)), T, e)
     if kind == "equidistant":
         terms = e.array("distortion_coeffs", (4,))
-        keys, lens = ("distortion_model", "distortion_coeffs"), f"{name}: its equidistant lens"
+        keys, lens = (
+            ("distortion_model", "distortion_coeffs"),
+            f"{name}: its equidistant lens becomes OpenCV's rational one",
+        )
         distortion, said = rational_lens_of_fisheye(e, keys, terms, matrix, wide, lens)
         return ForeignCamera(name, wide, matrix, distortion, T, e, said)
     e.fail(
@@ -190,7 +193,7 @@ def _caliscope_camera(e: Entries, name: str) -> ForeignCamera:
     said: tuple[str, ...] = ()
     name = e.text("name", default=name)
     if e.flag("fisheye", False):
-        keys, lens = ("fisheye", "distortions"), f"{name}: its fisheye"
+        keys, lens = ("fisheye", "distortions"), f"{name}: its fisheye becomes OpenCV's rational lens"
         distortion, said = rational_lens_of_fisheye(e, keys, values, matrix, wide, lens)
     else:
         distortion = checked_distortion(e, "distortions", values)
@@ -242,7 +245,9 @@ def read_opencv_or_ros(root: Entries) -> list[ForeignCamera]:
             f"{root.file.name}'s camera here"
         )
     keys = ("distortion_model" if model in FISHEYES else "fisheye_model", bent)
-    distortion, said = rational_lens_of_fisheye(root, keys, values, matrix, size, f"{name}: its fisheye")
+    distortion, said = rational_lens_of_fisheye(
+        root, keys, values, matrix, size, f"{name}: its fisheye becomes OpenCV's rational lens"
+    )
     return [ForeignCamera(name, size, matrix, distortion, None, root, said)]
 
 

@@ -97,12 +97,17 @@ ROUNDS = 8  # of the fit, weighted by the last one's denominator
 
 
 def rational_lens_of_fisheye(
-    entries: Entries, keys: tuple[str, str], fisheye_terms: Floats, matrix: Floats, size: tuple[int, int], lens: str
+    entries: Entries,
+    keys: tuple[str, str],
+    fisheye_terms: Floats,
+    matrix: Floats,
+    size: tuple[int, int],
+    conversion: str,
 ) -> tuple[Floats, tuple[str, ...]]:
     """Rational lens of a fisheye: (distortion (8,) in OpenCV's order, sentence on how far it deviates).
 
-    keys : of the model and of its terms; matrix : (3, 3) px; size : (width, height) px; lens : camera and lens, in
-        words
+    keys : of the model and of its terms; matrix : (3, 3) px; size : (width, height) px; conversion : what
+        becomes of the lens, in words
     Raises FileError for other than four terms, and where no rational lens follows it, with how far one does
     """
     key, terms_key = keys
@@ -135,7 +140,7 @@ def rational_lens_of_fisheye(
             key,
         )
     a, d = coefficients[:3], coefficients[3:]
-    sentence = f"{lens} becomes OpenCV's rational lens, which follows it to {off:.2g} px in the whole image"
+    sentence = f"{conversion}, which follows it to {off:.2g} px in the whole image"
     return np.array([a[0], a[1], 0, 0, a[2], *d]), (sentence,)
 
 
