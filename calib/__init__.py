@@ -4,7 +4,10 @@ A verb a step, each with options and a result that shows itself: `plan` chooses 
 for mistakes in a recording (rig.load), `calibrate` takes one to its calibration, `diagnose` to what its model leaves
 out, `correct` a calibration and wanted poses to the commands that give them, `verify` holds a calibration against
 another recording, `certify` states what is promised by recordings that it was not made from, `watch` holds small visits
-against it day by day, `investigate` goes all of that by itself. `load` and `save` are of calibration.json.
+against it day by day, `investigate` goes all of that by itself. `learn` takes poses one at a time, `accept_limbs`
+compares measuring limbs with vision, `close_loops` more lengths than six with each other, `analyse_workspace` says
+what a calibration does to the workspace, `export` writes for other programs, `plan_run` begins a run of the machine.
+`load` and `save` are of calibration.json.
 """
 
 from typing import TYPE_CHECKING
@@ -12,19 +15,30 @@ from typing import TYPE_CHECKING
 from rig.compute.lazy_package_exports import lazy_getattr
 
 if TYPE_CHECKING:
+    from calib.api.accept_limbs import AcceptLimbsOptions as AcceptLimbsOptions
+    from calib.api.accept_limbs import accept_limbs as accept_limbs
     from calib.api.calibrate import calibrate as calibrate
     from calib.api.calibrate_options import CalibrateOptions as CalibrateOptions
     from calib.api.certify import certify as certify
     from calib.api.check import check as check
+    from calib.api.close_loops import LoopClosureOptions as LoopClosureOptions
+    from calib.api.close_loops import close_loops as close_loops
     from calib.api.correct import CorrectOptions as CorrectOptions
     from calib.api.correct import correct as correct
     from calib.api.diagnose import DiagnoseOptions as DiagnoseOptions
     from calib.api.diagnose import diagnose as diagnose
+    from calib.api.export import ExportOptions as ExportOptions
+    from calib.api.export import export as export
     from calib.api.investigate import investigate as investigate
+    from calib.api.learn import LearnOptions as LearnOptions
+    from calib.api.learn import learn as learn
     from calib.api.plan import plan as plan
     from calib.api.plan_result import PlanOptions as PlanOptions
+    from calib.api.run import RunOptions as RunOptions
+    from calib.api.run import plan_run as plan_run
     from calib.api.verify import verify as verify
     from calib.api.watch import watch as watch
+    from calib.api.workspace import analyse_workspace as analyse_workspace
     from calib.certificate.certificate_contents import CertifyOptions as CertifyOptions
     from calib.experiment.investigation_machine import InvestigateOptions as InvestigateOptions
     from calib.files.calibration_file import load as load
@@ -40,6 +54,12 @@ __all__ = [
     "certify",
     "watch",
     "investigate",
+    "learn",
+    "accept_limbs",
+    "close_loops",
+    "analyse_workspace",
+    "export",
+    "plan_run",
     "load",
     "save",
     "PlanOptions",
@@ -48,6 +68,11 @@ __all__ = [
     "CorrectOptions",
     "CertifyOptions",
     "InvestigateOptions",
+    "LearnOptions",
+    "AcceptLimbsOptions",
+    "LoopClosureOptions",
+    "ExportOptions",
+    "RunOptions",
 ]
 __getattr__ = lazy_getattr(
     __name__,
@@ -62,6 +87,12 @@ __getattr__ = lazy_getattr(
         "verify": "calib.api.verify",
         "watch": "calib.api.watch",
         "certify": "calib.api.certify",
+        **dict.fromkeys(("learn", "LearnOptions"), "calib.api.learn"),
+        **dict.fromkeys(("accept_limbs", "AcceptLimbsOptions"), "calib.api.accept_limbs"),
+        **dict.fromkeys(("close_loops", "LoopClosureOptions"), "calib.api.close_loops"),
+        **dict.fromkeys(("export", "ExportOptions"), "calib.api.export"),
+        **dict.fromkeys(("plan_run", "RunOptions"), "calib.api.run"),
+        "analyse_workspace": "calib.api.workspace",
         "investigate": "calib.api.investigate",
         "InvestigateOptions": "calib.experiment.investigation_machine",
         **dict.fromkeys(("load", "save"), "calib.files.calibration_file"),

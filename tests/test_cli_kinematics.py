@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+from calib.api.kinematics import ArmKinematics
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.joint_profiles import Profile
-from rig.cli import kinematics
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_kinematics_steps
 from rig.model.pose import pose, pose_difference, pose_to_vector
@@ -122,7 +122,7 @@ def test_a_calibrated_arm_is_finished_from_every_branch():
     correction = ArmCorrection(nominal, true, remainder, np.zeros((1, 6)))
     q = np.array([[0.3, -1.0, 1.2, 0.4, 0.9, 0.5], [1.0, -0.6, 1.4, -0.7, -1.1, 2.0]])
     T = correction.predict(q)
-    tree = kinematics._inverse(np.arange(2), T, nominal, correction, False)
+    tree = ArmKinematics(nominal, correction).inverse(np.arange(2), T)
     for i, entry in enumerate(tree["frames"]):
         assert len(entry["solutions"]) == 8
         finished = np.array([one["corrected"] for one in entry["solutions"]])

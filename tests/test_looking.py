@@ -13,9 +13,9 @@ from calib.certification import measuring_limbs
 from calib.online.measuring_limb_poses import LiveLimbPoses
 from calib.online.measuring_limbs_file import Accepted
 from calib.online.run_learning import Learner
-from rig.cli.shared.run_observation import RunObserver, Stopping
-from rig.cli.shared.run_page import RunPage, run_verdict
-from rig.cli.shared.run_preparation import draw_markers, warm_up
+from calib.online.run_observation import RunObserver, Stopping
+from calib.online.run_page import RunPage, run_verdict
+from calib.online.run_preparation import warm_up
 from rig.cli.shared.run_terminal_display import Block, Lines, view_lines
 from rig.driving.cameras.camera_interface_and_clock import Frame
 from rig.driving.clock import SimulatedClock
@@ -30,6 +30,7 @@ from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.planning.plan import build_plan
 from tests.vision.reading.test_camera_and_marker_alarms import sight
 from vision.reading.live_measurement import Live, sight_from_measuring_limbs
+from vision.reading.run_images import draw_markers
 
 
 class Measured:

@@ -9,7 +9,7 @@ import pytest
 from calib.experiment.investigation_folder import Look, diagnosis_path, plan_path, read_looks
 from calib.experiment.investigation_report import investigation_verdict as judged_investigation
 from rig.cli.command_line import main
-from rig.cli.shared.blind_campaign_page import campaign_verdict as judged_campaign
+from synthetic.blind_campaign_page import campaign_verdict as judged_campaign
 from synthetic.diagnosis_score import Case, Found, Hidden, campaign_figures
 from tests import truth
 from vision.measurement_result import MeasurementResult

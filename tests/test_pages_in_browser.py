@@ -18,8 +18,8 @@ from calib.experiment.investigation_folder import Hypothesis, Look
 from calib.experiment.investigation_report import write_investigation_page
 from calib.report.online_and_limb_pages import write_measuring_limbs_page
 from docs.make import pictures, project
-from rig.cli.shared.blind_campaign_page import write_campaign_page
 from rig.report.pages.run_page_server import PageServer
+from synthetic.blind_campaign_page import write_campaign_page
 from synthetic.diagnosis_score import Case, Found, Hidden
 from tests.rig.report.pages.test_run_page_server import EVENT
 from vision.frame_pictures import encode_jpeg

@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.api.workspace import load_certificate
 from calib.diagnosis import platform_findings_refit
 from calib.drift import visit_history
 from calib.experiment import investigation_folder
 from calib.files import calibration_file
 from calib.online import filter_state, learners, measuring_limbs_file
-from rig.cli import workspace
 from rig.cli.command_line import main
-from rig.cli.effects import _suggested
+from rig.effects.texts.formula_effect_file import load_suggestion
 from rig.errors import FileError
 from rig.formats.importers import import_recipe
 from rig.formats.input_files import NAMED
@@ -66,7 +66,7 @@ def held(path: Path) -> None:
 def suggesting(path: Path) -> None:
     """A diagnosis that suggests a formula."""
     path.rename(path.parent / "diagnosis.json")
-    _suggested(path.parent, None)
+    load_suggestion(path.parent, None)
 
 
 def refuted(path: Path) -> None:
@@ -84,7 +84,7 @@ READERS = {  # schema: what reads such files
     "next/1": (looked_at,),
     "made/1": (listed,),
     "refutations/1": (refuted,),
-    "certificate/1": (lambda path: workspace._certified(path, path, None),),
+    "certificate/1": (lambda path: load_certificate(path, path),),
 }
 CASES = [(schema, reader) for schema, readers in READERS.items() for reader in readers]
 

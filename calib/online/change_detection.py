@@ -139,3 +139,28 @@ def _several(evidence: list[Evidence]) -> tuple[Change, ...] | None:
             for i in np.flatnonzero(np.abs(struts[1]) > COUNTS * struts[2])
         )
     return None
+
+
+def change_sentence(change: Change, frame: int, returns: bool = False) -> str:
+    """Sentence about a change. frame : number of the first frame after it; returns : whether later changes undo it"""
+    if not isinstance(change.size, float):
+        position, rotation = (float((part**2).sum() ** 0.5) for part in (change.size[:3], change.size[3:]))
+        return (
+            f"from frame {frame} on the measured poses are moved against the base by {position * 1e3:.3f} mm "
+            f"and {rotation * 1e3:.3f} mrad: "
+            "a camera or the base was knocked"
+        )
+    if returns:
+        return (
+            f"from frame {frame} on strut {change.strut} is longer by {change.size * 1e3:+.4f} +- "
+            f"{change.sigma * 1e3:.4f} mm, and goes back: play"
+        )
+    cause = (
+        "missed steps or a slipped joint"
+        if change.kind == "strut"
+        else "a knocked joint, the amount differs from pose to pose"
+    )
+    return (
+        f"from frame {frame} on strut {change.strut} is longer by {change.size * 1e3:+.4f} +- "
+        f"{change.sigma * 1e3:.4f} mm: {cause}"
+    )

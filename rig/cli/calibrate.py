@@ -6,20 +6,31 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import calibration_and_effect_files, extension_options, poses_from_readings, recording_checks
+from rig.cli.shared import calibration_and_effect_files
 from rig.cli.shared.command_options import (
     add_json_result_option,
     add_overwrite_option,
-    add_recordings_argument,
     file_or_stdout,
     page_links,
     parse_length,
+)
+from rig.cli.shared.recording_options import (
+    add_anyway_option,
+    add_limb_options,
+    add_recordings_argument,
+    limb_source,
+    print_notices,
+    read_recordings,
 )
 from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
 
 if TYPE_CHECKING:
     from calib.api.calibrate_options import CalibrateOptions
+    from calib.api.correction_extension import ExtendOptions
+
+WAYS = ("linear", "simplex", "delaunay", "axes", "radial", "polynomial", "auto")
+SPACES = ("configuration", "pose", "both")
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -51,24 +62,60 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--joint", action="store_true", help="solve cameras, lenses and geometry once more from all corners together"
     )
-    extension_options.arguments(parser)
+    _add_extension_options(parser)
     parser.add_argument(
         "--promise",
         type=parse_length,
         metavar="20um",
         help="say whether so much is kept, position error RMS over the workspace",
     )
-    poses_from_readings.add_limb_options(parser)
+    add_limb_options(parser)
     add_overwrite_option(parser)
-    recording_checks.add_anyway_option(parser)
+    add_anyway_option(parser)
     add_json_result_option(parser)
+
+
+def _add_extension_options(parser: ArgumentParser) -> None:
+    """Add the arguments about --extend to a parser."""
+    parser.add_argument(
+        "--extend",
+        choices=WAYS,
+        metavar="WAY",
+        help="extend the corrections at the recorded configurations over all of them: "
+        f"{', '.join(WAYS[:-1])} (linear and simplex take a grid, as the plan division:2 visits one), or "
+        "auto, by held-out error",
+    )
+    parser.add_argument(
+        "--alone",
+        action="store_true",
+        help="of --extend: correct the owner's model itself, with no geometry fitted first",
+    )
+    parser.add_argument(
+        "--onto",
+        metavar="CALIBRATION",
+        type=Path,
+        help="of --extend: one more pass, on the rig that this calibration corrects: "
+        "what it leaves in the recording is corrected on top; order and count are kept",
+    )
+    parser.add_argument(
+        "--space",
+        choices=SPACES,
+        help="of --onto: where the pass maps what is left: over configurations (default), "
+        "over poses, or over both, poses then holding what the first leaves",
+    )
+    parser.add_argument(
+        "--within",
+        metavar="PART",
+        help="of --onto: the part in which the pass holds, fading beyond: bounds of axes (m or rad) "
+        "and of poses (x y z in m, rx ry rz in rad from home), as l1=0.40:0.46,z=0.41: ",
+    )
 
 
 def run(arguments: Namespace) -> None:
     """Calibrate a recording and write the calibration and its report."""
     progress = Progress()
     progress("reading the recording", 0, 1)
-    recordings, options = recording_checks.read_recordings(arguments), _options(arguments)
+    recordings, options = read_recordings(arguments), _options(arguments)
     from calib.api.calibrate import calibrate, has_summands
     from calib.files import calibration_file
     from rig.cli.shared.calibration_summary import print_calibration, print_verdict
@@ -78,7 +125,7 @@ def run(arguments: Namespace) -> None:
     links = page_links(arguments, arguments.out.with_suffix(".html")) if page else []
     separate = page is not None and has_summands(recordings[0].design)
     values = arguments.outputs.file(arguments.out.with_name(_values_name(arguments.out))) if separate else None
-    result = calibrate(recordings, options, progress, recording_checks.print_notices(progress))
+    result = calibrate(recordings, options, progress, print_notices(progress))
     calibration_file.save(out, result.calibration)
     if page:
         progress("drawing the page", 0, 1)
@@ -105,8 +152,8 @@ def _options(arguments: Namespace) -> CalibrateOptions:
         calibration_and_effect_files.load_effect_files(arguments),
         arguments.quick,
         arguments.joint,
-        extension_options.extend_options(arguments),
-        poses_from_readings.limb_source(arguments),
+        _extend_options(arguments),
+        limb_source(arguments),
         arguments.anyway,
         tuple(arguments.argv),
     )
@@ -115,3 +162,20 @@ def _options(arguments: Namespace) -> CalibrateOptions:
 def _values_name(out: Path) -> str:
     """ksf.csv beside a calibration.json, NAME.ksf.csv beside another NAME.json."""
     return "ksf.csv" if out.stem == "calibration" else f"{out.stem}.ksf.csv"
+
+
+def _extend_options(arguments: Namespace) -> ExtendOptions | None:
+    """How corrections are extended, None where they are not. Raises RigError for arguments that do not go together"""
+    if not arguments.extend:
+        if arguments.alone or arguments.onto:
+            raise RigError("--alone and --onto each say on what --extend stands; it takes one of them")
+        if arguments.space or arguments.within:
+            raise RigError("--space and --within are of a pass; name with --onto what it stands on")
+        return None
+    from calib.api.correction_extension import ExtendOptions
+    from calib.files import calibration_file
+
+    onto = None if arguments.onto is None else calibration_file.load(arguments.onto)
+    return ExtendOptions(
+        arguments.extend, arguments.alone, onto, str(arguments.onto), arguments.space, arguments.within
+    )

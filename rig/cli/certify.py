@@ -18,9 +18,9 @@ from rig.cli.shared.command_options import (
     missing_matplotlib_reason,
     page_links,
     print_frames_without_pose,
-    read_recording,
     require_matplotlib,
 )
+from rig.cli.shared.recording_options import read_recording
 from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number

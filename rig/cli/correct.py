@@ -90,9 +90,7 @@ def run(arguments: Namespace) -> None:
             "--uncorrected, --single-step, --skip-unreachable and --sensors are about commands for wanted "
             "poses, not about --forward"
         )
-    calibration = calibration_and_effect_files.load_calibration(
-        arguments.calibration, calibration_and_effect_files.load_effect_files(arguments)
-    )
+    calibration = calibration_and_effect_files.calibration_of_arguments(arguments)
     out = arguments.outputs.file(arguments.out)
     if arguments.forward:
         return _write_read_poses(arguments, calibration, out)

@@ -7,17 +7,17 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import calibration_and_effect_files, experiment_options, recording_checks
-from rig.cli.shared.command_options import (
-    add_json_result_option,
-    add_overwrite_option,
-    add_recordings_argument,
-    page_links,
-)
+from rig.cli.shared import calibration_and_effect_files
+from rig.cli.shared.command_options import SEED, add_json_result_option, add_overwrite_option, page_links
+from rig.cli.shared.recording_options import add_anyway_option, add_recordings_argument, print_notices, read_recordings
 from rig.cli.shared.terminal_output import Progress
+from rig.errors import RigError
+from rig.formats.input_files import neighbouring_json_files
+from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
     from calib.api.diagnose import DiagnoseOptions
+    from calib.api.experiment_options import ExperimentOptions
     from calib.diagnosis.report.diagnosis_report import Report
     from rig.recording.recording_folder import Recording
 
@@ -61,23 +61,54 @@ def arguments(parser: ArgumentParser) -> None:
         help="what another diagnosis found: begin with its findings, each of which has to stand here as well",
     )
     calibration_and_effect_files.add_effects_option(parser)
-    experiment_options.arguments(parser)
+    _add_experiment_options(parser)
     add_overwrite_option(parser)
-    recording_checks.add_anyway_option(parser)
+    add_anyway_option(parser)
     add_json_result_option(parser)
+
+
+def _add_experiment_options(parser: ArgumentParser) -> None:
+    """Add --next, how long it may take and what it may do."""
+    parser.add_argument(
+        "--next",
+        metavar="FILE",
+        type=Path,
+        help="write the plan of the experiment that would best tell apart what is "
+        "still alike (frame,t,payload_mass_kg,l1..l6; `rig simulate --plan commands:FILE` tries it); "
+        "next.json says its chance",
+    )
+    parser.add_argument(
+        "--minutes",
+        metavar="MIN",
+        type=parse_number,
+        default=60.0,
+        help="for --next: that the experiment may take (default 60)",
+    )
+    parser.add_argument(
+        "--may",
+        action="append",
+        metavar="payload|wait|'turn cube NAME'",
+        help="for --next: what may be asked of an operator, in "
+        "place of what rig.toml says under [experiment]; may be given again",
+    )
+    parser.add_argument(
+        "--standing",
+        action="store_true",
+        help="for --next: only plans at whose exposures the struts stand, as rig run takes them",
+    )
 
 
 def run(arguments: Namespace) -> None:
     """Diagnose a recording and write what was found."""
-    experiment = experiment_options.experiment_options(arguments)
+    experiment = _experiment_options(arguments)
     progress = Progress()
     progress("reading the recording", 0, 1)
-    recordings = recording_checks.read_recordings(arguments)
+    recordings = read_recordings(arguments)
     from calib.api.diagnose import diagnose
     from rig.recording import recording_frames
 
     out, options = arguments.outputs.folder(arguments.out), _options(arguments, recordings)
-    notice = recording_checks.print_notices(progress)
+    notice = print_notices(progress)
     result = diagnose(recordings, options, progress, notice)
     for path, state, finding in result.against:
         calibration_and_effect_files.write_refutation(arguments, path, result.recording.name, finding, state)
@@ -112,7 +143,7 @@ def _options(arguments: Namespace, recordings: list[Recording]) -> DiagnoseOptio
         effects,
         None if known is None else calibration_and_effect_files.load_calibration(known, effects),
         str(known),
-        tuple(calibration_and_effect_files.neighbouring_json_files(recordings[0].folder, arguments.out)),
+        tuple(neighbouring_json_files(recordings[0].folder, arguments.out)),
         arguments.anyway,
         _words(arguments),
     )
@@ -171,3 +202,14 @@ def _print_report(report: Report) -> None:
         print(f"held out, {what}: {before:.4g} {unit} before, {after:.4g} after; noise {floor:.4g}")
     if report.confounds is not None:
         print(report.confounds.line())
+
+
+def _experiment_options(arguments: Namespace) -> ExperimentOptions | None:
+    """What the next experiment may take, None where none is asked for. Raises RigError for what cannot be meant"""
+    from calib.api.experiment_options import ExperimentOptions
+
+    may = None if arguments.may is None else tuple(arguments.may)
+    found = ExperimentOptions(arguments.minutes, may, arguments.standing, SEED + 1 + len(arguments.further))
+    if arguments.next is None and (arguments.standing or arguments.may):
+        raise RigError("--standing and --may are for --next FILE")
+    return None if arguments.next is None else found

@@ -12,7 +12,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> int:
     """Say what this computer has; 1 where something is missing without which a plain installation does not work."""
-    from rig.cli.shared.installation_inventory import installation_inventory
+    from rig.compute.installation_inventory import installation_inventory
 
     found = installation_inventory()
     if arguments.json:

@@ -11,7 +11,7 @@ from rig.cli.shared.command_options import add_json_option, add_overwrite_option
 from rig.errors import RigError
 
 if TYPE_CHECKING:
-    from rig.effects.texts.formula_effect_file import Written
+    pass
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -69,7 +69,7 @@ def run(arguments: Namespace) -> None:
 
 def _new(arguments: Namespace) -> None:
     """Write a file with a new effect: as a diagnosis suggests it, or an example."""
-    from rig.effects.texts.formula_effect_file import EXAMPLE
+    from rig.effects.texts.formula_effect_file import EXAMPLE, load_suggestion
     from rig.effects.texts.user_effect_files import effect_name_problem, effects_of_source
     from rig.formats.output_files import write_text
 
@@ -80,7 +80,9 @@ def _new(arguments: Namespace) -> None:
         raise RigError(f"--new {problem}")
     if arguments.place is not None and arguments.source is None:
         raise RigError("--place says which suggestion of a diagnosis is meant: give its folder with --from")
-    place, formula = ("strut 1", EXAMPLE) if arguments.source is None else _suggested(arguments.source, arguments.place)
+    place, formula = (
+        ("strut 1", EXAMPLE) if arguments.source is None else load_suggestion(arguments.source, arguments.place)
+    )
     path = Path(f"{arguments.new}.py") if arguments.out is None else arguments.out
     out, source = arguments.outputs.file(path), formula.source(arguments.new)
     (kind,) = effects_of_source(source, path)
@@ -94,28 +96,3 @@ def _new(arguments: Namespace) -> None:
     print(
         f"rig simulate RIG.toml --effects {path} --effect {arguments.new}:{place.replace(' ', '')}:{values} --out REC"
     )
-
-
-def _suggested(folder: Path, place: str | None) -> tuple[str, Written]:
-    """(place, Written) that a diagnosis in a folder suggests. Raises RigError where it suggests nothing there, or
-    several things anywhere.
-    """
-    from rig.effects.texts.formula_effect_file import Written
-    from rig.formats import structured_files
-
-    table = structured_files.load_json(folder / "diagnosis.json", "diagnosis", "diagnosis/1")
-    found = {
-        entry.text("place"): entry for entry in (table.tables("suggestions") if "suggestions" in table.tree else ())
-    }
-    if not found:
-        raise RigError(
-            f"{folder} suggests no formula: where something has no name, a formula for it is in the "
-            "diagnosis' page and under "
-            "'suggestions' in diagnosis.json"
-        )
-    if place is None and len(found) > 1:
-        raise RigError(f"{folder} suggests formulas at {', '.join(found)}: say with --place which")
-    if place is not None and place not in found:
-        raise RigError(f"{folder} suggests nothing at {place!r}; it does at {', '.join(found)}")
-    place = place or next(iter(found))
-    return place, Written.read(found[place].table("model"))

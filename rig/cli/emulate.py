@@ -13,9 +13,9 @@ from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_numbers, parse_whole_number
 
 if TYPE_CHECKING:
-    from rig.cli.shared.child_processes import EmulatedCameraProcess
     from rig.driving.clock import Clock
     from rig.driving.emulators.controller_emulator import Emulator
+    from synthetic.emulated_camera_process import EmulatedCameraProcess
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -117,7 +117,7 @@ def run(arguments: Namespace) -> None:
 
 def _cameras(arguments: Namespace, followed: Path) -> EmulatedCameraProcess:
     """The process that draws; its address is printed."""
-    from rig.cli.shared.child_processes import EmulatedCameraProcess
+    from synthetic.emulated_camera_process import EmulatedCameraProcess
 
     cameras = EmulatedCameraProcess(
         arguments.design, arguments.truth, followed, _address(arguments.cameras, "--cameras"), arguments.seed

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from argparse import ArgumentParser
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import calibration_and_effect_files
-from rig.cli.shared.command_options import add_json_result_option, add_port_options
+from rig.cli.shared.command_options import (
+    add_json_result_option,
+    add_port_options,
+    add_speed_option,
+    add_trust_option,
+    require_share,
+)
 from rig.errors import RigError
-from rig.formats.number_parsing_and_rounding import parse_number, parse_numbers
+from rig.formats.number_parsing_and_rounding import parse_numbers
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-
     from scipy.spatial.transform import RigidTransform
 
-    from calib.certification.calibration import Calibration
-    from rig.arrays import Floats
-    from rig.model.mechanism_geometry import Hexapod
+    from calib.api.go import PoseMove
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -38,12 +40,8 @@ def arguments(parser: ArgumentParser) -> None:
         "--uncorrected", action="store_true", help="command what the owner's model says, for comparison"
     )
     parser.add_argument("--dry-run", action="store_true", help="say what would be commanded, and move nothing")
-    parser.add_argument(
-        "--speed", type=parse_number, default=1.0, metavar="SHARE", help="of the struts' greatest speed (default 1)"
-    )
-    parser.add_argument(
-        "--trust", action="store_true", help="believe the position that the controller reads, though it was not homed"
-    )
+    add_speed_option(parser, 1.0)
+    add_trust_option(parser)
     calibration_and_effect_files.add_effects_option(parser)
     add_port_options(parser)
     add_json_result_option(parser)
@@ -51,75 +49,46 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Go to a pose: the corrected lengths, checked, commanded and read back."""
-    import numpy as np
+    from calib.api.go import plan_pose_move, require_same_rig
+    from rig.cli.shared.controller_status import print_status
+    from rig.driving.driver_session import design_with_controller, open_driver
 
-    from calib.correction.correction import require_reachable
-    from rig.cli.shared.controller_session import design_with_controller, lengths_text, open_driver, print_status
-    from rig.model import mechanisms
-    from rig.model.mechanism_kinds import require_hexapod
-    from rig.model.pose import pose_to_vector
-
-    if not 0 < arguments.speed <= 1:
-        raise RigError(f"--speed takes a share above 0 and up to 1, got {arguments.speed:g}")
+    require_share(arguments.speed)
     design = design_with_controller(arguments.rig, arguments.port)
-    calibration = calibration_and_effect_files.load_calibration(
-        arguments.calibration, calibration_and_effect_files.load_effect_files(arguments)
-    )
+    calibration = calibration_and_effect_files.calibration_of_arguments(arguments)
     calibration_and_effect_files.read_refutations(arguments.calibration)
-    correction = calibration.correction
-    _same(correction.nominal, require_hexapod(design.mechanism), arguments)
-    wanted = parse_pose(arguments.pose)
-    home = mechanisms.kinematics_of(correction.nominal).home(correction.nominal)
-    lengths = correction.uncorrected(wanted) if arguments.uncorrected else _lengths(calibration, wanted, home)
-    require_reachable(np.array([lengths]), require_hexapod(design.mechanism), ["the pose"])
-    print(
-        f"to command: {lengths_text(lengths)}, which is "
-        f"{lengths_text(lengths - correction.uncorrected(wanted))} off the owner's model"
-    )
-    arguments.result = {
-        "schema": "gone/1",
-        "commanded": lengths.tolist(),
-        "off_owners_model": (lengths - correction.uncorrected(wanted)).tolist(),
-        "moved": False,
-    }
+    require_same_rig(design, calibration, arguments.rig, arguments.calibration)
+    move = plan_pose_move(design, calibration, parse_pose(arguments.pose), arguments.uncorrected)
+    _print_plan(move)
+    arguments.result = move.tree()
     if arguments.dry_run:
         return
     with open_driver(design, arguments.trace, print) as driver:
         if arguments.trust:
             driver.trust()
-        if calibration.physics is not None and not arguments.uncorrected:  # from where it stands, not from home
-            lengths = _lengths(calibration, wanted, driver.status().lengths)
-            require_reachable(np.array([lengths]), require_hexapod(design.mechanism), ["the pose"])
-        driver.move(lengths, arguments.speed)
-        status = driver.status()
-        print_status(status, design)
-    arguments.result |= {
-        "commanded": lengths.tolist(),
-        "off_owners_model": (lengths - correction.uncorrected(wanted)).tolist(),
-        "moved": True,
-        "lengths": status.lengths.tolist(),
-    }
-    left = wanted.inv() * correction.predict(correction.inverse_without_physics(wanted) + status.lengths - lengths)
-    if not arguments.uncorrected:
-        arguments.result |= {"left": pose_to_vector(left).tolist()}
+        done = move.carry_out(driver, arguments.speed)
+        assert done.status is not None
+        print_status(done.status, design)
+    arguments.result = done.tree()
+    _print_remainder(done)
+
+
+def _print_plan(move: PoseMove) -> None:
+    """Print the lengths to command."""
+    from rig.cli.shared.controller_status import lengths_text
+
+    print(f"to command: {lengths_text(move.lengths)}, which is {lengths_text(move.off_nominal)} off the owner's model")
+
+
+def _print_remainder(move: PoseMove) -> None:
+    """Print how far from the pose the platform is by the calibration."""
+    remainder = move.remainder
+    if remainder is not None:
+        position, rotation = (remainder.translation**2).sum() ** 0.5, remainder.rotation.magnitude()
         print(
-            f"by the calibration the platform is within {np.linalg.norm(left.translation) * 1e6:.1f} um and "
-            f"{left.rotation.magnitude() * 1e6:.1f} urad of the pose"
+            f"by the calibration the platform is within {position * 1e6:.1f} um and {rotation * 1e6:.1f} urad of the "
+            "pose"
         )
-
-
-def _lengths(calibration: Calibration, wanted: RigidTransform, start: Floats) -> Floats:
-    """(axes,) m or rad that give a wanted pose (), the axes coming from start (axes,); what nobody logs is taken as
-    when calibrated.
-    """
-    import numpy as np
-    from scipy.spatial.transform import RigidTransform
-
-    from calib.models.wanted_pose_commands import commands_along_route
-
-    return commands_along_route(
-        calibration, RigidTransform.from_matrix(wanted.as_matrix()[None]), np.asarray(start, float)
-    ).values[0]
 
 
 def parse_pose(text: str) -> RigidTransform:
@@ -141,16 +110,3 @@ def parse_pose(text: str) -> RigidTransform:
             "(millimetres?)"
         )
     return pose(values[:3], values[3:])
-
-
-def _same(nominal: Hexapod, mechanism: Hexapod, arguments: Namespace) -> None:
-    """Raise RigError where a calibration is of another rig than the one to drive."""
-    import numpy as np
-
-    names = [name for name in mechanism.geometry_arrays if name != "strut_zeros"]
-    if nominal.kind != mechanism.kind or not all(
-        np.allclose(getattr(nominal, name), getattr(mechanism, name), rtol=0, atol=1e-6) for name in names
-    ):
-        raise RigError(
-            f"{arguments.calibration} is a calibration of another rig than {arguments.rig}: their stated joints differ"
-        )

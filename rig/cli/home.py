@@ -13,7 +13,8 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Home all struts and say where they stand."""
-    from rig.cli.shared.controller_session import design_with_controller, open_driver, print_status
+    from rig.cli.shared.controller_status import print_status
+    from rig.driving.driver_session import design_with_controller, open_driver
 
     design = design_with_controller(arguments.design, arguments.port)
     with open_driver(design, arguments.trace, print) as driver:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.command_options import add_controller_arguments
+from rig.cli.shared.command_options import add_controller_arguments, add_speed_option, add_trust_option, require_share
 from rig.errors import PositionLost, RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_numbers, parse_whole_number
 
@@ -26,32 +26,28 @@ def arguments(parser: ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument("--by", type=parse_number, metavar="MM", help="longer by so much")
     where.add_argument("--to", metavar="MM,MM,..", help="to these lengths, one for every strut")
-    parser.add_argument(
-        "--speed", type=parse_number, default=0.25, metavar="SHARE", help="of the struts' greatest speed (default 0.25)"
-    )
+    add_speed_option(parser, 0.25)
     parser.add_argument(
         "--unlock",
         action="store_true",
         help="clear the controller's alarm first; its position is then believed with --trust only",
     )
-    parser.add_argument(
-        "--trust", action="store_true", help="believe the position that the controller reads, though it was not homed"
-    )
+    add_trust_option(parser)
 
 
 def run(arguments: Namespace) -> None:
     """Move struts a little, checked as any move."""
     import numpy as np
 
-    from rig.cli.shared.controller_session import design_with_controller, open_driver, print_status
+    from rig.cli.shared.controller_status import print_status
+    from rig.driving.driver_session import design_with_controller, open_driver
 
     design = design_with_controller(arguments.design, arguments.port)
     count = len(design.mechanism.axes)
     struts = arguments.strut or list(range(1, count + 1))
     if not all(1 <= strut <= count for strut in struts):
         raise RigError(f"--strut takes 1 .. {count}, got {', '.join(map(str, struts))}")
-    if not 0 < arguments.speed <= 1:
-        raise RigError(f"--speed takes a share above 0 and up to 1, got {arguments.speed:g}")
+    require_share(arguments.speed)
     if arguments.to and arguments.strut:
         raise RigError("--to states every strut's length; leave out --strut")
     with open_driver(design, arguments.trace, print) as driver:

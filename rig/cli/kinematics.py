@@ -6,23 +6,11 @@ import sys
 from argparse import ArgumentParser, Namespace
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rig.cli.shared.command_options import add_json_option, print_json
-from rig.errors import RigError
 from rig.formats.json_tree import Json
 
-if TYPE_CHECKING:
-    from scipy.spatial.transform import RigidTransform
-
-    from calib.models.arm.correction import ArmCorrection
-    from rig.arrays import Floats, Integers
-    from rig.model.mechanism_geometry import Arm
-    from rig.model.mechanisms.arm_kinematics_steps import Step
-    from rig.model.mechanisms.six_joint_inverse import SixR
-
 LEAVES = 1e-9  # m or rad of a pose, from which it is said
-SINGULAR = 1e-6  # least over greatest singular value of the Jacobian, below which a configuration is called singular
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -43,191 +31,29 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Print what joint values give, or all joint values that give poses, step by step where asked for."""
+    from calib.api.kinematics import load_arm_kinematics
     from rig.formats import csv_table
     from rig.recording import recording_tables
 
-    arm, correction = _arm(arguments.arm)
+    machine = load_arm_kinematics(arguments.arm)
+    if machine.left_out is not None:
+        print(machine.left_out, file=sys.stderr)
     if arguments.forward:
-        rows = csv_table.read(arguments.forward, ("frame", *arm.axes))
-        tree = _forward(rows.whole("frame"), rows.matrix(arm.axes), arm, correction, arguments.steps)
+        rows = csv_table.read(arguments.forward, ("frame", *machine.arm.axes))
+        tree = machine.forward(rows.whole("frame"), rows.matrix(machine.arm.axes), arguments.steps)
     else:
         poses = recording_tables.load_poses(arguments.inverse)
-        tree = _inverse(poses.frame, poses.T_base_platform, arm, correction, arguments.steps)
+        tree = machine.inverse(poses.frame, poses.T_base_platform, arguments.steps)
     if arguments.json:
         print_json(tree)
     else:
         print("\n".join(_forward_text(tree) if arguments.forward else _inverse_text(tree)))
 
 
-def _arm(text: str) -> tuple[Arm, ArmCorrection | None]:
-    """(Arm as its owner believes it, its correction or None)."""
-    from rig.model.mechanism_kinds import require_arm
-    from rig.planning.layout import shipped_arm_layout
-
-    if Path(text).suffix != ".json":
-        return require_arm(shipped_arm_layout.load_shipped_arm(text).mechanism), None
-
-    from calib.files import calibration_file
-    from calib.models.arm.correction import ArmCorrection
-
-    calibration = calibration_file.load(text)
-    correction = calibration.correction
-    if calibration.physics is not None and calibration.physics.compensable_effects():
-        names = ", ".join(f"{e.label()} at {e.place}" for e in calibration.physics.compensable_effects())
-        print(
-            f"{text} undoes {names} besides, by what went before a pose: that is not in what follows; rig "
-            "correct does it",
-            file=sys.stderr,
-        )
-    if not isinstance(correction, ArmCorrection):
-        raise RigError(f"{text} is the calibration of a {correction.nominal.kind}; this takes an arm's")
-    return correction.nominal, correction
-
-
-def _forward(frames: Integers, q: Floats, arm: Arm, correction: ArmCorrection | None, steps: bool) -> Json:
-    """What `--forward` tells, as JSON holds it."""
-    from rig.model import mechanisms
-    from rig.model.mechanisms import arm as mechanism
-    from rig.model.mechanisms import arm_kinematics_steps
-    from rig.model.pose import pose_to_vector
-
-    T = mechanism.forward(q, arm)
-    beyond = mechanism.limits(q, arm)
-    out = []
-    for i, frame in enumerate(frames.tolist()):
-        entry: Json = {
-            "frame": frame,
-            "q": q[i].tolist(),
-            "pose": pose_to_vector(T[i]).tolist(),
-            "near_singular": _near_singular(q[i], arm),
-            "beyond_limits": [p for p, b in zip(mechanisms.axis_places(arm), beyond[i]) if b],
-        }
-        if correction is not None:
-            entry["corrected"] = pose_to_vector(correction.predict(q[i])).tolist()
-        out.append(entry | ({"steps": _steps(arm_kinematics_steps.forward_steps(q[i], arm))} if steps else {}))
-    return {"schema": "kinematics/1", "units": list(mechanisms.axis_units(arm)), "frames": out}
-
-
-def _near_singular(q: Floats, arm: Arm) -> float:
-    """Least over greatest singular value of the Jacobian, 0 where singular; over as many directions as the joints can
-    lead in at all.
-    """
-    import numpy as np
-
-    from rig.model.mechanisms import arm as mechanism
-    from rig.model.mechanisms import numerical_arm_inverse
-
-    values = np.linalg.svd(mechanism.jacobian(q, arm), compute_uv=False)
-    return float(values[sum(numerical_arm_inverse.reachable_direction_counts(arm)) - 1] / values[0])
-
-
-def _inverse(frames: Integers, T: RigidTransform, arm: Arm, correction: ArmCorrection | None, steps: bool) -> Json:
-    """What `--inverse` tells, as JSON holds it."""
-    from rig.model import mechanisms
-    from rig.model.mechanisms import six_joint_inverse
-
-    form, why_none = None, ""
-    try:
-        form = six_joint_inverse.six_joint_arm(arm)
-    except RigError as error:
-        why_none = str(error)
-    out = []
-    for i, frame in enumerate(frames.tolist()):
-        state, entries = _numeric(T[i], arm, steps) if form is None else _closed(T[i], form, steps)
-        for entry in entries:
-            entry["beyond_limits"] = _beyond(entry["q"], arm)
-            if correction is not None:
-                entry["corrected"] = _finished(T[[i]], entry["q"], correction)
-        out.append({"frame": frame, "state": state, "solutions": entries})
-    return {
-        "schema": "kinematics/1",
-        "units": list(mechanisms.axis_units(arm)),
-        "form": form.kind if form is not None else f"numeric: {why_none}",
-        "frames": out,
-    }
-
-
-def _closed(T: RigidTransform, form: SixR, steps: bool) -> tuple[str, list[Json]]:
-    """(state of a pose in words, its branches), in closed form."""
-    from rig.model.mechanisms import arm_kinematics_steps, six_joint_inverse
-
-    found = six_joint_inverse.inverse(T, form)
-    return found.why(0), [
-        {
-            "q": q.tolist(),
-            "singular": _singular(flags),
-            **({"steps": _steps(arm_kinematics_steps.inverse_steps(T, form, q))} if steps else {}),
-        }
-        for q, flags in zip(found.q[found.there], found.singular[found.there].tolist())
-    ]
-
-
-def _numeric(T: RigidTransform, arm: Arm, steps: bool) -> tuple[str, list[Json]]:
-    """(state of a pose in words, the solutions that many starts lead to, named as found so); rest : what few joints
-    leave of it.
-    """
-    from rig.model.mechanisms import arm_kinematics_steps
-    from rig.model.mechanisms.numerical_arm_inverse import inverse_solutions
-
-    found = inverse_solutions(T, arm)
-    if not len(found.q):
-        return f"out of reach: the arm comes no nearer than {found.missed[0]:.3g} m and {found.missed[1]:.3g} rad", []
-    entries = [
-        {
-            "q": q.tolist(),
-            "singular": "singular" if _near_singular(q, arm) < SINGULAR else "",
-            "rest": rest.tolist(),
-            "found": "numerically",
-            **({"steps": _steps(arm_kinematics_steps.inverse_steps_of_numerical_solution(T, arm, q))} if steps else {}),
-        }
-        for q, rest in zip(found.q, found.rest)
-    ]
-    return ("singular" if all(entry["singular"] for entry in entries) else "regular"), entries
-
-
-def _beyond(q: list[float], arm: Arm) -> list[str]:
-    """Places of the joints that no whole turn brings within their limits."""
-    import numpy as np
-
-    from rig.model import mechanisms
-    from rig.model.mechanisms import arm as mechanism
-
-    beyond = mechanism.limits(mechanism.nearest_equivalent_angles(np.array(q), arm, np.zeros(len(q))), arm)
-    return [place for place, by in zip(mechanisms.axis_places(arm), beyond) if by]
-
-
-def _finished(T: RigidTransform, q: list[float], correction: ArmCorrection) -> list[float] | None:
-    """Commands of the calibrated arm for a pose (1,), sought from a solution of its owner's model; None where none is
-    near.
-    """
-    import numpy as np
-
-    commands = correction.near(T, np.array([q]))[0]
-    return None if np.isnan(commands).any() else commands.tolist()
-
-
-def _singular(flags: int) -> str:
-    from rig.model.mechanisms import six_joint_inverse
-
-    return ", ".join(name for bit, name in six_joint_inverse.SINGULAR.items() if flags & bit)
-
-
-def _steps(steps: list[Step]) -> list[Json]:
-    return [
-        {
-            "joint": s.joint,
-            "value": s.value,
-            "axis": {"point": s.axis[0].tolist(), "vector": s.axis[1].tolist()},
-            "points": dict(zip(s.names, s.points.tolist())),
-            "AB": (s.points[1] - s.points[0]).tolist(),
-            "AC": (s.points[2] - s.points[0]).tolist(),
-        }
-        for s in steps
-    ]
-
-
 def _forward_text(tree: Json) -> list[str]:
     """Lines of `--forward`, lengths in mm and angles in degrees."""
+    from calib.api.kinematics import SINGULAR
+
     lines = []
     for entry in tree["frames"]:
         near = (

@@ -6,12 +6,13 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import poses_from_readings, recording_checks
-from rig.cli.shared.command_options import (
-    add_json_result_option,
-    add_overwrite_option,
+from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option, page_links
+from rig.cli.shared.recording_options import (
+    add_anyway_option,
+    add_limb_options,
     add_recording_argument,
-    page_links,
+    limb_source,
+    print_notices,
     read_recording,
 )
 from rig.cli.shared.terminal_output import Progress
@@ -39,9 +40,9 @@ def arguments(parser: ArgumentParser) -> None:
         "adjusted too, or (auto) adjusted where the stated ones contradict what is seen",
     )
     parser.add_argument("--detect", action="store_true", help="read the images even if corners.csv is there")
-    poses_from_readings.add_limb_options(parser)
+    add_limb_options(parser)
     add_overwrite_option(parser)
-    recording_checks.add_anyway_option(parser)
+    add_anyway_option(parser)
     add_json_result_option(parser)
 
 
@@ -49,7 +50,7 @@ def run(arguments: Namespace) -> None:
     """Measure a recording and write what was measured."""
     progress = Progress()
     progress("reading the recording", 0, 1)
-    hold, limbs = _hold(arguments.hold), poses_from_readings.limb_source(arguments)
+    hold, limbs = _hold(arguments.hold), limb_source(arguments)
     recording = read_recording(arguments)
     if limbs is not None:
         return _by_limbs(arguments, recording, limbs, progress)
@@ -63,7 +64,7 @@ def run(arguments: Namespace) -> None:
         MeasureOptions(hold, arguments.places, arguments.detect, arguments.anyway),
     )
     with recording_frames.start_content_hashing(recording) as marks:
-        result = measure(recording, options, progress, recording_checks.print_notices(progress))
+        result = measure(recording, options, progress, print_notices(progress))
         arguments.outputs.data = recording_frames.hash_lines(marks())
     result.write(out)
     write_measurement_page(out / "report.html", result, page_links(arguments, arguments.out / "report.html"))
@@ -92,7 +93,7 @@ def _by_limbs(arguments: Namespace, recording: Recording, limbs: LimbSource, pro
     from rig.recording import recording_frames
 
     out = arguments.outputs.folder(arguments.out)
-    found = measure_limbs(recording, limbs, arguments.anyway, progress, recording_checks.print_notices(progress))
+    found = measure_limbs(recording, limbs, arguments.anyway, progress, print_notices(progress))
     arguments.outputs.data = recording_frames.hash_lines(recording_frames.content_hashes(recording))
     found.write(out)
     print_limb_poses(found)

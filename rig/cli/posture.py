@@ -7,14 +7,13 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import posture_force
 from rig.cli.shared.command_options import (
-    SEED,
     add_json_option,
     add_overwrite_option,
     file_or_stdout,
     parse_numbers,
     print_json,
+    require_matplotlib,
 )
 from rig.errors import RigError
 from rig.formats.json_tree import Json
@@ -22,15 +21,11 @@ from rig.formats.number_parsing_and_rounding import parse_number
 from rig.formats.output_files import write_text
 
 if TYPE_CHECKING:
-    from scipy.spatial.transform import RigidTransform
-
     from rig.arrays import Floats
+    from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
     from rig.model.mechanism_geometry import Arm
+    from rig.posture.best_posture import PostureOptions
     from rig.posture.exertable_wrench import Exertion
-    from rig.posture.force_transmission import TransmissionObjective
-    from rig.posture.null_space_search import Found
-
-STARTS = 24  # joint solutions of the pose from which self-motions are looked for
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -85,7 +80,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--hold", choices=("pose", "position", "orientation"), default="pose", help="what of the hand stays"
     )
-    posture_force.add_exertion_options(parser)
+    _add_exertion_options(parser)
     parser.add_argument(
         "--from", dest="start", nargs="+", metavar="Q", help="joint angles now, rad; by default a solution of the pose"
     )
@@ -105,164 +100,100 @@ def arguments(parser: ArgumentParser) -> None:
     add_json_option(parser)
 
 
+def _add_exertion_options(parser: ArgumentParser) -> None:
+    """Add the options of the wrench to exert: --exert, --limits, --draw."""
+    parser.add_argument(
+        "--exert",
+        nargs="+",
+        metavar="N",
+        help="fx,fy,fz or fx,fy,fz,mx,my,mz that the hand is to exert, N and Nm in the axes of "
+        "poses: torques, margin to their limits, and, with no --force or --moment, the posture that can "
+        "exert most of it",
+    )
+    parser.add_argument(
+        "--limits",
+        nargs="+",
+        metavar="N",
+        help="torque limits of the joints, Nm (slides: N), in place of [dynamics] torque_limits",
+    )
+    parser.add_argument(
+        "--draw", metavar="FILE.svg", type=Path, help="with --exert: force polytope and ellipsoid of the posture"
+    )
+
+
 def run(arguments: Namespace) -> None:
     """Search, and print the posture with what certifies it."""
-    import numpy as np
+    from rig.formats.rig_toml import arm_dynamics_entries
+    from rig.model.mechanism_kinds import require_arm
+    from rig.planning.layout import shipped_arm_layout
+    from rig.posture.best_posture import best_posture
 
-    from rig.posture import force_transmission
-
-    path, arm, wanted = _wanted(arguments)
-    chosen = _directions(arguments)
-    wish: TransmissionObjective | Exertion = (
-        wanted
-        if wanted is not None and not chosen
-        else force_transmission.TransmissionObjective(chosen, np.inf if arguments.norm == "inf" else 2, arguments.whole)
-    )
-    if arguments.above is not None and not arguments.above >= 0:
-        raise RigError(f"--above must be at least 0, not {arguments.above:g}")
-    if not arguments.speed > 0:
-        raise RigError(f"--speed must be positive rad/s, not {arguments.speed:g}")
+    path = shipped_arm_layout.shipped_arm_path(arguments.arm)
+    design, dynamics = arm_dynamics_entries.load_arm_dynamics(path)
+    arm = require_arm(design.mechanism)
+    options = _options(arguments, arm, _exertion(arguments, arm, dynamics, design.gravity, path))
     arguments.outputs.inputs.append(path)
     out, draw = (arguments.outputs.file(name) if name else None for name in (arguments.out, arguments.draw))
-    if arguments.among is not None:
-        tree = _among(arguments, arm, wish, out)
-    else:
-        tree = _searched(arguments, arm, wish, out)
-    if wanted is not None:
-        tree["exert"] = posture_force.exertion_dict(np.array(tree["q"]), arm, wanted)
-        if draw:
-            write_text(draw, posture_force.exertion_svg(np.array(tree["q"]), arm, wanted))
+    result = best_posture(arm, options)
+    if out:
+        result.write(out)
+    if draw and options.exertion is not None:
+        require_matplotlib("pictures of postures")
+        write_text(draw, result.force_svg(options.exertion))
+    tree = result.tree()
     if arguments.json:
         print_json(tree)
     else:
         print(_table(tree, arguments))
 
 
-def _wanted(arguments: Namespace) -> tuple[Path, Arm, Exertion | None]:
-    """(path, Arm, what it is to exert or None) of the arguments."""
-    from rig.formats.rig_toml import arm_dynamics_entries
-    from rig.model.mechanism_kinds import require_arm
-    from rig.planning.layout import shipped_arm_layout
+def _options(arguments: Namespace, arm: Arm, exertion: Exertion | None) -> PostureOptions:
+    """What posture is searched for, by the arguments."""
+    import numpy as np
 
-    path = shipped_arm_layout.shipped_arm_path(arguments.arm)
-    design, dynamics = arm_dynamics_entries.load_arm_dynamics(path)
-    arm = require_arm(design.mechanism)
-    return path, arm, posture_force.requested_exertion(arguments, arm, dynamics, design.gravity, path)
-
-
-def _among(arguments: Namespace, arm: Arm, wish: TransmissionObjective | Exertion, out: Path | None) -> Json:
-    """The best of the postures that were visited, as `_tree`; the way back to it is written."""
     from rig.model.pose import pose
-    from rig.posture import posture_transition
+    from rig.posture.best_posture import PostureOptions
+    from rig.posture.force_transmission import TransmissionObjective
     from rig.recording import recording_folder
 
-    if arguments.start or arguments.above is not None or arguments.motion == "way":
-        raise RigError(
-            "--among goes back to a posture from where the recording ends; --from, --above and --motion are "
-            "for searches"
-        )
-    numbered = parse_numbers(arguments.pose, 6, "--pose") if arguments.pose else None
-    found = posture_transition.best_visited_posture(
-        recording_folder.load_recording(arguments.among),
-        arm,
-        wish,
+    hand = parse_numbers(arguments.pose, 6, "--pose") if arguments.pose else None
+    return PostureOptions(
+        None if hand is None else pose(hand[:3], hand[3:]),
+        TransmissionObjective(_directions(arguments), np.inf if arguments.norm == "inf" else 2, arguments.whole),
+        exertion,
+        arguments.above,
         arguments.hold,
-        None if numbered is None else pose(numbered[:3], numbered[3:]),
+        np.array(parse_numbers(arguments.start, len(arm.axes), "--from")) if arguments.start else None,
+        arguments.motion == "way",
+        arguments.speed,
+        recording_folder.load_recording(arguments.among) if arguments.among is not None else None,
     )
-    if out:
-        _write(out, arguments, arm, found.back)
-    best, first = found.best, found.q[0]
-    tree = _tree(arm, wish, found.q[best], first, (float(found.value[best]), float(found.value[0])))
-    return tree | {
-        "search": "among",
-        "recording": str(arguments.among),
-        "frame": int(found.frame[best]),
-        "compared": len(found.q),
-        "elsewhere": found.elsewhere,
-        "values": {"best": float(found.value[best]), "worst": float(found.value.min())},
-    }
 
 
-def _searched(arguments: Namespace, arm: Arm, wish: TransmissionObjective | Exertion, out: Path | None) -> Json:
-    """The best posture that the searches find, as `_tree`; the motion into it is written."""
+def _exertion(arguments: Namespace, arm: Arm, dynamics: ArmDynamics, gravity: Floats, path: Path) -> Exertion | None:
+    """Requested exertion (--exert) or None. gravity : (3,) m/s^2; path : of the arm. Raises RigError for bad options"""
     import numpy as np
 
-    from rig.model.mechanisms import arm as mechanism
-    from rig.model.pose import pose, pose_difference
-    from rig.posture import posture_transition
+    from rig.posture.exertable_wrench import Exertion, Strength
 
-    if not arguments.pose:
-        raise RigError("--pose says where the hand is; without it, --among names a recording")
-    n, numbered = len(arm.axes), parse_numbers(arguments.pose, 6, "--pose")
-    wanted = pose(numbered[:3], numbered[3:])
-    now = np.array(parse_numbers(arguments.start, n, "--from")) if arguments.start else None
-    arrived = now is not None and np.abs(pose_difference(mechanism.forward(now, arm), wanted)).max() < 1e-6
-    if now is not None and not arrived and arguments.motion == "end":
-        raise RigError(
-            "--from has the hand elsewhere than --pose: bring it there first, or take the posture on the way "
-            "(--motion way)"
-        )
-    first = now if now is not None and arrived else mechanism.inverse(wanted, arm, now)
-    starts = first[None] if arrived and arguments.motion == "end" else _starts(first, wanted, arm)
-    found, name, k = _best(arguments, arm, wish, first, starts)
-    best = found[name]
-    if out:
-        _write(
-            out,
-            arguments,
-            arm,
-            posture_transition.motion_with_straight_hand(now if now is not None else first, best.q[k], arm)
-            if arguments.motion == "way"
-            else posture_transition.motion_with_hand_still(starts[k], best.q[k], arm, arguments.hold),
-        )
-    tree = _tree(arm, wish, best.q[k], starts[k], (float(best.value[k]), float(best.start[k])))
-    tree |= {
-        "search": name,
-        "joint_solutions_searched": len(starts),
-        "values": {key: float(f.value[k]) for key, f in found.items()},
-    }
-    if "global" in found:
-        tree["certificate"] = {
-            "gradient_over_global_here": float(found["gradient"].value[k] / found["global"].value[k]),
-            "reached_over_best_of_all_self_motions": float(best.value[k] / found["global"].value.max()),
-        }
-    return tree
-
-
-def _best(
-    arguments: Namespace, arm: Arm, wish: TransmissionObjective | Exertion, first: Floats, starts: Floats
-) -> tuple[dict[str, Found], str, int]:
-    """(what each search found, name of the best, index of its posture) from starts (k, n) rad. Raises RigError where
-    nothing exceeds a limit
-    """
-    import numpy as np
-
-    from rig.posture import null_space_search
-    from rig.posture.exertable_wrench import Exertion
-
-    if null_space_search.redundant_joint_count(arm, arguments.hold) < 1 and isinstance(wish, Exertion):
-        found = {"solutions": null_space_search.unsearched_postures(starts, arm, wish)}
-        return found, "solutions", int(found["solutions"].value.argmax())
-    found = {"gradient": null_space_search.gradient_search(starts, arm, wish, arguments.hold, arguments.above)}
-    if arguments.above is not None:
-        enough = np.flatnonzero(found["gradient"].value > arguments.above)
-        if not len(enough):
-            raise RigError(
-                f"no posture found whose measure exceeds {arguments.above:g}; the best reaches "
-                f"{found['gradient'].value.max():.6g}"
-            )
-        return (
-            found,
-            "gradient",
-            int(enough[np.abs(found["gradient"].q[enough] - first).max(axis=1).argmin()]),
-        )  # the least motion will do
-    found["sampled"] = null_space_search.sampled_search(starts, arm, wish, np.random.default_rng(SEED), arguments.hold)
-    if null_space_search.redundant_joint_count(arm, arguments.hold) == 1:
-        found["global"] = null_space_search.global_search(starts, arm, wish, arguments.hold)
-    name, k = max(
-        ((name, int(f.value.argmax())) for name, f in found.items()), key=lambda pair: found[pair[0]].value[pair[1]]
+    if arguments.exert is None:
+        if arguments.draw is not None or arguments.limits is not None:
+            raise RigError("--draw and --limits say more of what --exert wants")
+        return None
+    n, given = len(arm.axes), " ".join(arguments.exert).replace(",", " ").split()
+    wrench = np.array(
+        parse_numbers(arguments.exert, 3 if len(given) == 3 else 6, "--exert") + [0.0] * (3 if len(given) == 3 else 0)
     )
-    return found, name, k
+    if not wrench.any():
+        raise RigError("--exert takes a force or a moment that is not nothing")
+    limits = (
+        np.array(parse_numbers(arguments.limits, n, "--limits"))
+        if arguments.limits
+        else dynamics.need("torque_limits", path)
+    )
+    if not (limits > 0).all():
+        raise RigError(f"--limits takes positive torques, not {limits.min():g} Nm")
+    return Exertion(wrench, Strength(limits, dynamics.links, gravity))
 
 
 def _directions(arguments: Namespace) -> tuple[str, ...]:
@@ -277,70 +208,6 @@ def _directions(arguments: Namespace) -> tuple[str, ...]:
                 raise RigError(f"{'--force' if kind == 'f' else '--moment'} takes x, y or z, not {text!r}")
             chosen += [kind + axis for axis in axes]
     return tuple(name for name in DIRECTIONS if name in chosen)
-
-
-def _starts(first: Floats, wanted: RigidTransform, arm: Arm) -> Floats:
-    """(k, n) joint solutions of a pose within the limits: the first, and others far and wide."""
-    import numpy as np
-    from scipy.spatial.transform import RigidTransform
-
-    from rig.model.mechanisms import arm as mechanism
-
-    many = RigidTransform.from_matrix(np.tile(wanted.as_matrix(), (STARTS, 1, 1)))
-    guess = np.random.default_rng(SEED).uniform(arm.limits[:, 0], arm.limits[:, 1], (STARTS, len(first)))
-    q, left = mechanism.solve_inverse(many, arm, guess)
-    inside = (left <= mechanism.GOOD) & (mechanism.limits(q, arm) == 0).all(axis=1)
-    return np.vstack([first, q[inside]])
-
-
-def _write(out: Path, arguments: Namespace, arm: Arm, rows: Floats) -> None:
-    """commands.csv of a motion through postures (k, n) rad."""
-    from rig.posture import posture_transition
-    from rig.recording import recording_tables
-
-    t = posture_transition.posture_times(rows, arguments.speed)
-    lines = [",".join([f"{moment:.6f}", *(f"{angle:.12f}" for angle in angles)]) for moment, angles in zip(t, rows)]
-    recording_tables.write_table(out, ("t", *arm.axes), lines)
-
-
-def _tree(
-    arm: Arm, wish: TransmissionObjective | Exertion, q: Floats, start: Floats, values: tuple[float, float]
-) -> Json:
-    """What is said of a posture q (n,) rad beside its search. values : the measure there and at the start"""
-    import numpy as np
-
-    from rig.model import mechanisms
-    from rig.model.mechanisms import arm as mechanism
-    from rig.model.pose import pose_difference
-    from rig.posture import force_transmission
-    from rig.posture.exertable_wrench import Exertion
-
-    low, high = arm.limits.T
-    moved = pose_difference(mechanism.forward(start, arm), mechanism.forward(q, arm))
-    told = force_transmission.TransmissionObjective() if isinstance(wish, Exertion) else wish
-    return {
-        "schema": "posture/1",
-        "unit": "rad, m",
-        "directions": list(told.directions) or "all",
-        "norm": str(told.norm),
-        "measure": "greatest multiple"
-        if isinstance(wish, Exertion)
-        else "smallest column of J^T"
-        if told.directions
-        else told.whole,
-        "q": q.tolist(),
-        "q_units": list(mechanisms.axis_units(arm)),
-        "value": values[0],
-        "start": {"q": start.tolist(), "value": values[1]},
-        "hand_moved": {"position": float(np.linalg.norm(moved[:3])), "rotation": float(np.linalg.norm(moved[3:]))},
-        "at_limit": (np.flatnonzero((q <= low + 1e-6) | (q >= high - 1e-6)) + 1).tolist(),
-        "columns": dict(
-            zip(
-                told.directions or force_transmission.DIRECTIONS,
-                force_transmission.torque_norms_by_direction(q, arm, told).tolist(),
-            )
-        ),
-    }
 
 
 def _table(tree: Json, arguments: Namespace) -> str:
@@ -374,7 +241,7 @@ def _table(tree: Json, arguments: Namespace) -> str:
     elif arguments.above is None and tree["search"] not in ("among", "solutions"):
         lines.append("no certificate: the self-motion has more than one dimension and cannot be traced whole")
     lines += (
-        posture_force.exertion_lines(tree["exert"], tuple("Nm" if unit == "rad" else "N" for unit in units))
+        _exertion_lines(tree["exert"], tuple("Nm" if unit == "rad" else "N" for unit in units))
         if "exert" in tree
         else []
     )
@@ -399,3 +266,33 @@ def _how(tree: Json) -> str:
             f"the best of {tree['joint_solutions_searched']} joint solutions of the pose: the arm has no joint to spare"
         )
     return f"found by the {tree['search']} search; from the same start: {values}"
+
+
+def _exertion_lines(figures: Json, units: tuple[str, ...]) -> list[str]:
+    """Lines of text about an exertion. units : of each joint, "Nm", or "N" of a slide"""
+    mixed = len(set(units)) > 1
+    cells = ", ".join(
+        f"{torque:.3f}{' ' + unit if mixed else ''} ({margin:+.3f})"
+        for torque, margin, unit in zip(figures["torques"], figures["margin"], units)
+    )
+    held = ", own weight held" if figures["weight_counted"] else " (the weight of the links is not stated)"
+    out = [f"torques that exert it{held}, and what is left to the limits{'' if mixed else ', ' + units[0]}: {cells}"]
+    if figures["greatest"] is None:
+        return [*out, f"joint {figures['tightest_joint']} cannot even hold the arm's own weight here"]
+    multiple, joint = figures["greatest_multiple"], figures["tightest_joint"]
+    out.append(
+        f"at most {multiple:.4g} times what is wanted"
+        + (
+            ""
+            if multiple >= 1
+            else f": it CANNOT be exerted, joint {joint} falls short by "
+            f"{-figures['margin'][joint - 1]:.3f} {units[joint - 1]}"
+        )
+    )
+    for name, words in (
+        ("strongest", "the strongest direction of a force"),
+        ("weakest", "in every direction at least, the weakest"),
+    ):
+        d = figures[name]
+        out.append(f"{words}: {d['force']:.4g} N along ({', '.join(f'{part:+.3f}' for part in d['direction'])})")
+    return out

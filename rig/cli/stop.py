@@ -14,9 +14,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Stop the struts, and whatever process moves them; its run can be resumed."""
-    from rig.cli.shared.controller_session import design_with_controller, open_driver, print_status
+    from rig.cli.shared.controller_status import print_status
     from rig.driving.clock import SystemClock
     from rig.driving.controller_lock import stop_lock_holder
+    from rig.driving.driver_session import design_with_controller, open_driver
 
     design = design_with_controller(arguments.design, arguments.port)
     other = stop_lock_holder(design.driver().port, SystemClock(), PATIENCE, design.driver().usb)

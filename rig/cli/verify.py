@@ -11,14 +11,13 @@ from rig.cli.shared import calibration_and_effect_files
 from rig.cli.shared.command_options import (
     add_json_option,
     add_page_option,
-    add_recording_argument,
     page_links,
     page_path,
     print_frames_without_pose,
     print_held_out_errors,
     print_json,
-    read_recording,
 )
+from rig.cli.shared.recording_options import add_recording_argument, read_recording
 from rig.cli.shared.terminal_output import Progress
 from rig.report.verdict import exit_status
 
@@ -47,9 +46,7 @@ def run(arguments: Namespace) -> int:
 
     progress = Progress()
     progress("reading the recording", 0, 1)
-    calibration = calibration_and_effect_files.load_calibration(
-        arguments.calibration, calibration_and_effect_files.load_effect_files(arguments)
-    )
+    calibration = calibration_and_effect_files.calibration_of_arguments(arguments)
     wanted = load_poses(arguments.wanted, are_commands=True) if arguments.wanted else None
     recording, page = read_recording(arguments), page_path(arguments)
     refuted = refutations_of_file(arguments.calibration)

@@ -5,13 +5,8 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared.command_options import (
-    add_overwrite_option,
-    add_recording_argument,
-    file_or_stdout,
-    page_links,
-    read_recording,
-)
+from rig.cli.shared.command_options import add_overwrite_option, file_or_stdout, page_links
+from rig.cli.shared.recording_options import add_recording_argument, read_recording
 from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number

@@ -14,9 +14,9 @@ from types import SimpleNamespace
 import numpy as np
 
 from calib.online.run_learning import Learner
-from rig.cli.shared.run_observation import RunObserver, Stopping
-from rig.cli.shared.run_page import RunPage
-from rig.cli.shared.run_preparation import save_image, warm_up
+from calib.online.run_observation import RunObserver, Stopping
+from calib.online.run_page import RunPage
+from calib.online.run_preparation import warm_up
 from rig.driving.cameras.camera_interface_and_clock import Frame
 from rig.driving.cameras.grab_and_settling import Shutter, parse_settling
 from rig.driving.clock import SystemClock
@@ -32,6 +32,7 @@ from synthetic import recording_simulation, secret_machine
 from synthetic.image_simulation import Images
 from vision.reading.live_measurement import TAUGHT, Live
 from vision.reading.recording_corners import read_image
+from vision.reading.run_images import save_image
 
 FRAMES = 20
 TIME = 1.0  # s that moving and settling take here, so that frames do not wait for each other

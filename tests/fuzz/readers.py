@@ -1,7 +1,5 @@
 """Every reader of outside data, with inputs that it takes: what the fuzzers begin from."""
 
-import contextlib
-import io
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +13,6 @@ from calib.certification.held_out_errors import Figures, HeldOut
 from calib.correction.correction import Correction
 from calib.files import calibration_file
 from calib.online.information_filter import Online
-from rig.cli import blind
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.texts.effect_notation import (
     effect_from_dict,
@@ -36,6 +33,7 @@ from rig.recording.exposures_and_images import load_exposures
 from rig.recording.image_file_check import image_file_problem
 from rig.recording.recording_tables import COVARIANCE_COLUMNS, load_corners, load_poses
 from synthetic import diagnosis_score, recording_simulation, secret_machine
+from synthetic.blind_campaign import Campaign, case_numbers
 from tests.fuzz.laws import laws
 from vision.lenses import calibration_board
 
@@ -142,8 +140,7 @@ def _json(folder, design, done):
 
     def record(path):
         (folder / "diagnoses" / "0001.json").write_bytes(path.read_bytes())
-        with contextlib.redirect_stderr(io.StringIO()):
-            return blind._record(folder, 1)
+        return Campaign(folder, lambda text: None).record(1)
 
     return [
         Reader("calibration.json", seed("calibration.json"), calibration_file.load),
@@ -201,7 +198,7 @@ def _texts(design):
             (b"charuco:8x6:0.03:0.022:DICT_5X5_100", b"aruco:8x6:0.03:0.01:DICT_5X5_100"),
             of(calibration_board.parse_board),
         ),
-        Reader("trials", (b"3,7-9", b"1"), of(lambda text: blind._indices(text, 100))),
+        Reader("trials", (b"3,7-9", b"1"), of(lambda text: case_numbers(text, 100))),
     ]
 
 

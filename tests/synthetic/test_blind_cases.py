@@ -133,7 +133,7 @@ def test_the_truth_is_closed_to_a_diagnosis(tmp_path):
             "else p.read_text())"
         )
         code = (
-            "from rig.cli.shared.child_processes import forbid_own_reading_of_folder as forbid; "
+            "from rig.cli.shared.blind_case_process import forbid_own_reading_of_folder as forbid; "
             f"forbid({str(tmp_path / 'truth')!r}); {look}"
         )
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

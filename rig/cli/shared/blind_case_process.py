@@ -7,13 +7,14 @@ outlive the process PARENT.
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rig.compute.worker_processes import end_when_parent_ends
 from rig.formats.json_tree import Json
@@ -22,14 +23,34 @@ if TYPE_CHECKING:
     from rig.arrays import Floats
 
 
-def hash_file(out: Path, index: int) -> Path:
-    """Where the hash of a case's truth stands in a campaign's folder."""
-    return out / "hashes" / f"{index:04d}.sha256"
+WATCHED = (
+    "open",
+    "os.listdir",
+    "os.scandir",
+    "os.rename",
+    "os.link",
+    "os.symlink",
+    "shutil.copyfile",
+)  # events whose first argument is a path
+
+
+def forbid_own_reading_of_folder(folder: str | Path) -> None:
+    """Forbid this process to read a folder: PermissionError from now on (PEP 578; irrevocable)."""
+    closed = os.path.realpath(folder)
+
+    def watch(event: str, given: tuple[Any, ...]) -> None:
+        if event in WATCHED and given and isinstance(given[0], (str, bytes, os.PathLike)):
+            path = os.path.realpath(os.fsdecode(given[0]))
+            if path == closed or path.startswith(closed + os.sep):
+                raise PermissionError(f"{path} is withheld from this process")
+
+    sys.addaudithook(watch)
 
 
 def draw_blind_case(out: Path, index: int, settings: Json) -> None:
     """Draw a case and write its recording, its truth, and last the truth's hash: from then on the case is blinded."""
     from rig.formats.output_files import Outputs, write_text
+    from synthetic.blind_campaign import hash_file
 
     out = Path(out)
     folder, truth = out / "recordings" / f"{index:04d}", out / "truth" / f"{index:04d}.json"
@@ -81,7 +102,6 @@ def _drawn_arm_case(index: int, settings: Json, folder: Path) -> tuple[Callable[
 def run_command_without(folder: str, words: Sequence[str]) -> int:
     """Exit status of a command of `rig` to which a folder is closed."""
     from rig.cli.command_line import main
-    from rig.cli.shared.child_processes import forbid_own_reading_of_folder
 
     forbid_own_reading_of_folder(folder)
     return main(list(words))

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from calib.certification.calibration import Calibration
     from rig.effects.texts.effect_notation import Kinds
     from rig.effects.texts.user_effect_files import Plugin
+    from rig.report.refutations import Refutation
 
 
 def add_effects_option(parser: ArgumentParser) -> None:
@@ -65,8 +66,9 @@ def load_calibration(path: Path, effect_files: tuple[Plugin, ...]) -> Calibratio
     return found
 
 
-if TYPE_CHECKING:
-    from rig.report.refutations import Refutation
+def calibration_of_arguments(arguments: Namespace) -> Calibration:
+    """Calibration that the argument CALIBRATION names, with the effects of --effects. Raises as `load_calibration`"""
+    return load_calibration(arguments.calibration, load_effect_files(arguments))
 
 
 def read_refutations(path: Path) -> tuple[Refutation, ...]:
@@ -102,9 +104,3 @@ def write_refutation(arguments: Namespace, path: Path, recording: str, finding: 
     print(
         f"{path} is marked as {'refuted' if state == State.BAD else 'doubted'} in {path.parent / NAME}", file=sys.stderr
     )
-
-
-def neighbouring_json_files(*places: Path) -> list[Path]:
-    """Neighbouring JSON files: those in the folders of the given paths, each once."""
-    folders = {place.resolve().parent for place in places}
-    return sorted(path for folder in folders if folder.is_dir() for path in folder.glob("*.json"))

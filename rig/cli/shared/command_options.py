@@ -1,88 +1,22 @@
-"""Command options that many commands share (recording, page, JSON, port), and results printed in mm and mrad."""
+"""Command options that many commands share (page, JSON, port), and results printed in mm and mrad."""
 
 from __future__ import annotations
 
 import re
-import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.terminal_output import Progress
 from rig.errors import MissingLibrary, RigError
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.formats.output_files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
     from calib.certification.held_out_errors import HeldOut
-    from rig.recording.recording_folder import Recording
     from rig.report.pages.page_and_svg_templates import Link
     from vision.recording_adjustment import Measurement
 
-__all__ = [
-    "SEED",
-    "Progress",
-    "add_controller_arguments",
-    "add_overwrite_option",
-    "add_json_option",
-    "add_page_option",
-    "add_port_options",
-    "add_recording_argument",
-    "add_recordings_argument",
-    "add_json_result_option",
-    "file_or_stdout",
-    "parse_length",
-    "page_links",
-    "missing_matplotlib_reason",
-    "parse_numbers",
-    "page_path",
-    "print_held_out_errors",
-    "print_json",
-    "print_frames_without_pose",
-    "read_recording",
-    "require_matplotlib",
-]
-
 SEED = 0  # of the bootstrap; results are the same from run to run
-
-
-def add_recording_argument(parser: ArgumentParser, text: str | None = None) -> None:
-    """Add the recording argument REC, and the options that leave out frames or images. text : help, or None."""
-    parser.add_argument("recording", metavar="REC", type=Path, help=text)
-    _add_left_out(parser)
-
-
-def add_recordings_argument(parser: ArgumentParser) -> None:
-    """Add the arguments REC.., several recordings of one rig: `recording` is the first, `further` the others."""
-    parser.add_argument("recording", metavar="REC", type=Path)
-    parser.add_argument(
-        "further",
-        metavar="REC",
-        type=Path,
-        nargs="*",
-        help="more recordings of the same rig, in the order in which they were "
-        "taken: days apart, with other payloads, cameras moved between them or not",
-    )
-    _add_left_out(parser)
-
-
-def _add_left_out(parser: ArgumentParser) -> None:
-    parser.add_argument(
-        "--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used"
-    )
-    parser.add_argument(
-        "--mask", metavar="FRAMES", help="leave these frames out, for example 3,7-9: what you know to be spoilt"
-    )
-
-
-def read_recording(arguments: Namespace, path: Path | None = None) -> Recording:
-    """Read a recording, by default that of the arguments; omitted images are named on standard error."""
-    import rig
-
-    found = rig.load(path or arguments.recording, arguments.skip_unreadable, arguments.mask)
-    for image in found.skipped:
-        print(f"left out, as asked: {image.path}: {image.problem}", file=sys.stderr)
-    return found
 
 
 def file_or_stdout(text: str) -> Path:
@@ -180,6 +114,31 @@ def add_port_options(parser: ArgumentParser) -> None:
         "--port", help="where the controller is, instead of what [controller] says: a device, socket://.., rfc2217://.."
     )
     parser.add_argument("--trace", metavar="FILE", type=Path, help="write every byte there, with its time")
+
+
+def add_speed_option(parser: ArgumentParser, usual: float) -> None:
+    """Add the option --speed, a share of the struts' greatest speed."""
+    parser.add_argument(
+        "--speed",
+        type=parse_number,
+        default=usual,
+        metavar="SHARE",
+        help=f"of the struts' greatest speed (default {usual:g})",
+    )
+
+
+def add_trust_option(parser: ArgumentParser) -> None:
+    """Add the option --trust."""
+    parser.add_argument(
+        "--trust", action="store_true", help="believe the position that the controller reads, though it was not homed"
+    )
+
+
+def require_share(speed: float) -> float:
+    """Require a share of the greatest speed. Raises RigError for anything else"""
+    if not 0 < speed <= 1:
+        raise RigError(f"--speed takes a share above 0 and up to 1, got {speed:g}")
+    return speed
 
 
 def print_held_out_errors(held_out: HeldOut, title: str) -> None:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from calib.api.learn import LearningResult
 from calib.api.measure_limbs import LimbMeasurement
 from rig.cli.shared.command_options import print_frames_without_pose
 from rig.model.pose import pose_to_vector, rms_uncertainty
@@ -40,6 +41,12 @@ def print_limb_poses(found: LimbMeasurement) -> None:
         f"{rms_uncertainty(found.poses.own)[0] * 1e3:.4f} mm, the limbs' geometry the rest; it agreed with vision "
         f"over {found.accepted.agreement.n} poses"
     )
+
+
+def print_learning(result: LearningResult, verdict_first: bool = True) -> None:
+    """Print what poses taught. verdict_first : whether the verdict leads"""
+    print("\n".join([*([result.verdict.line] if verdict_first else []), *result.found.lines]))
+    print_frames_without_pose(result.sampled.measurement)
 
 
 def _print_figures(result: MeasurementResult) -> None:

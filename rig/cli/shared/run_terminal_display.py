@@ -1,11 +1,14 @@
 """Terminal display of a run: a block redrawn in place, or in a pipe a line for each change."""
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, TextIO
 
 import numpy as np
 
-from rig.cli.shared.run_observation import MeasuredFrame, View
+from calib.online.run_observation import Display, MeasuredFrame, RunObserver, View
+from calib.online.run_page import RunPage
 from rig.cli.shared.terminal_output import unescaped_stream
 from rig.formats.output_files.atomic_file import escape_unprintable
 from rig.model.pose import pose_to_vector
@@ -112,3 +115,14 @@ def _minutes_and_seconds(seconds: float) -> str:
 def terminal_display() -> Lines | Block:
     """Display for the terminal: a block redrawn in place, or plain lines where standard output is a pipe."""
     return Block() if sys.stdout.isatty() else Lines()
+
+
+@contextmanager
+def run_displays(port: int | None, observer: RunObserver) -> Iterator[list[Display]]:
+    """Displays of a run: terminal, and the page where a port is given, served while the context lasts."""
+    if port is None:
+        yield [terminal_display()]
+        return
+    with RunPage(observer, port) as page:
+        print(f"the run's page, for this computer alone: {page.url}", flush=True)
+        yield [terminal_display(), page]

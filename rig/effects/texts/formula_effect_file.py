@@ -12,6 +12,8 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.formula_quantities import POSE, Quantity, quantity_by_name
 from rig.effects.framework.place import AXES
 from rig.effects.texts.user_effect_files import effects_of_source
+from rig.errors import RigError
+from rig.formats import structured_files
 from rig.formats.checked_entries import Entries
 
 WIDTH = 145  # characters of a line
@@ -276,3 +278,25 @@ def _number(value: float) -> str:
 EXAMPLE = Written(
     "strut", (Term((), ("travel of strut 2", 90.0), None, (2e-5, 0.0), 1.0, 1.5),)
 )  # a strut that follows another one's travel
+
+
+def load_suggestion(folder: Path, place: str | None) -> tuple[str, Written]:
+    """(place, Written) that a diagnosis in a folder suggests. Raises RigError where it suggests nothing there, or
+    several things anywhere.
+    """
+    table = structured_files.load_json(folder / "diagnosis.json", "diagnosis", "diagnosis/1")
+    found = {
+        entry.text("place"): entry for entry in (table.tables("suggestions") if "suggestions" in table.tree else ())
+    }
+    if not found:
+        raise RigError(
+            f"{folder} suggests no formula: where something has no name, a formula for it is in the "
+            "diagnosis' page and under "
+            "'suggestions' in diagnosis.json"
+        )
+    if place is None and len(found) > 1:
+        raise RigError(f"{folder} suggests formulas at {', '.join(found)}: say with --place which")
+    if place is not None and place not in found:
+        raise RigError(f"{folder} suggests nothing at {place!r}; it does at {', '.join(found)}")
+    place = place or next(iter(found))
+    return place, Written.read(found[place].table("model"))

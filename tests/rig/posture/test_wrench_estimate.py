@@ -11,7 +11,6 @@ from scipy.optimize import linprog
 from scipy.stats import chi2
 
 from rig.cli import command_line
-from rig.cli.wrench import SETTLED
 from rig.errors import FileError, RigError
 from rig.formats import csv_table
 from rig.formats.rig_toml import arm_dynamics_entries
@@ -21,6 +20,7 @@ from rig.model.mechanisms import arm_dynamics as dynamics
 from rig.model.pose import pose_difference
 from rig.posture import exertable_wrench, momentum_observer, null_space_search, posture_transition
 from rig.posture.exertable_wrench import Exertion, Strength
+from rig.posture.external_wrench import SETTLED
 from rig.posture.force_transmission import DIRECTIONS, TransmissionObjective
 from tests.numeric import jacobian
 from tests.rig.arms import UR10, configurations

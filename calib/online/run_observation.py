@@ -12,10 +12,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.measuring_limb_checks import has_six_measuring_limbs
+from calib.online.change_detection import change_sentence
 from calib.online.measuring_limb_poses import Disagreement, LiveLimbPoses
 from calib.online.run_learning import Learner, Learnt, LimbWatch
 from rig.arrays import Floats
-from rig.cli.online import change_sentence
 from rig.driving.clock import Clock
 from rig.driving.move_and_record_loop import Shot
 from rig.driving.run_journal import Departure, Ended, Exposed, Readings, Remark, Resumed, Row

@@ -1,11 +1,10 @@
-"""Controller session of commands that move struts: open the driver, wait until settled, print the status."""
+"""Driver of a design for as long as a session lasts: opened, locked against other processes, settled."""
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from rig.arrays import Floats
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_lock import Occupied
 from rig.driving.driver_reports_and_advice import Status
@@ -64,33 +63,3 @@ def settled_status(driver: Driver, clock: Clock, timeout: float = 60.0, poll_int
     if moved and status.known and status.activity == "idle" and not status.fault:
         driver.trust()  # it counted all the way, and nobody else commands it
     return status
-
-
-def lengths_text(lengths: Floats) -> str:
-    """Lengths (n,) m as text, in mm."""
-    return " ".join(f"{value * 1e3:.4f}" for value in lengths) + " mm"
-
-
-def print_status(status: Status, design: Design) -> None:
-    """Print a Status, with the pose that its lengths give by the nominal model."""
-    from rig.driving.driver_reports_and_advice import operator_advice
-    from rig.errors import NotConverged
-    from rig.model import mechanisms
-    from rig.model.pose import pose_to_vector
-
-    homing = design.driver().homing
-    fault = f" ({status.fault})" if status.fault not in ("", status.activity) else ""
-    print(f"{status.activity}{fault}{operator_advice(status.activity, homing)}")
-    if not status.known:
-        print("position not known: " + ("home it" if homing else "see that it is true, then say --trust"))
-    print(f"lengths {lengths_text(status.lengths)}")
-    if design.mechanism.plates is not None and status.known:
-        try:
-            v = pose_to_vector(mechanisms.kinematics_of(design.mechanism).forward(status.lengths, design.mechanism))
-        except NotConverged:
-            print("these lengths close on no pose of the owner's model")
-            return
-        print(
-            f"pose by the owner's model {' '.join(f'{x * 1e3:.4f}' for x in v[:3])} mm, "
-            f"{' '.join(f'{x * 1e3:.4f}' for x in v[3:])} mrad"
-        )

@@ -40,7 +40,7 @@ def installation_inventory() -> list[InventoryItem]:
     """Inventory of the installation, versions first."""
     system = f"Python {platform.python_version()} on {platform.system()} {platform.release()}, {platform.machine()}"
     return [
-        InventoryItem("rig", "ok", f"{metadata.version('rig')}, {Path(__file__).parents[3]}"),
+        InventoryItem("rig", "ok", f"{metadata.version('rig')}, {Path(__file__).parents[2]}"),
         InventoryItem("system", "ok", system),
         *installed_packages(),
         check_graphics(),

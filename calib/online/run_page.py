@@ -7,9 +7,9 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.online.run_observation import MeasuredFrame, RunObserver, View
 from calib.report.pose_figures import closed_outline, fixed_rig_lines
 from rig.arrays import Floats, Integers
-from rig.cli.shared.run_observation import MeasuredFrame, RunObserver, View
 from rig.formats.json_tree import Json
 from rig.model.design import Camera, Design
 from rig.model.mechanism_kinds import has_plates
@@ -51,7 +51,7 @@ LATEST = 400  # frames whose figures are shown
 
 
 class RunPage:
-    """Serves the view of a Looking. As a context it is open; see rig.cli.shared.run_observation.Display."""
+    """Serves the view of a Looking. As a context it is open; see calib.online.run_observation.Display."""
 
     def __init__(self, looking: RunObserver, port: int) -> None:
         self._design = looking.design

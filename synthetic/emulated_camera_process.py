@@ -1,41 +1,22 @@
-"""Child processes of commands: one without access to a folder (blind cases), one that draws emulated cameras."""
-
-from __future__ import annotations
+"""Process that draws what emulated cameras see, beside an emulated controller."""
 
 import multiprocessing
-import os
-import sys
+import signal
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from rig.driving.cameras.camera_opening import USUAL
+from rig.driving.clock import SystemClock
+from rig.driving.emulators.emulator_opening import home_lengths
 from rig.errors import RigError
-
-WATCHED = (
-    "open",
-    "os.listdir",
-    "os.scandir",
-    "os.rename",
-    "os.link",
-    "os.symlink",
-    "shutil.copyfile",
-)  # events whose first argument is a path
-
-
-def forbid_own_reading_of_folder(folder: str | Path) -> None:
-    """Forbid this process to read a folder: PermissionError from now on (PEP 578; irrevocable)."""
-    closed = os.path.realpath(folder)
-
-    def watch(event: str, given: tuple[Any, ...]) -> None:
-        if event in WATCHED and given and isinstance(given[0], (str, bytes, os.PathLike)):
-            path = os.path.realpath(os.fsdecode(given[0]))
-            if path == closed or path.startswith(closed + os.sep):
-                raise PermissionError(f"{path} is withheld from this process")
-
-    sys.addaudithook(watch)
-
-
-if TYPE_CHECKING:
-    from multiprocessing.connection import Connection
+from rig.formats.rig_toml import design_file
+from rig.model.mechanism_kinds import require_struts
+from synthetic import secret_machine
+from synthetic.emulated_cameras import CameraServer, EmulatedCameras, HistoryFromFile
+from synthetic.image_simulation import Images, check_drawable
+from synthetic.renderer import import_pyrender
 
 START_TIMEOUT = 300.0  # s for the process to be ready; compiling and OpenGL take some
 
@@ -79,20 +60,6 @@ def _serve_emulated_cameras(
     design: str, truth: str | None, history: str, address: tuple[str, int], seed: int, pipe: Connection
 ) -> None:
     """The process: says (True, name) or (False, why) through the pipe, then draws until it is ended."""
-    import signal
-
-    import numpy as np
-
-    from rig.driving.cameras.camera_opening import USUAL
-    from rig.driving.clock import SystemClock
-    from rig.driving.emulators.emulator_opening import home_lengths
-    from rig.formats.rig_toml import design_file
-    from rig.model.mechanism_kinds import require_struts
-    from synthetic import secret_machine
-    from synthetic.emulated_cameras import CameraServer, EmulatedCameras, HistoryFromFile
-    from synthetic.image_simulation import Images, check_drawable
-    from synthetic.renderer import import_pyrender
-
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who interrupts the emulator ends this with it
     try:
         stated = design_file.load_design(design)

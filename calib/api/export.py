@@ -1,0 +1,206 @@
+"""A calibrated geometry, its corrections, a design's lenses or a recording, in the formats of other programs."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calib.correction.correction_tables import axis_correction_tables, grid_correction_table
+from calib.files import calibration_file
+from rig.errors import RigError
+from rig.formats.exporters import geometry_and_camera_files, recording_as_rerun_tum_parquet, urdf_and_sdf
+from rig.formats.output_files import write_bytes, write_text
+from rig.formats.rig_toml import design_file
+from rig.model import mechanisms
+from rig.model.mechanism_geometry import Arm, Hexapod
+from rig.model.mechanism_kinds import Mechanism, require_arm, require_hexapod
+from rig.recording.recording_folder import load_recording
+
+TABLES = ("linuxcnc-comp", "grid")  # of corrections, not of the geometry
+CAMERAS = ("camera-info", "opencv")  # of a rig.toml, a file each
+RECORDINGS = ("tum", "parquet")
+GEOMETRIES = {
+    "genhexkins": ("hexapod",),
+    "urdf": ("hexapod", "arm"),
+    "sdf": ("hexapod",),
+    "json": ("hexapod", "arm"),
+    "csv": ("hexapod", "arm"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ExportOptions:
+    """units : "mm" or "m", machine units of genhexkins and linuxcnc-comp; coupling : of genhexkins, the share of the
+    cardans' twist that turns the screws; lead : of the screws, m per revolution, None for what a rig.toml states; parts
+    : of linuxcnc-comp and grid, parts of each actuator's interval, None for 64, and 3
+    """
+
+    units: str = "mm"
+    coupling: float = 0.0
+    lead: float | None = None
+    parts: int | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExportResult:
+    """Files for another program. files : text or bytes by name, "" where there is one alone; summary : of what they
+    hold, "" where there is nothing to say; left_out : what of a calibration they do not hold, in words
+    """
+
+    files: Mapping[str, str | bytes]
+    summary: str = ""
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def text(self) -> str | None:
+        """The text of the one file, None where there are several."""
+        found = self.files.get("")
+        return found if isinstance(found, str) else None
+
+    def __str__(self) -> str:
+        return self.summary or ", ".join(filter(None, self.files)) or "exported"
+
+    def write(self, place: Path) -> None:
+        """Write the one file there, or the files into that folder."""
+        for name, data in self.files.items():
+            path = place / name if name else place
+            write_text(path, data) if isinstance(data, str) else write_bytes(path, data)
+
+
+def export(machine: Path, kind: str, options: ExportOptions = ExportOptions()) -> ExportResult:
+    """ExportResult of a calibration.json, a rig.toml or (tum, parquet) a recording, as `rig export` makes it.
+
+    kind : one of TABLES, CAMERAS, RECORDINGS and GEOMETRIES
+    Raises RigError for a machine that this format cannot state, and for options out of range
+    """
+    if kind in TABLES:
+        return _correction_tables(machine, kind, options)
+    if kind in CAMERAS:
+        return _cameras(machine, kind)
+    if kind in RECORDINGS:
+        return _recording(machine, kind)
+    return _geometry(machine, kind, options)
+
+
+def _geometry(path: Path, kind: str, options: ExportOptions) -> ExportResult:
+    """The geometry of a calibration.json or a rig.toml."""
+    mechanism, left_out, lead = _machine(path)
+    lead = lead if options.lead is None else options.lead
+    _require_plausible_coupling(path, options.coupling, lead)
+    kinds = GEOMETRIES[kind]
+    if mechanism.kind not in kinds:
+        raise RigError(
+            f"{kind} takes a mechanism of kind {' or '.join(kinds)}; {path} has one of kind {mechanism.kind!r}"
+        )
+    text = {
+        "genhexkins": lambda: geometry_and_camera_files.genhexkins_settings(
+            require_hexapod(mechanism), options.units, lead, options.coupling
+        ),
+        "urdf": lambda: (
+            urdf_and_sdf.arm_urdf(require_arm(mechanism), path.stem)
+            if mechanism.link_rows is not None
+            else urdf_and_sdf.hexapod_urdf(require_hexapod(mechanism), path.stem)
+        ),
+        "sdf": lambda: urdf_and_sdf.hexapod_sdf(require_hexapod(mechanism), path.stem),
+        "json": lambda: geometry_and_camera_files.geometry_json(_exported(mechanism)),
+        "csv": lambda: geometry_and_camera_files.geometry_csv(_exported(mechanism)),
+    }[kind]()
+    return ExportResult({"": text}, left_out=tuple(left_out))
+
+
+def _require_plausible_coupling(path: Path, coupling: float, lead: float | None) -> None:
+    """Raise RigError for a coupling without the screws' lead (m), and for either out of range."""
+    if coupling and lead is None:
+        raise RigError(
+            f"--coupling takes the screws' lead, m per revolution: give --lead, since {path} "
+            "does not state it"
+            + (" ([actuator] screw_lead)" if path.suffix == ".toml" else " (a rig.toml may, as [actuator] screw_lead)")
+        )
+    if not -10 <= coupling <= 10 or (lead is not None and not 0 < lead <= 1):
+        raise RigError(
+            "--coupling is a share between -10 and 10 and --lead is in metres, above 0 and at most 1, not "
+            f"{coupling:g} and {lead:g}"
+            if lead is not None
+            else f"--coupling is a share between -10 and 10, not {coupling:g}"
+        )
+
+
+def _correction_tables(path: Path, kind: str, options: ExportOptions) -> ExportResult:
+    """Corrections as tables, and what they leave out."""
+    correction = calibration_file.load(path).correction
+    mechanism = correction.nominal
+    if mechanism.link_rows is not None:
+        raise RigError(f"{kind} takes a hexapod's calibration; an arm's is corrected by `rig correct`")
+    parts = options.parts if options.parts is not None else 3 if kind == "grid" else 64
+    most = 9 if kind == "grid" else geometry_and_camera_files.MOST - 1
+    if not 1 <= parts <= most:
+        raise RigError(f"--parts is 1 to {most} for {kind}, not {parts}")
+    if kind == "grid":
+        text = geometry_and_camera_files.correction_grid_csv(
+            *grid_correction_table(correction, parts), mechanism.axes, mechanisms.kinematics_of(mechanism).UNIT
+        )
+        rows = (parts + 1) ** len(mechanism.axes)
+        return ExportResult({"": text}, f"{rows} rows; command = x + k, x as the owner's model has it")
+    found = axis_correction_tables(correction, parts + 1)
+    files = {
+        f"joint_{i}.comp": geometry_and_camera_files.linuxcnc_compensation_file(
+            levels + correction.fitted.strut_zeros[i], trims, options.units
+        )
+        for i, (levels, trims) in enumerate(zip(found.levels, found.trims))
+    }
+    return ExportResult(
+        files,
+        f"COMP_FILE_TYPE = 0, units {options.units}, on top of genhexkins with the calibration's geometry; "
+        f"a table for each joint alone leaves {np.sqrt((found.left**2).mean()) * 1e6:.3f} um RMS of the correction",
+    )
+
+
+def _cameras(path: Path, kind: str) -> ExportResult:
+    """The lenses of a rig.toml, a file for each camera."""
+    found = design_file.load_design(path).cameras
+    if not found:
+        raise RigError(f"{path} has no cameras")
+    written = (
+        geometry_and_camera_files.ros_camera_info
+        if kind == "camera-info"
+        else geometry_and_camera_files.opencv_camera_yaml
+    )
+    return ExportResult({f"{camera.name}.yaml": written(camera) for camera in found})
+
+
+def _recording(path: Path, kind: str) -> ExportResult:
+    """The poses or the tables of a recording."""
+    found = load_recording(path)
+    if kind == "tum":
+        text = recording_as_rerun_tum_parquet.tum_trajectory(found)
+        return ExportResult({"": text}, f"{len(text.splitlines()) - 1} poses")
+    tables = recording_as_rerun_tum_parquet.parquet_tables(path)
+    return ExportResult({f"{name}.parquet": data for name, data in tables.items()})
+
+
+def _machine(path: Path) -> tuple[Mechanism, list[str], float | None]:
+    """(mechanism, what corrects beyond it, in lines, the screws' lead in m or None) of a calibration.json or a
+    rig.toml.
+    """
+    if path.suffix == ".toml":
+        design = design_file.load_design(path)
+        return design.mechanism, [], design.actuator.screw_lead
+
+    calibration = calibration_file.load(path)
+    correction, left_out = calibration.correction, []
+    if calibration.physics is not None and calibration.physics.compensable_effects():
+        names = ", ".join(f"{e.label()} at {e.place}" for e in calibration.physics.compensable_effects())
+        left_out.append(f"the calibration undoes {names} beside the geometry, which no export holds")
+    if correction.posed:
+        left_out.append(f"maps in pose space ({len(correction.posed)}) are in no export")
+    every = correction.extension is not None
+    axes = [str(i + 1) for i, part in enumerate(correction.remainder) if part is not None or every]
+    if axes:
+        left_out.append(f"the calibration corrects axes {', '.join(axes)} beyond the geometry, which no geometry holds")
+    return correction.fitted, left_out, None
+
+
+def _exported(mechanism: Mechanism) -> Hexapod | Arm:
+    """The mechanism, which has a geometry that can be written."""
+    return require_arm(mechanism) if mechanism.link_rows is not None else require_hexapod(mechanism)

@@ -1,0 +1,172 @@
+"""Kinematics of an arm as its owner believes it or as calibrated: poses of joint values, all joint values of poses."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.files import calibration_file
+from calib.models.arm.correction import ArmCorrection
+from rig.arrays import Floats, Integers
+from rig.errors import RigError
+from rig.formats.json_tree import Json
+from rig.model import mechanisms
+from rig.model.mechanism_geometry import Arm
+from rig.model.mechanism_kinds import require_arm
+from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_kinematics_steps, numerical_arm_inverse, six_joint_inverse
+from rig.model.mechanisms.arm_kinematics_steps import Step
+from rig.model.mechanisms.six_joint_inverse import SixR
+from rig.model.pose import pose_to_vector
+from rig.planning.layout import shipped_arm_layout
+
+SINGULAR = 1e-6  # least over greatest singular value of the Jacobian, below which a configuration is called singular
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmKinematics:
+    """arm : as its owner believes it; correction : of its calibration, or None; left_out : what of the calibration this
+    leaves out, a sentence, or None
+    """
+
+    arm: Arm
+    correction: ArmCorrection | None = None
+    left_out: str | None = None
+
+    def forward(self, frames: Integers, q: Floats, steps: bool = False) -> Json:
+        """Poses that joint values q (n, joints) rad or m give, as `rig kinematics --forward --json` prints them.
+
+        frames : (n,) their numbers; steps : whether points and vectors after each joint are given
+        """
+        arm, correction = self.arm, self.correction
+        T = mechanism.forward(q, arm)
+        beyond = mechanism.limits(q, arm)
+        out = []
+        for i, frame in enumerate(frames.tolist()):
+            entry: Json = {
+                "frame": frame,
+                "q": q[i].tolist(),
+                "pose": pose_to_vector(T[i]).tolist(),
+                "near_singular": _near_singular(q[i], arm),
+                "beyond_limits": [p for p, b in zip(mechanisms.axis_places(arm), beyond[i]) if b],
+            }
+            if correction is not None:
+                entry["corrected"] = pose_to_vector(correction.predict(q[i])).tolist()
+            out.append(entry | ({"steps": _steps(arm_kinematics_steps.forward_steps(q[i], arm))} if steps else {}))
+        return {"schema": "kinematics/1", "units": list(mechanisms.axis_units(arm)), "frames": out}
+
+    def inverse(self, frames: Integers, T_base_platform: RigidTransform, steps: bool = False) -> Json:
+        """All joint values of poses (n,), as `rig kinematics --inverse --json` prints them; all else as of forward."""
+        arm, correction = self.arm, self.correction
+        form, why_none = None, ""
+        try:
+            form = six_joint_inverse.six_joint_arm(arm)
+        except RigError as error:
+            why_none = str(error)
+        out = []
+        for i, frame in enumerate(frames.tolist()):
+            state, entries = (
+                _numeric(T_base_platform[i], arm, steps) if form is None else _closed(T_base_platform[i], form, steps)
+            )
+            for entry in entries:
+                entry["beyond_limits"] = _beyond(entry["q"], arm)
+                if correction is not None:
+                    entry["corrected"] = _finished(T_base_platform[[i]], entry["q"], correction)
+            out.append({"frame": frame, "state": state, "solutions": entries})
+        return {
+            "schema": "kinematics/1",
+            "units": list(mechanisms.axis_units(arm)),
+            "form": form.kind if form is not None else f"numeric: {why_none}",
+            "frames": out,
+        }
+
+
+def load_arm_kinematics(text: str) -> ArmKinematics:
+    """ArmKinematics of a rig.toml, of a calibration.json or of a shipped arm's name. Raises RigError for other kinds"""
+    if Path(text).suffix != ".json":
+        return ArmKinematics(require_arm(shipped_arm_layout.load_shipped_arm(text).mechanism))
+    calibration = calibration_file.load(text)
+    correction, left_out = calibration.correction, None
+    if calibration.physics is not None and calibration.physics.compensable_effects():
+        names = ", ".join(f"{e.label()} at {e.place}" for e in calibration.physics.compensable_effects())
+        left_out = (
+            f"{text} undoes {names} besides, by what went before a pose: that is not in what follows; rig "
+            "correct does it"
+        )
+    if not isinstance(correction, ArmCorrection):
+        raise RigError(f"{text} is the calibration of a {correction.nominal.kind}; this takes an arm's")
+    return ArmKinematics(correction.nominal, correction, left_out)
+
+
+def _near_singular(q: Floats, arm: Arm) -> float:
+    """Least over greatest singular value of the Jacobian, 0 where singular; over as many directions as the joints can
+    lead in at all.
+    """
+    values = np.linalg.svd(mechanism.jacobian(q, arm), compute_uv=False)
+    return float(values[sum(numerical_arm_inverse.reachable_direction_counts(arm)) - 1] / values[0])
+
+
+def _closed(T: RigidTransform, form: SixR, steps: bool) -> tuple[str, list[Json]]:
+    """(state of a pose in words, its branches), in closed form."""
+    found = six_joint_inverse.inverse(T, form)
+    return found.why(0), [
+        {
+            "q": q.tolist(),
+            "singular": _singular(flags),
+            **({"steps": _steps(arm_kinematics_steps.inverse_steps(T, form, q))} if steps else {}),
+        }
+        for q, flags in zip(found.q[found.there], found.singular[found.there].tolist())
+    ]
+
+
+def _numeric(T: RigidTransform, arm: Arm, steps: bool) -> tuple[str, list[Json]]:
+    """(state of a pose in words, the solutions that many starts lead to, named as found so); rest : what few joints
+    leave of it.
+    """
+    found = numerical_arm_inverse.inverse_solutions(T, arm)
+    if not len(found.q):
+        return f"out of reach: the arm comes no nearer than {found.missed[0]:.3g} m and {found.missed[1]:.3g} rad", []
+    entries = [
+        {
+            "q": q.tolist(),
+            "singular": "singular" if _near_singular(q, arm) < SINGULAR else "",
+            "rest": rest.tolist(),
+            "found": "numerically",
+            **({"steps": _steps(arm_kinematics_steps.inverse_steps_of_numerical_solution(T, arm, q))} if steps else {}),
+        }
+        for q, rest in zip(found.q, found.rest)
+    ]
+    return ("singular" if all(entry["singular"] for entry in entries) else "regular"), entries
+
+
+def _beyond(q: list[float], arm: Arm) -> list[str]:
+    """Places of the joints that no whole turn brings within their limits."""
+    beyond = mechanism.limits(mechanism.nearest_equivalent_angles(np.array(q), arm, np.zeros(len(q))), arm)
+    return [place for place, by in zip(mechanisms.axis_places(arm), beyond) if by]
+
+
+def _finished(T: RigidTransform, q: list[float], correction: ArmCorrection) -> list[float] | None:
+    """Commands of the calibrated arm for a pose (1,), sought from a solution of its owner's model; None where none is
+    near.
+    """
+    commands = correction.near(T, np.array([q]))[0]
+    return None if np.isnan(commands).any() else commands.tolist()
+
+
+def _singular(flags: int) -> str:
+    return ", ".join(name for bit, name in six_joint_inverse.SINGULAR.items() if flags & bit)
+
+
+def _steps(steps: list[Step]) -> list[Json]:
+    return [
+        {
+            "joint": s.joint,
+            "value": s.value,
+            "axis": {"point": s.axis[0].tolist(), "vector": s.axis[1].tolist()},
+            "points": dict(zip(s.names, s.points.tolist())),
+            "AB": (s.points[1] - s.points[0]).tolist(),
+            "AC": (s.points[2] - s.points[0]).tolist(),
+        }
+        for s in steps
+    ]

@@ -1,0 +1,220 @@
+"""A plan carried out on the real machine: struts moved and settled, images taken, frames measured meanwhile."""
+
+import hashlib
+from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Thread
+
+import numpy as np
+
+from calib.online.run_observation import Display, RunObserver, Stopping
+from calib.online.run_preparation import RunOptions as RunOptions
+from calib.online.run_preparation import open_bench, open_cameras, run_observer, set_exposures, warm_up
+from rig.arrays import Floats
+from rig.driving import straight_move_profile
+from rig.driving.cameras.grab_and_settling import Settling, parse_settling
+from rig.driving.clock import Clock, SystemClock
+from rig.driving.driver_reports_and_advice import TRUST, Status
+from rig.driving.driver_session import open_driver, settled_status
+from rig.driving.emulators.emulator_opening import home_lengths
+from rig.driving.move_and_record_loop import Operator
+from rig.driving.run_journal import Began, Journal
+from rig.driving.run_steps_and_progress import Step, check_steps, step_distances, steps_of_plan
+from rig.driving.strut_driver import Driver
+from rig.errors import PositionLost, RigError
+from rig.formats.input_files import read_bytes
+from rig.formats.output_files import write_bytes
+from rig.model.cube_remounting import quarter_turns, turning_instructions
+from rig.model.design import Design
+from rig.model.mechanism_kinds import require_struts
+from rig.planning.plan import build_plan
+from vision.checks.recording_refusal import Notice, ignore_notice
+
+STANDARD = RunOptions()
+Displays = Callable[[RunObserver], AbstractContextManager[list[Display]]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedRun:
+    """A run that may begin. design; path : of its rig.toml; plan : in words; steps; settling; options"""
+
+    design: Design
+    path: Path
+    plan: str
+    steps: tuple[Step, ...]
+    settling: Settling
+    options: RunOptions
+
+    @property
+    def frames(self) -> int:
+        """How many frames are taken."""
+        return sum(step.frames for step in self.steps)
+
+    def distances(self) -> Floats:
+        """(steps,) m that the busiest strut goes from home on. Raises Unreachable where the driver would refuse one"""
+        c = self.design.driver()
+        start = c.home if c.home is not None else home_lengths(require_struts(self.design.mechanism))
+        check_steps(self.steps, start, move_checker(self.design))
+        return step_distances(self.steps, start)
+
+    def carry_out(
+        self, out: Path, displays: Displays = lambda _: nullcontext([]), notice: Notice = ignore_notice
+    ) -> int:
+        """How many frames were taken, by now, once the run is over: a recording in the folder `out`.
+
+        displays : gives, for an observer, those who show the run; notice : called with what is to be said on the way
+        Raises what ends a run early, of which the recording has the reason; RigError for a folder that is there
+            already, or for one to go on with that is of another plan
+        """
+        _require_place(out, self.options.resume)
+        options, clock = self.options, SystemClock()
+        with ExitStack() as stack:
+            journal = stack.enter_context(Journal(out / "journal.jsonl"))
+            if journal.torn:
+                notice(
+                    f"the journal's last line was cut off ({journal.torn} bytes) and is taken away: nothing of "
+                    "it was reported"
+                )
+            fresh = not journal.rows
+            if not fresh:
+                self._require_same_plan(_began(journal), out)
+            shutter = open_cameras(self.design, clock)
+            stack.callback(shutter.close)
+            listeners: list[Callable[[str], None]] = [notice]  # of what the driver reports: later the journal too
+            if options.measure:
+                Thread(target=warm_up, args=(self.design,), daemon=True).start()
+            driver = stack.enter_context(
+                open_driver(self.design, options.trace, lambda text: _report(listeners, text), clock)
+            )
+            homes, status = self._home(driver, settled_status(driver, clock), fresh, notice)
+            check_steps(self.steps, status.lengths, move_checker(self.design))
+            bench = open_bench(self.design, driver, shutter, self.settling, clock)
+            exposure = options.exposure
+            for line in set_exposures(shutter, self.design, exposure) if not isinstance(exposure, str) else ():
+                notice(line)
+            if fresh:
+                write_bytes(out / "rig.toml", read_bytes(self.path))
+                began = clock.now(), len(self.steps), _hash(self.steps), tuple(map(float, status.lengths))
+                journal.append(Began(0.0, *began))
+            origin = _origin(journal, clock, notice)
+            stopping = Stopping(options.stop_on, driver.stop)
+            observer = run_observer(self.design, self.steps, status.lengths, clock, stopping, options, out)
+            observer.displays += stack.enter_context(displays(observer))
+            operator = Operator(bench, self.steps, journal, self.design.mechanism.axes, origin, observer)
+            observer.note = operator.remark
+            listeners[:] = [operator.remark, lambda text: observer.update(phase=text)]
+            try:
+                if not fresh:
+                    notice(f"going on: {operator.go_on(homed=homes)}")
+                operator.run()
+            finally:
+                observer.finish()
+        return observer.view.frames
+
+    def _home(self, driver: Driver, status: Status, fresh: bool, notice: Notice) -> tuple[bool, Status]:
+        """(whether the struts were homed, Status from which the run begins). fresh : whether nothing was recorded yet
+
+        Raises PositionLost where nobody knows where they stand
+        """
+        trust = self.options.trust_position
+        if trust and not status.known:
+            driver.trust()
+        believed = status.known or trust
+        homes = self.design.driver().homing and not (trust if fresh else believed)
+        if not homes and not believed:
+            raise PositionLost(f"where the struts stand is not known; {TRUST}")
+        if not homes:
+            return False, status
+        notice("homing")
+        return True, driver.home()
+
+    def _require_same_plan(self, began: Began, out: Path) -> None:
+        """Raise RigError where a journal is not of this plan."""
+        if began.sha256 != _hash(self.steps):
+            raise RigError(
+                f"{out} is of another plan than --plan {self.plan} --seed {self.options.seed} on {self.path}"
+            )
+
+
+def plan_run(design: Design, path: Path, plan: str, options: RunOptions = STANDARD) -> PlannedRun:
+    """PlannedRun of a design, as `rig run` begins one. path : of its rig.toml; plan : as "sobol:40,ladder,repeat:20"
+
+    Raises RigError for a plan of a cube put back turned, and for options that do not suit the design
+    """
+    found = build_plan(design, plan, options.seed)
+    steps = steps_of_plan(found)
+    todo = turning_instructions(dict(found.turned), quarter_turns(design))
+    if todo:
+        raise RigError(
+            f"the plan is for a cube put back turned; {'; '.join(todo)}, and say so in {path} under [turned]"
+        )
+    settling = parse_settling(options.settle)
+    options.accepted_limbs(design)
+    options.refuse_unsuited(design)
+    return PlannedRun(design, path, plan, steps, settling, options)
+
+
+def move_checker(design: Design) -> Callable[[Floats, Floats], None]:
+    """Checker of moves: (start, goal (axes,) m) -> None, raises Unreachable where the driver would refuse the move."""
+    c, m = design.driver(), require_struts(design.mechanism)
+
+    def check(start: Floats, goal: Floats) -> None:
+        straight_move_profile.require_safe_path(
+            start, straight_move_profile.require_lengths_in_range(goal, m), m, c.margin, c.max_step
+        )
+
+    return check
+
+
+def _require_place(out: Path, resume: bool) -> None:
+    """Make the recording's folder, or see that there is one to go on with. Raises RigError otherwise."""
+    journal = out / "journal.jsonl"
+    if resume:
+        if not journal.exists():
+            raise RigError(f"{out} has no journal.jsonl, so there is no run to resume")
+        return
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise RigError(
+            f"{out} is there already" + ("; --resume goes on with it" if journal.exists() else "; name a new folder")
+        )
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RigError(f"{out} cannot be made: {error.strerror}") from None
+
+
+def _report(listeners: list[Callable[[str], None]], text: str) -> None:
+    for listener in listeners:
+        listener(text)
+
+
+def _began(journal: Journal) -> Began:
+    """A journal's first row. Raises RigError where that is not how a run begins."""
+    first = journal.rows[0]
+    if not isinstance(first, Began):
+        raise RigError(f"{journal.path} does not begin with the beginning of a run")
+    return first
+
+
+def _origin(journal: Journal, clock: Clock, notice: Notice) -> float:
+    """s, the clock's time at t = 0 of the recording; where the computer's clock was set back since, so that time still
+    goes on.
+    """
+    origin, last = _began(journal).wall, journal.rows[-1].t
+    if clock.now() - origin > last:
+        return origin
+    notice(
+        f"the computer's clock has been set back by {last - (clock.now() - origin):.1f} s or more since; the "
+        "recording's goes on"
+    )
+    return clock.now() - last - 1.0
+
+
+def _hash(planned: tuple[Step, ...]) -> str:
+    """sha256 of the places and exposures of a plan."""
+    digest = hashlib.sha256()
+    for step in planned:
+        digest.update(np.round(step.goal, 9).tobytes() + step.frames.to_bytes(4, "little"))
+    return digest.hexdigest()

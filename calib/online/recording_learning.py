@@ -1,0 +1,284 @@
+"""Parameters learnt from the poses of a recording, one at a time: by the filter, or by a simple learner."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from calib.certification.calibration import Calibration
+from calib.models.platform.identification import geometric_parameters
+from calib.online.change_detection import Change, change_sentence
+from calib.online.information_filter import Online, Update
+from calib.online.learners import LEARNERS, Learner, load_learner
+from calib.report.online_and_limb_pages import MANY, OnlineResult
+from calib.samples.recording_samples import Sampled
+from rig.arrays import Floats, Integers
+from rig.errors import RigError
+from rig.formats.json_tree import Json
+from rig.model.mechanism_geometry import Hexapod
+from rig.model.mechanism_kinds import require_hexapod
+from rig.recording.recording_folder import Recording
+from rig.recording.recording_frames import Marks, content_hashes, frames_with_known_hashes, hashes_of_frames
+from vision.api import Progress
+from vision.checks.recording_refusal import Notice
+
+RETURNS = 0.5  # of the sum of its changes' sizes, within which a strut that changes comes back to where it was
+FILTER = "filter"  # the learner that names what jumped; the others are in LEARNERS
+Sampler = Callable[[], Sampled]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Learning:
+    """What a recording's poses taught. learner : as it is after the last pose; online : the same for the page; lines :
+    in words, after the verdict; figures : for JSON; sampled : the poses, those learnt before among them
+    """
+
+    learner: Online | Learner
+    online: OnlineResult
+    lines: tuple[str, ...]
+    figures: Json
+    sampled: Sampled
+
+
+def learn_by_filter(
+    recording: Recording,
+    sampler: Sampler,
+    known: Online | None,
+    calibration: Calibration | None,
+    progress: Progress,
+    notice: Notice,
+) -> Learning:
+    """Learning of a recording's new poses by the filter.
+
+    sampler : samples the recording; known : the filter to go on with, or None; calibration : where a new one starts
+        from, or None; notice : called with how many frames were learnt before
+    Raises RigError where no pose is left to learn
+    """
+    before = 0 if known is None else known.number
+    learnt = _known_frames(calibration) if known is None else known.data
+    fresh, found, commands = _new_poses(recording, sampler, learnt, calibration, notice)
+    samples, mechanism = found.samples, require_hexapod(recording.design.mechanism)
+    shared = samples.common.shape[2]
+    if known is not None:
+        known.new_session(shared)
+    learner = known or (
+        Online(mechanism, shared)
+        if calibration is None
+        else Online(require_hexapod(calibration.correction.fitted), shared, calibration.scatter, calibration.covariance)
+    )
+    learner.data = learnt | fresh
+    updates = []
+    for x, T, C, B in zip(commands, samples.T_base_platform, samples.covariance, samples.common):
+        updates.append(learner.update(x, T, C, B))
+        progress("learning", len(updates), len(samples))
+    moved = _moved(learner.p, mechanism)
+    count = f"{len(samples)} poses from {found.source}, learnt one at a time{_after(before)}"
+    return Learning(
+        learner,
+        _online_result(learner, updates, samples.frame, found.source, moved),
+        (*_filter_lines(learner, updates, samples.frame, count), _moved_line(moved)),
+        _filter_figures(learner, updates, samples.frame),
+        found,
+    )
+
+
+def learn_by_simple_learner(
+    recording: Recording,
+    sampler: Sampler,
+    learner: Learner,
+    name: str,
+    calibration: Calibration | None,
+    progress: Progress,
+    notice: Notice,
+) -> Learning:
+    """Learning of a recording's new poses by a simple learner, of this name in LEARNERS; all else as by the filter."""
+    before = learner.number
+    fresh, found, commands = _new_poses(recording, sampler, learner.data, calibration, notice)
+    samples = found.samples
+    learner.data |= fresh
+    errors = np.empty((len(samples), 6))
+    for k, (x, T, C) in enumerate(zip(commands, samples.T_base_platform, samples.total_covariance())):
+        errors[k] = learner.update(x, T, C)
+        progress("learning", k + 1, len(samples))
+    moved = _moved(learner.p, require_hexapod(recording.design.mechanism))
+    sigma = None if learner.covariance is None else float(np.sqrt(np.mean(np.diag(learner.covariance))))
+    known = "" if sigma is None else f", known to {sigma * 1e3:.4f} mm RMS"
+    first, last = _rms_of_first_and_last_quarter(errors)
+    figures = {
+        "schema": "followed/1",
+        "learner": name,
+        learner.SETTING: float(learner.setting),
+        "poses": len(samples),
+        "poses_before": before,
+        "first_quarter": first,
+        "last_quarter": last,
+        "moved_rms_m": moved,
+        "sigma_rms_m": sigma,
+    }
+    lines = (
+        f"{len(samples)} poses from {found.source}, learnt one at a time by {name} "
+        f"({learner.SETTING} {learner.setting:g}){_after(before)}",
+        f"poses were off what was expected by {first:.3g} standard deviations RMS in the first quarter, by "
+        f"{last:.3g} in the last (1 where nothing is left to learn)",
+        _moved_line(moved) + known,
+    )
+    return Learning(
+        learner, OnlineResult(samples.frame, errors, found.source, (), (), sigma, moved), lines, figures, found
+    )
+
+
+def simple_learner(
+    name: str, setting: float | None, state: Path | None, mechanism: Hexapod, calibration: Calibration | None
+) -> Learner:
+    """The Learner of a state that is there, else a new one of this name. Raises RigError where the two differ."""
+    kind = LEARNERS[name]
+    if state is not None and state.exists():
+        learner = load_learner(state)
+        if type(learner) is not kind:
+            raise RigError(f"{state} is the state of another learner than {name}")
+        if setting is not None and setting != learner.setting:
+            raise RigError(f"{state} goes on with {learner.SETTING} {learner.setting:g}, not with {setting:g}")
+        return learner
+    nominal = mechanism if calibration is None else require_hexapod(calibration.correction.fitted)
+    try:
+        learner = kind(nominal) if setting is None else kind(nominal, setting)
+    except ValueError as error:
+        raise RigError(f"--{kind.SETTING}: {error}") from None
+    if calibration is not None:
+        learner.start_from(calibration.covariance)
+        learner.data = _known_frames(calibration)
+    return learner
+
+
+def _new_poses(
+    recording: Recording, sampler: Sampler, learnt: set[str], calibration: Calibration | None, notice: Notice
+) -> tuple[set[str], Sampled, Floats]:
+    """(hashes of the frames not yet learnt, Sampled of their poses, (n, 6) m commands with a calibration's correction
+    taken off). Raises RigError where none is left: what is learnt twice counts twice
+    """
+    marks = content_hashes(recording)
+    frames, again = recording.exposures.times()[0], frames_with_known_hashes(marks, learnt)
+    _require_new_frames(recording, marks, again)
+    if again:
+        notice(f"{len(again)} of {len(frames)} frames have been learnt already and are left out")
+    fresh = [frame for frame in frames.tolist() if frame not in set(again)]
+    found = sampler()
+    chosen = np.isin(found.samples.frame, fresh)
+    if not chosen.any():
+        raise RigError(f"none of the {len(fresh)} frames of {recording.folder} that have not been learnt has a pose")
+    samples = found.samples.take(chosen)
+    commands = samples.commanded - (0 if calibration is None else calibration.correction.rho(samples.commanded))
+    return set(hashes_of_frames(marks, fresh)), replace(found, samples=samples), commands
+
+
+def _require_new_frames(recording: Recording, marks: Marks, again: Sequence[int]) -> None:
+    if len(again) == len(marks) > 0:
+        raise RigError(
+            f"all {len(marks)} frames of {recording.folder} in which anything is seen have been learnt already; "
+            "once more they would count twice"
+        )
+
+
+def _known_frames(calibration: Calibration | None) -> set[str]:
+    """Hashes of the frames that a calibration was made from."""
+    return set() if calibration is None else set(calibration.provenance.get("data", ()))
+
+
+def _moved(p: Floats, mechanism: Hexapod) -> float:
+    """m RMS by which parameters p differ from a mechanism's."""
+    return float(np.sqrt(np.mean((p - geometric_parameters(mechanism)) ** 2)))
+
+
+def _moved_line(moved: float) -> str:
+    return f"joints and zeros moved by {moved * 1e3:.4f} mm RMS from rig.toml"
+
+
+def _after(before: int) -> str:
+    return f" after {before} before" if before else ""
+
+
+def _rms_of_first_and_last_quarter(errors: Floats) -> tuple[float, float]:
+    """RMS of errors (n, 6) whitened in the first quarter of the poses, and in the last."""
+    quarter = max(len(errors) // 4, 1)
+    return float((errors[:quarter] ** 2).mean() ** 0.5), float((errors[-quarter:] ** 2).mean() ** 0.5)
+
+
+def _online_result(
+    learner: Online, updates: Sequence[Update], frames: Integers, source: str, moved: float
+) -> OnlineResult:
+    """OnlineResult of updates by poses of frames (n,). moved : m RMS from rig.toml"""
+    first = updates[0].number
+    changes = [change for update in updates for change in update.changes]
+    returning = {change.strut for change in changes if _changes_cancel(changes, change.strut)}
+    sentences = [
+        change_sentence(change, frames[max(change.onset - first, 0)], change.strut in returning) for change in changes
+    ]
+    dropped = [int(frames[number - first]) for update in updates for number in update.dropped if number >= first]
+    return OnlineResult(
+        frames,
+        np.array([update.innovation for update in updates]),
+        source,
+        sentences,
+        dropped,
+        float(np.sqrt(np.mean(np.diag(learner.covariance)))),
+        moved,
+        [
+            f"strut {strut} goes back and forth: play or whatever else depends on the direction, no missed steps"
+            for strut in sorted(strut for strut in returning if strut is not None)
+        ],
+    )
+
+
+def _changes_cancel(changes: Sequence[Change], strut: int | None) -> bool:
+    """Whether a strut's changes take each other back, as play does and steps that were missed do not."""
+    sizes = [change.size for change in changes if change.strut == strut and isinstance(change.size, float)]
+    return len(sizes) > 1 and abs(sum(sizes)) < RETURNS * sum(map(abs, sizes))
+
+
+def _filter_lines(learner: Online, updates: Sequence[Update], frames: Integers, count: str) -> list[str]:
+    """Lines about what poses of frames (n,) taught: how well joints and zeros are known, what jumped, what was left
+    out. count : of the poses, in words
+    """
+    changes, first = [change for update in updates for change in update.changes], updates[0].number
+    sigma = np.sqrt(np.mean(np.diag(learner.covariance)))
+    jumped = f"{len(changes)} change{'s' if len(changes) > 1 else ''}" if changes else "nothing jumped"
+    lines = [f"{jumped} in {count}; joints and zeros are known to {sigma * 1e3:.4f} mm RMS"]
+    if len(changes) > MANY:
+        lines.append("these are no few steps: something acts on the struts or the measurement that the geometry lacks")
+    for update in updates:
+        for change in update.changes:
+            onset, cancelled = frames[max(change.onset - first, 0)], _changes_cancel(changes, change.strut)
+            lines.append(f"frame {frames[update.number - first]}: {change_sentence(change, onset, cancelled)}")
+        lines += [
+            f"frame {frames[number - first]}: its pose agrees with no other and is left out"
+            for number in update.dropped
+        ]
+    innovation = np.sqrt(np.mean([update.innovation @ update.innovation / 6 for update in updates if not update.held]))
+    return [*lines, f"innovations are {innovation:.3f} of what was expected (1 where nothing is left out)"]
+
+
+def _filter_figures(learner: Online, updates: Sequence[Update], frames: Integers) -> Json:
+    """Figures of updates by poses of frames (n,), as JSON has them."""
+    first = updates[0].number
+    jumps = [
+        {
+            "frame": int(frames[max(change.onset - first, 0)]),
+            "found_at": int(frames[update.number - first]),
+            "kind": change.kind,
+            "strut": change.strut,
+            "size": np.asarray(change.size).tolist(),
+            "sigma": np.asarray(change.sigma).tolist(),
+        }
+        for update in updates
+        for change in update.changes
+    ]
+    whitened = [update.innovation @ update.innovation / 6 for update in updates if not update.held]
+    return {
+        "schema": "online/1",
+        "poses": len(updates),
+        "changes": jumps,
+        "left_out": [int(frames[number - first]) for update in updates for number in update.dropped],
+        "sigma_rms_m": float((learner.covariance.diagonal().mean()) ** 0.5),
+        "innovation": float((sum(whitened) / max(len(whitened), 1)) ** 0.5),
+    }

@@ -1,0 +1,277 @@
+"""Best posture of a redundant arm at a fixed hand pose, and the motion into it: searched for, or of those visited."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig.arrays import Floats
+from rig.errors import RigError
+from rig.formats.json_tree import Json
+from rig.model import mechanisms
+from rig.model.mechanism_geometry import Arm
+from rig.model.mechanisms import arm as mechanism
+from rig.model.pose import pose_difference
+from rig.posture import force_transmission, null_space_search, posture_transition
+from rig.posture.exertable_wrench import (
+    Exertion,
+    force_polytope_corners,
+    joint_torques_for_wrench,
+    weakest_force_direction,
+)
+from rig.posture.force_transmission import TransmissionObjective
+from rig.posture.null_space_search import Found
+from rig.recording.recording_folder import Recording
+from rig.recording.recording_tables import write_table
+from rig.report.pages.html_elements import result_html
+
+STARTS = 24  # joint solutions of the pose from which self-motions are searched for
+SEED = 0
+Objective = TransmissionObjective | Exertion
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PostureOptions:
+    """T_base_hand : where the hand is (None: where it was at a recording's first exposure); objective : what to
+    maximise; exertion : a wrench to exert, which is maximised where the objective names no direction, or None
+    above : measure from which a posture will do, or None; fixed : what of the hand stays, "pose", "position" or
+    "orientation"; start : (n,) rad and m of the joints now, None for a solution of the pose; on_the_way : whether the
+    posture is taken while the hand moves, not once it has arrived; speed : rad/s of the fastest joint
+    recording : whose postures are compared in place of a search, or None
+    """
+
+    T_base_hand: RigidTransform | None = None
+    objective: TransmissionObjective = field(default_factory=TransmissionObjective)
+    exertion: Exertion | None = None
+    above: float | None = None
+    fixed: str = "pose"
+    start: Floats | None = None
+    on_the_way: bool = False
+    speed: float = 0.5
+    recording: Recording | None = None
+
+    def __post_init__(self) -> None:
+        if self.above is not None and not self.above >= 0:
+            raise RigError(f"--above must be at least 0, not {self.above:g}")
+        if not self.speed > 0:
+            raise RigError(f"--speed must be positive rad/s, not {self.speed:g}")
+        if self.recording is not None and (self.start is not None or self.above is not None or self.on_the_way):
+            raise RigError(
+                "--among goes back to a posture from where the recording ends; --from, --above and --motion are "
+                "for searches"
+            )
+        if self.recording is None and self.T_base_hand is None:
+            raise RigError("--pose says where the hand is; without it, --among names a recording")
+
+    @property
+    def maximised(self) -> Objective:
+        """What the posture maximises."""
+        return self.exertion if self.exertion is not None and not self.objective.directions else self.objective
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PostureResult:
+    """A posture. arm; options; q : (n,) rad and m; motion : (k, n) of the joints into it; figures : of it and of the
+    search, as JSON has them
+    """
+
+    arm: Arm
+    options: PostureOptions
+    q: Floats
+    motion: Floats
+    figures: Json
+
+    def __str__(self) -> str:
+        return f"posture {', '.join(f'{q:.6f}' for q in self.q)}: measure {self.figures['value']:.6f}"
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        return result_html(str(self))
+
+    def tree(self) -> Json:
+        """What `rig posture --json` prints."""
+        exertion = self.options.exertion
+        return self.figures | ({} if exertion is None else {"exert": exertion_dict(self.q, self.arm, exertion)})
+
+    def write(self, path: Path) -> None:
+        """Write the motion into it, as commands."""
+        t = posture_transition.posture_times(self.motion, self.options.speed)
+        rows = [
+            ",".join([f"{moment:.6f}", *(f"{angle:.12f}" for angle in angles)])
+            for moment, angles in zip(t, self.motion)
+        ]
+        write_table(path, ("t", *self.arm.axes), rows)
+
+    def force_svg(self, exertion: Exertion) -> str:
+        """SVG of the forces that it can exert; needs matplotlib. Raises RigError where it cannot hold its own weight"""
+        from rig.posture.force_polytope_figure import force_polytope_svg
+
+        low, high = exertion.strength.box(self.q, self.arm)
+        if (low > 0).any() or (high < 0).any():
+            raise RigError("the posture cannot hold the arm's own weight, and there is nothing to draw")
+        A = _torques_of_unit_forces(self.q, self.arm)
+        return force_polytope_svg(
+            A, exertion.strength.limits, force_polytope_corners(A, low, high), exertion.wrench[:3]
+        )
+
+
+def best_posture(arm: Arm, options: PostureOptions) -> PostureResult:
+    """PostureResult of an arm, as `rig posture` makes it.
+
+    Raises RigError for a hand that is elsewhere than stated, and where nothing exceeds the measure that is wanted;
+        Unreachable for a pose that no joint values give
+    """
+    return (_best_searched if options.recording is None else _best_visited)(arm, options)
+
+
+def _best_visited(arm: Arm, options: PostureOptions) -> PostureResult:
+    """The best of the postures of a recording, and the motion back to it."""
+    recording, objective = options.recording, options.maximised
+    assert recording is not None
+    found = posture_transition.best_visited_posture(recording, arm, objective, options.fixed, options.T_base_hand)
+    best, first = found.best, found.q[0]
+    figures = _figures(arm, objective, found.q[best], first, (float(found.value[best]), float(found.value[0])))
+    figures |= {
+        "search": "among",
+        "recording": str(recording.folder),
+        "frame": int(found.frame[best]),
+        "compared": len(found.q),
+        "elsewhere": found.elsewhere,
+        "values": {"best": float(found.value[best]), "worst": float(found.value.min())},
+    }
+    return PostureResult(arm, options, found.q[best], found.back, figures)
+
+
+def _best_searched(arm: Arm, options: PostureOptions) -> PostureResult:
+    """The best posture that the searches find, and the motion into it."""
+    wanted, now, objective = options.T_base_hand, options.start, options.maximised
+    assert wanted is not None
+    arrived = now is not None and np.abs(pose_difference(mechanism.forward(now, arm), wanted)).max() < 1e-6
+    if now is not None and not arrived and not options.on_the_way:
+        raise RigError(
+            "--from has the hand elsewhere than --pose: bring it there first, or take the posture on the way "
+            "(--motion way)"
+        )
+    first = now if now is not None and arrived else mechanism.inverse(wanted, arm, now)
+    starts = first[None] if arrived and not options.on_the_way else _joint_solutions(first, wanted, arm)
+    found, name, k = _best_of_searches(arm, options, first, starts)
+    best = found[name]
+    motion = (
+        posture_transition.motion_with_straight_hand(now if now is not None else first, best.q[k], arm)
+        if options.on_the_way
+        else posture_transition.motion_with_hand_still(starts[k], best.q[k], arm, options.fixed)
+    )
+    figures = _figures(arm, objective, best.q[k], starts[k], (float(best.value[k]), float(best.start[k])))
+    figures |= {
+        "search": name,
+        "joint_solutions_searched": len(starts),
+        "values": {key: float(f.value[k]) for key, f in found.items()},
+    }
+    if "global" in found:
+        figures["certificate"] = {
+            "gradient_over_global_here": float(found["gradient"].value[k] / found["global"].value[k]),
+            "reached_over_best_of_all_self_motions": float(best.value[k] / found["global"].value.max()),
+        }
+    return PostureResult(arm, options, best.q[k], motion, figures)
+
+
+def _best_of_searches(
+    arm: Arm, options: PostureOptions, first: Floats, starts: Floats
+) -> tuple[dict[str, Found], str, int]:
+    """(what each search found, name of the best, index of its posture) from starts (k, n) rad. Raises RigError where
+    nothing exceeds a limit
+    """
+    objective, fixed, above = options.maximised, options.fixed, options.above
+    if null_space_search.redundant_joint_count(arm, fixed) < 1 and isinstance(objective, Exertion):
+        found = {"solutions": null_space_search.unsearched_postures(starts, arm, objective)}
+        return found, "solutions", int(found["solutions"].value.argmax())
+    found = {"gradient": null_space_search.gradient_search(starts, arm, objective, fixed, above)}
+    if above is not None:
+        enough = np.flatnonzero(found["gradient"].value > above)
+        if not len(enough):
+            raise RigError(
+                f"no posture found whose measure exceeds {above:g}; the best reaches "
+                f"{found['gradient'].value.max():.6g}"
+            )
+        nearest = np.abs(found["gradient"].q[enough] - first).max(axis=1).argmin()  # the least motion will do
+        return found, "gradient", int(enough[nearest])
+    found["sampled"] = null_space_search.sampled_search(starts, arm, objective, np.random.default_rng(SEED), fixed)
+    if null_space_search.redundant_joint_count(arm, fixed) == 1:
+        found["global"] = null_space_search.global_search(starts, arm, objective, fixed)
+    name, k = max(
+        ((name, int(f.value.argmax())) for name, f in found.items()), key=lambda pair: found[pair[0]].value[pair[1]]
+    )
+    return found, name, k
+
+
+def _joint_solutions(first: Floats, wanted: RigidTransform, arm: Arm) -> Floats:
+    """(k, n) joint solutions of a pose within the limits: the first, and others far and wide."""
+    many = RigidTransform.from_matrix(np.tile(wanted.as_matrix(), (STARTS, 1, 1)))
+    guess = np.random.default_rng(SEED).uniform(arm.limits[:, 0], arm.limits[:, 1], (STARTS, len(first)))
+    q, remainder = mechanism.solve_inverse(many, arm, guess)
+    inside = (remainder <= mechanism.GOOD) & (mechanism.limits(q, arm) == 0).all(axis=1)
+    return np.vstack([first, q[inside]])
+
+
+def _figures(arm: Arm, objective: Objective, q: Floats, start: Floats, values: tuple[float, float]) -> Json:
+    """Figures of a posture q (n,) rad apart from its search. values : the measure there and at the start"""
+    low, high = arm.limits.T
+    moved = pose_difference(mechanism.forward(start, arm), mechanism.forward(q, arm))
+    columns = force_transmission.TransmissionObjective() if isinstance(objective, Exertion) else objective
+    return {
+        "schema": "posture/1",
+        "unit": "rad, m",
+        "directions": list(columns.directions) or "all",
+        "norm": str(columns.norm),
+        "measure": "greatest multiple"
+        if isinstance(objective, Exertion)
+        else "smallest column of J^T"
+        if columns.directions
+        else columns.whole,
+        "q": q.tolist(),
+        "q_units": list(mechanisms.axis_units(arm)),
+        "value": values[0],
+        "start": {"q": start.tolist(), "value": values[1]},
+        "hand_moved": {"position": float(np.linalg.norm(moved[:3])), "rotation": float(np.linalg.norm(moved[3:]))},
+        "at_limit": (np.flatnonzero((q <= low + 1e-6) | (q >= high - 1e-6)) + 1).tolist(),
+        "columns": dict(
+            zip(
+                columns.directions or force_transmission.DIRECTIONS,
+                force_transmission.torque_norms_by_direction(q, arm, columns).tolist(),
+            )
+        ),
+    }
+
+
+def exertion_dict(q: Floats, arm: Arm, exertion: Exertion) -> Json:
+    """Dict of an exertion at posture q (n,) rad for JSON: torques, margins, greatest multiple, extreme directions."""
+    strength = exertion.strength
+    weight, load = strength.weight(q, arm), joint_torques_for_wrench(q, arm, exertion.wrench)
+    low, high = strength.box(q, arm)
+    torque = weight + load
+    margin, multiple = strength.limits - np.abs(torque), float(exertion.value(q, arm))
+    bears = bool((low <= 0).all() and (high >= 0).all())
+    out = {
+        "wrench": exertion.wrench.tolist(),
+        "torques": torque.tolist(),
+        "weight": weight.tolist(),
+        "limits": strength.limits.tolist(),
+        "margin": margin.tolist(),
+        "tightest_joint": int(np.argmin(margin / strength.limits)) + 1,
+        "greatest_multiple": multiple,
+        "greatest": (multiple * exertion.wrench).tolist() if bears else None,
+        "weight_counted": strength.links is not None,
+    }
+    if bears:
+        A = _torques_of_unit_forces(q, arm)
+        every = force_polytope_corners(A, low, high)
+        size, least = np.linalg.norm(every, axis=1), weakest_force_direction(A, low, high)
+        out["strongest"] = {"force": float(size.max()), "direction": (every[size.argmax()] / size.max()).tolist()}
+        out["weakest"] = {"force": least[0], "direction": least[1].tolist()}
+    return out
+
+
+def _torques_of_unit_forces(q: Floats, arm: Arm) -> Floats:
+    """(n, 3) Nm per N of forces along each axis."""
+    return joint_torques_for_wrench(q, arm, np.eye(6)[:, :3]).reshape(len(q), 3)
