@@ -32,7 +32,7 @@ Shape = tuple[int | None, ...]  # of nested lists; None: any length
 
 
 def nearest_known_word(word: str, known: Iterable[Any], cutoff: float = 0.7) -> str | None:
-    """The nearest known word, of which a word is likely a misspelling, or None. cutoff : of difflib's ratio
+    """The nearest known word, of which a word is likely a misspelling, or None.
     cutoff : of difflib's ratio, least of what counts as near
     """
     near = difflib.get_close_matches(
@@ -68,6 +68,13 @@ class Entries:
         line, column = self.places[at]
         raise FileError(self.file, message, line, column, value)
 
+    def refuse(self, key: Key, expected: str, value: Any) -> NoReturn:
+        """Raise FileError at a value that is not what it must be. expected : in words"""
+        self.fail(f"{self.name(key)} must be {expected}, not {short_repr(value)}", key, value=value)
+
+    def _inner(self, tree: dict[Any, Any], *keys: Key) -> Entries:
+        return Entries(tree, self.path + keys, self.file, self.places)
+
     def name(self, key: Key) -> str:
         """A key with its path, as in camera.1.width."""
         return ".".join(str(part + 1 if isinstance(part, int) else part) for part in (*self.path, key))
@@ -87,31 +94,29 @@ class Entries:
         """A table within this one."""
         value = self.get(key, {} if optional else REQUIRED)
         if not isinstance(value, dict):
-            self.fail(f"{self.name(key)} must be a table, not {short_repr(value)}", key, value=value)
-        return Entries(value, self.path + (key,), self.file, self.places)
+            self.refuse(key, "a table", value)
+        return self._inner(value, key)
 
     def tables(self, key: Key) -> list[Entries]:
         """The tables of an array of tables."""
         value = self.get(key, [])
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
             self.fail(f"{self.name(key)} must be written as [[{key}]] tables", key, value=value)
-        return [Entries(item, self.path + (key, i), self.file, self.places) for i, item in enumerate(value)]
+        return [self._inner(item, key, i) for i, item in enumerate(value)]
 
     def lists(self, key: Key, length: int) -> list[Entries]:
         """The lists of a list, each of a length, as Entries whose keys are 0, 1, .."""
         value = self.get(key)
         if not isinstance(value, list) or not all(isinstance(item, list) and len(item) == length for item in value):
             self.fail(f"{self.name(key)} must be a list of lists of {length}", key)
-        return [
-            Entries(dict(enumerate(item)), (*self.path, key, i), self.file, self.places) for i, item in enumerate(value)
-        ]
+        return [self._inner(dict(enumerate(item)), key, i) for i, item in enumerate(value)]
 
     def wholes(self, key: Key, least: int = 0) -> tuple[int, ...]:
         """Whole numbers of at least `least`, as a tuple."""
         value = self.get(key)
         if not isinstance(value, list):
             self.fail(f"{self.name(key)} must be a list of whole numbers, not {short_repr(value)}", key)
-        inner = Entries(dict(enumerate(value)), (*self.path, key), self.file, self.places)
+        inner = self._inner(dict(enumerate(value)), key)
         return tuple(inner.whole(i, least) for i in range(len(value)))
 
     def schema(self, what: str, known: str) -> None:
@@ -130,7 +135,7 @@ class Entries:
         """True or false."""
         value = self.get(key, default)
         if not isinstance(value, bool):
-            self.fail(f"{self.name(key)} must be true or false, not {short_repr(value)}", key, value=value)
+            self.refuse(key, "true or false", value)
         return value
 
     def identifier(self, key: Key) -> str:
@@ -146,13 +151,9 @@ class Entries:
         if value is default and default is not REQUIRED:
             return default
         if not isinstance(value, str) or (not choices and not value):
-            self.fail(f"{self.name(key)} must be text, not {short_repr(value)}", key, value=value)
+            self.refuse(key, "text", value)
         if choices and value not in choices:
-            self.fail(
-                f"{self.name(key)} must be one of {', '.join(map(repr, choices))}, not {short_repr(value)}",
-                key,
-                value=value,
-            )
+            self.refuse(key, f"one of {', '.join(map(repr, choices))}", value)
         return value
 
     def whole(self, key: Key, least: int, default: Any = REQUIRED, most: int = LARGEST_WHOLE) -> int:
@@ -160,21 +161,12 @@ class Entries:
         value = self.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
             limits = f"at least {least}" + (f" and at most {most}" if isinstance(value, int) and value > most else "")
-            self.fail(f"{self.name(key)} must be a whole number of {limits}, not {short_repr(value)}", key, value=value)
+            self.refuse(key, f"a whole number of {limits}", value)
         return value
 
-    def number(
-        self,
-        key: Key,
-        default: Any = REQUIRED,
-        least: float | None = None,
-        most: float | None = None,
-        above: float | None = None,
-        unit: str = "",
-        nulls: bool = False,
-    ) -> Any:
-        """A finite number within limits; None where the default says so; nulls : whether it may be null, and then is
-        NaN.
+    def number(self, key: Key, default: Any = REQUIRED, nulls: bool = False, **limits: Any) -> Any:
+        """A finite number within limits; None where the default says so.
+        nulls : whether it may be null, and then is NaN; limits : least, most, above, unit
         """
         value = self.get(key, default)
         if value is None and default is None:
@@ -182,7 +174,7 @@ class Entries:
         self.numbers(value, (), key, (), nulls=nulls)
         if value is None:
             return math.nan
-        self._within(value, (key,), least, most, above, unit)
+        self._within(value, (key,), **limits)
         return float(value)
 
     def each(self, key: Key, count: int, default: Any = REQUIRED, **limits: Any) -> Any:
@@ -199,27 +191,17 @@ class Entries:
         self,
         value: float,
         keys: tuple[Key, ...],
-        least: float | None = None,
-        most: float | None = None,
-        above: float | None = None,
+        least: float = -math.inf,
+        most: float = math.inf,
+        above: float = -math.inf,
         unit: str = "",
     ) -> None:
-        if (
-            (least is not None and value < least)
-            or (most is not None and value > most)
-            or (above is not None and value <= above)
-        ):
-            limits = [
-                f">= {least}" if least is not None else "",
-                f"> {above}" if above is not None else "",
-                f"<= {most}" if most is not None else "",
-            ]
-            label = self._label(keys[0], cast(tuple[int, ...], keys[1:]))
-            self.fail(
-                f"{label} must be {' and '.join(filter(None, limits))} {unit}".rstrip() + f", not {short_repr(value)}",
-                *keys,
-                value=value,
-            )
+        if not (value < least or value > most or value <= above):  # true for NaN, which stands for null
+            return
+        stated = ((">=", least), (">", above), ("<=", most))
+        limits = " and ".join(f"{sign} {limit}" for sign, limit in stated if math.isfinite(limit))
+        label = self._label(keys[0], cast(tuple[int, ...], keys[1:]))
+        self.fail(f"{label} must be {limits} {unit}".rstrip() + f", not {short_repr(value)}", *keys, value=value)
 
     def array(
         self, key: Key, shape: Shape, default: Any = REQUIRED, length_limit: float | None = None, nulls: bool = False
