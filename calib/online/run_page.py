@@ -51,7 +51,7 @@ LATEST = 400  # frames whose figures are shown
 
 
 class RunPage:
-    """Serves the view of a Looking. As a context it is open; see calib.online.run_observation.Display."""
+    """Serves the view of a RunObserver. As a context it is open; see calib.online.run_observation.Display."""
 
     def __init__(self, looking: RunObserver, port: int) -> None:
         self._design = looking.design
