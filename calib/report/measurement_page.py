@@ -278,7 +278,7 @@ def _cameras(recording: Recording, m: Measurement) -> str:
 def _moves(places: Places) -> str:
     rows = [
         (
-            move.name,
+            str(move.place),
             "yes" if move.moved else "no",
             *(f"{by * 1e3:+.3f} ± {half * 1e3:.3f}" for by, half in zip(move.by, move.ci95)),
         )

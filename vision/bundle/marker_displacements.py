@@ -8,6 +8,7 @@ from scipy import special
 from scipy.spatial.transform import RigidTransform
 
 from rig.arrays import Floats, Integers
+from rig.effects.framework.place import Place
 from rig.model.design import Marker
 from rig.model.pose import log
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
@@ -53,7 +54,7 @@ class Move:
     widths;
     moved : whether chance is ruled out."""
 
-    name: str
+    place: Place
     by: Floats
     ci95: Floats
     moved: bool
@@ -143,7 +144,7 @@ def marker_displacements(adjustment: Adjustment) -> tuple[Move, ...]:
         square = ((vectors.T @ (by / scale))[free] ** 2 / values[free]).sum()
         out.append(
             Move(
-                f"marker {ids[row]}",
+                Place("marker", str(ids[row])),
                 by,
                 WIDE * np.sqrt(np.diag(C)),
                 bool(free.any() and special.chdtrc(free.sum(), square) < 1 - PROOF),

@@ -96,7 +96,7 @@ def _print_places(moved: Places) -> None:
     )
     for move in moved.moves:
         values = [f"{by * 1e3:+8.3f} +- {half * 1e3:.3f}" for by, half in zip(move.by, move.ci95)]
-        print(f"  {move.name:12} {'moved' if move.moved else 'stays'} " + " ".join(values))
+        print(f"  {str(move.place):12} {'moved' if move.moved else 'stays'} " + " ".join(values))
     for name, value in (("as stated", moved.before), ("as adjusted", moved.after)):
         print(
             f"residual of the platform per frame, places {name}: median {np.median(value):.3f}, 95 % "

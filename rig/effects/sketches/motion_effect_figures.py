@@ -5,6 +5,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.arrays import Floats
 from rig.effects.framework.effect import Effect
+from rig.effects.framework.place import Place
 from rig.effects.sketches.effect_example import AXIS, FAR, ExampleRun, Sketch, effect_example, place_and_values_text
 from rig.model import motion_simulation
 from rig.model.pose import exp, pose_difference
@@ -23,7 +24,7 @@ TIMES = {1e-3: "ms", 1.0: "s", 60.0: "min", 3600.0: "h"}
 
 def draw_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
     """Sketch drawn of an effect of a kind, `factor` times its largest usual size."""
-    place = f"strut {AXIS + 1}" if "axis" in kind.places else kind.places[0]
+    place = str(Place.axis("strut", AXIS)) if "axis" in kind.places else kind.places[0]
     way = effect_example(kind, place, factor)
     error = _strut_errors(way)
     first = _displaced(way) if kind.stage == "structure" or kind.on_pose else _through_time(way, error)

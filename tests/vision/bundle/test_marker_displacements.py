@@ -58,7 +58,7 @@ def test_tags_off_their_places_are_found_within_their_intervals(worked):
     markers = m.adjustment.stated.markers
     rows = {int(number): row for row, number in enumerate(markers.id)}
     for move in found.moves:
-        row = rows[int(move.name.split()[1])]
+        row = rows[move.place.number]
         there = (platform if markers.on_platform[row] else base) * true.markers.T_body_marker[row]
         inside += (np.abs(log(markers.T_body_marker[row].inv() * there) - move.by) < move.ci95).tolist()
     assert np.mean(inside) > 0.85 and len(found.moves) == len(m.adjustment.unknowns.seen)

@@ -54,7 +54,7 @@ def search_candidates(
             )
         elif candidate.reach is Reach.MOUNT:
             if candidate.place not in mounts:
-                mounts[candidate.place] = corner_products(model, mount_pixels(model, candidate.place))
+                mounts[candidate.place] = corner_products(model, mount_pixels(model, Place.parse(candidate.place)))
             score = _mounted(model, candidate, mounts[candidate.place], least)
         else:
             score = _viewed(model, candidate, sensitivities, least)
@@ -85,7 +85,7 @@ def candidate_column(
         return model.lengthened(sensitivities.deviation(candidate, node, motion or k.motion(k.effects)))
     if candidate.reach is Reach.MOUNT:
         pixels = (
-            mount_pixels(model, candidate.place)
+            mount_pixels(model, Place.parse(candidate.place))
             * _share(model, candidate, node)[k.observed.observations.frame][:, None, None]
         )
         return model.fold(pixels)
@@ -162,13 +162,13 @@ def constant_displacement_normal(model: LinearisedModel, displaced_corners: Inte
     return inner.Normal(b[None], (G - K.T @ K)[None], np.diag(G)[None].copy())
 
 
-def mount_pixels(model: LinearisedModel, place: str) -> Floats:
+def mount_pixels(model: LinearisedModel, camera: Place) -> Floats:
     """(n, 2, 6) px of corner displacement per unit tangent of a camera's mount."""
     k = model.point
     o = k.observed.observations
     out = np.zeros((len(o), 2, 6))
     for i, rows, _, J_camera, _ in corner_jacobians(o, k.state):
-        if Place("camera", k.design.cameras[i].name) == Place.parse(place):
+        if k.design.cameras[i].name == camera.name:
             out[rows] = J_camera
     return out
 

@@ -38,17 +38,12 @@ MEDIAN_SPREAD = (
     5.6  # variance of a sample's middle square over its square, times the sample's size, for normal residuals
 )
 FAR = 5.0  # standard deviations; a residual counts for no more where neighbours are compared
-PARTS = {
-    "rig": ("strut ", "rig"),
-    "clock": ("strut ", "rig"),
-    "cameras": ("camera ",),
-    "markers": ("marker ",),
-}  # of places that take in others
 
 
 def is_at_place(left: LackOfFit, place: str) -> bool:
     """Whether a LackOfFit is at a place, or at a part of it."""
-    return left.place == place or left.place.startswith(PARTS.get(place, ()))
+    at, own = Place.parse(place), Place.parse(left.place)
+    return at.includes(own) or (at.kind == "clock" and Place("rig").includes(own))  # a clock moves all axes
 
 
 def lack_of_fit(model: LinearisedModel, place: str | None = None, alpha: float = ALPHA) -> list[LackOfFit]:
@@ -121,35 +116,33 @@ def _camera(model: LinearisedModel, i: int) -> list[LackOfFit | None]:
     if not count:
         return []
     out: list[LackOfFit | None] = []
-    place, information = str(Place("camera", camera.name)), count / model.corner_noise() ** 2
+    at, information = Place("camera", camera.name), count / model.corner_noise() ** 2
     if i not in k.moving:
-        products = corner_products(model, view_pixels(model, place))
+        products = corner_products(model, view_pixels(model, at))
         out += [
             test_lack_of_fit(
                 model.linear,
                 products,
-                Test(place, "px", ("time",), view_time_functions(k, count)[:, :, part], information),
+                Test(str(at), "px", ("time",), view_time_functions(k, count)[:, :, part], information),
             )
             for count in (SLOW, FAST)
-            for part in _apart(k, place, count)
+            for part in _apart(k, at, count)
         ]
-        out.append(_following(products, np.argsort(k.t), place, information))
-    if not any(
-        e.warps and e.place == place for e in k.effects
-    ):  # else what its image still bends by belongs to that lens
+        out.append(_following(products, np.argsort(k.t), str(at), information))
+    if not any(e.warps and e.site == at for e in k.effects):  # else what its image still bends by belongs to that lens
         seen = np.flatnonzero(k.observed.observations.camera == i)
-        out.append(_still(model, seen, warp_pixels(k, i)[seen], place, "image position", information))
+        out.append(_still(model, seen, warp_pixels(k, i)[seen], str(at), "image position", information))
     return out
 
 
-def _apart(k: OperatingPoint, place: str, count: int) -> list[slice]:
+def _apart(k: OperatingPoint, place: Place, count: int) -> list[slice]:
     """Which of the functions of `view_time_functions` at a camera are tested together: a mount's motion and the focal
     length each for itself, but all together
     where an admitted effect moves the focal length, or one would by a temperature that was not logged: by what a log
     does not tell it comes and goes in time."""
     known = any(type(e).focal is not Effect.focal and e.at(place) for e in k.effects)
     if known or any(
-        kind.focal is not Effect.focal and lacks_temperature_log(k, kind.follows(place, effect_context(k)))
+        kind.focal is not Effect.focal and lacks_temperature_log(k, kind.follows(str(place), effect_context(k)))
         for kind in ALL
     ):
         return [slice(None)]

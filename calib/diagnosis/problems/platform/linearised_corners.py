@@ -147,7 +147,7 @@ def _add_seats(k: OperatingPoint, found: _Nuisances, at: Integers, whitener: Flo
     o, markers = k.observed.observations, k.observed.markers
     R = k.T.rotation.as_matrix()
     for seat in k.seats:
-        own = np.array([Place("target", target) == Place.parse(seat.place) for target in markers.target])
+        own = np.array([seat.at(Place("target", target)) for target in markers.target])
         rows = np.flatnonzero(own[o.marker])
         if not len(rows):
             continue

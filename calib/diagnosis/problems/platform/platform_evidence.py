@@ -251,7 +251,7 @@ def _moved_face(move: Move) -> MeasuredFinding:
         p.name: Value(part[0].tolist(), p.unit, part[1:].tolist())
         for p, part in zip(FACE_MOTION.parameters, (ends[:, :3], ends[:, 3:]))
     }
-    return MeasuredFinding(FACE_MOTION, move.name, parameters)
+    return MeasuredFinding(FACE_MOTION, str(move.place), parameters)
 
 
 def _exchange_asked(effect: Effect, requested: RequestedEffects) -> bool:

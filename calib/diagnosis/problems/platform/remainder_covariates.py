@@ -35,7 +35,7 @@ def _shares(model: LinearisedModel) -> dict[str, dict[str, Share]]:
     if k.seen is not None and len(k.moving) < len(k.design.cameras):
         seen = np.unique(k.seen.observations.camera)
         views = [
-            corner_products(model, view_pixels(model, str(Place("camera", k.design.cameras[i].name))))
+            corner_products(model, view_pixels(model, Place("camera", k.design.cameras[i].name)))
             for i in seen
             if i not in k.moving
         ]

@@ -66,15 +66,19 @@ def smooth_strut_functions(point: OperatingPoint) -> list[tuple[str, list[tuple[
     return out
 
 
-def view_pixels(model: LinearisedModel, place: str) -> Floats:
+def view_pixels(model: LinearisedModel, camera: Place) -> Floats:
     """(n, 2, 7) px of corners, per unit tangent of a camera's mount and per unit share of its focal length."""
     k = model.point
     o = k.observed.observations
-    i = [str(Place("camera", c.name)) for c in k.design.cameras].index(place)
+    i = _camera_index(k, camera)
     rows, out = o.camera == i, np.zeros((len(o), 2, 7))
-    out[..., :6] = mount_pixels(model, place)
+    out[..., :6] = mount_pixels(model, camera)
     out[rows, :, 6] = k.pixels()[rows] - k.design.cameras[i].matrix[:2, 2]
     return out
+
+
+def _camera_index(k: OperatingPoint, place: Place) -> int:
+    return [c.name for c in k.design.cameras].index(place.name)
 
 
 def view_time_functions(point: OperatingPoint, count: int) -> Floats:
@@ -154,23 +158,19 @@ def smooth_function_columns(model: LinearisedModel, left: list[LackOfFit]) -> tu
         if k.axes
         else {}
     )  # the finest of each
+    sites = [(u, Place.parse(u.place)) for u in left]
     named = {
-        "pose" if d.endswith("position") else d
-        for u in left
-        if Place.parse(u.place).kind in ("strut", "rig")
-        for d in u.depends_on
+        "pose" if d.endswith("position") else d for u, at in sites if at.kind in ("strut", "rig") for d in u.depends_on
     }
     parts = [w for d in sorted(named & weights.keys()) for _, w in weights[d]]
     pixels = []
-    for u in left:
-        if Place.parse(u.place).kind in ("camera", "cameras") and u.depends_on == ("time",):
-            moved = np.einsum(
-                "nca,nak->nck", view_pixels(model, u.place), view_time_functions(k, FAST)[k.observed.observations.frame]
-            )
-            pixels.append(moved)
-        elif Place.parse(u.place).kind in ("camera", "cameras") and u.depends_on == ("image position",):
-            pixels.append(warp_pixels(k, [str(Place("camera", c.name)) for c in k.design.cameras].index(u.place)))
-    if any(Place.parse(u.place).kind in ("marker", "markers") for u in left):
+    for u, at in sites:
+        if at.kind in ("camera", "cameras") and u.depends_on == ("time",):
+            shapes = view_time_functions(k, FAST)[k.observed.observations.frame]
+            pixels.append(np.einsum("nca,nak->nck", view_pixels(model, at), shapes))
+        elif at.kind in ("camera", "cameras") and u.depends_on == ("image position",):
+            pixels.append(warp_pixels(k, _camera_index(k, at)))
+    if any(at.kind in ("marker", "markers") for _, at in sites):
         ids = np.unique(k.observed.markers.id[k.observed.sightings.marker])
         pixels.append(_marker_pixels(k, ids) @ np.kron(np.eye(len(ids)), _distortions()))
     return np.concatenate(pixels, axis=2) if pixels else None, np.concatenate(parts, axis=2) if parts else None
