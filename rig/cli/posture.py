@@ -156,10 +156,12 @@ def _options(arguments: Namespace, arm: Arm, exertion: Exertion | None) -> Postu
     from rig.posture.force_transmission import TransmissionObjective
     from rig.recording import recording_folder
 
+    norm = np.inf if arguments.norm == "inf" else 2
+    objective = TransmissionObjective(_directions(arguments), norm, arguments.whole)
     hand = parse_numbers(arguments.pose, 6, "--pose") if arguments.pose else None
     return PostureOptions(
         None if hand is None else pose(hand[:3], hand[3:]),
-        TransmissionObjective(_directions(arguments), np.inf if arguments.norm == "inf" else 2, arguments.whole),
+        objective,
         exertion,
         arguments.above,
         arguments.hold,
