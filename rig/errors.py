@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rig.formats.json_tree import Json
 
@@ -24,7 +24,7 @@ def url(path: str | PathLike[str]) -> str:
 class RigError(Exception):
     """Anything a rig, its files or its physics refuse; the message stands alone in front of a user."""
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         """What one process hands another of it, whatever the kind's constructor takes."""
         return _handed, (type(self), self.args, vars(self))
 
@@ -42,7 +42,7 @@ class FileError(RigError):
         message: str,
         line: int | None = None,
         column: int | None = None,
-        value: Any = None,
+        value: object = None,
     ) -> None:
         self.path, self.line, self.column, self.value = url(path), line, column, value
         place = ":".join(str(part) for part in (self.path, line, column) if part is not None)
@@ -109,7 +109,7 @@ class Stopped(MotionError):
     """A motion that was stopped because somebody asked."""
 
 
-def _handed(kind: type[RigError], arguments: tuple[Any, ...], attributes: Json) -> RigError:
+def _handed(kind: type[RigError], arguments: tuple[object, ...], attributes: Json) -> RigError:
     error = kind.__new__(kind, *arguments)
     vars(error).update(attributes)
     return error

@@ -197,7 +197,7 @@ def _found(table: Entries) -> Found:
     return Found(effect, _place(table, effect, parameters.get("other", (-1,))[0]), parameters, alternatives)
 
 
-def _place(table: Entries, effect: str, other: float) -> str:
+def _place(table: Entries, effect: str, other: object) -> str:
     """The place; of two markers exchanged with each other, either of which may be given, the lower."""
     place, kind = table.text("place"), BY_NAME.get(effect)
     if kind is None or not kind.discrete or not isinstance(other, int | float) or not other >= 0:

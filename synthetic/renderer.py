@@ -283,7 +283,7 @@ def _fine(first: int, last: int) -> Floats:
 
 
 @njit(cache=True, nogil=True)
-def _bend(picture, places, out):
+def _bend(picture: Pixels, places: Singles, out: Singles) -> None:
     """Bilinear samples of the first channel of a uint8 picture at places (k, l, 2), in out (k, l) float32."""
     for v in range(out.shape[0]):
         for u in range(out.shape[1]):

@@ -7,17 +7,21 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, TypeVar
 
-from rig.compute.worker_processes import split_for_workers
+from rig.compute.worker_processes import Progress, split_for_workers
 from rig.errors import MissingLibrary, RigError
 from rig.formats import remote_folders
+
+if TYPE_CHECKING:
+    from dask.distributed import Client, Future
 
 WAIT = 20  # s for a scheduler, and for its first worker
 PATIENCE = 3  # such times for another worker, when the last one is gone
 LARGE = "1GiB"  # what a function may carry to the workers before Dask warns of it
 
-Progress = Callable[[int, int], None]  # called with (done, of)
+T = TypeVar("T")
+R = TypeVar("R")
 
 _here = threading.local()  # of a worker: whether this thread is at work for a cluster, and what it last opened
 _at_work: "Cluster | None" = None
@@ -26,10 +30,10 @@ _at_work: "Cluster | None" = None
 class Cluster:
     """Workers behind a scheduler. address : of that scheduler"""
 
-    def __init__(self, client: Any, address: str) -> None:
+    def __init__(self, client: "Client", address: str) -> None:
         self._client, self.address = client, address
 
-    def map(self, function: Callable[[Any], Any], things: Sequence[Any], progress: Progress | None = None) -> list[Any]:
+    def map(self, function: Callable[[T], R], things: Sequence[T], progress: Progress | None = None) -> list[R]:
         """[function(thing)] in the things' order; of what they raise the first in that order is raised.
 
         Raises RigError where the cluster or all its workers are gone, or where workers end again and again at the same
@@ -43,8 +47,10 @@ class Cluster:
                 bytes, data, pure=False
             )  # a call and no mere data: it is done again where who held it is gone
             digest, shares = hashlib.sha256(data).hexdigest(), split_for_workers(things, max(self._workers(), 1))
-            futures = [self._client.submit(_done, carried, digest, share, pure=False) for share in shares]
-        out: list[Any] = []
+            futures: list[Future[list[R]]] = [
+                self._client.submit(_done, carried, digest, share, pure=False) for share in shares
+            ]
+        out: list[R] = []
         try:
             for future in futures:
                 for result in self._result(future):
@@ -56,7 +62,7 @@ class Cluster:
                 self._client.cancel([future for future in futures if not future.done()])
         return out
 
-    def _result(self, future: Any) -> list[Any]:
+    def _result(self, future: "Future[list[R]]") -> list[R]:
         """What comes of a part. What the work raises is raised as it is, and not said of the cluster."""
         from dask.distributed import KilledWorker
 
@@ -69,7 +75,7 @@ class Cluster:
                     raise
         raise raised
 
-    def _waited_for(self, future: Any) -> list[Any]:
+    def _waited_for(self, future: "Future[list[R]]") -> list[R]:
         """What comes of a part. Raises RigError where for long nobody is left to do it"""
         alone = 0
         while alone < PATIENCE:
@@ -159,7 +165,7 @@ def is_cluster_worker() -> bool:
     return getattr(_here, "busy", False)
 
 
-def _done(data: bytes, digest: str, part: Sequence[Any]) -> list[Any]:
+def _done(data: bytes, digest: str, part: Sequence[T]) -> list[R]:
     """[function(thing)] of a part of the things, in a worker. data : of the function, opened once by each thread"""
     from threadpoolctl import threadpool_limits
 

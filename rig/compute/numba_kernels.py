@@ -13,9 +13,23 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache, cached_property, update_wrapper
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar, Unpack, cast
+
+if TYPE_CHECKING:
+    from numba.core.dispatcher import Dispatcher
 
 HERE = Path(__file__).parents[1]
+F = TypeVar("F", bound=Callable[..., object])
+
+
+class CompilerOptions(TypedDict, total=False):
+    """Options of numba.njit."""
+
+    cache: bool
+    nogil: bool
+    error_model: Literal["python", "numpy"]
+    fastmath: bool | set[str]
+    inline: Literal["never", "always"]
 
 
 def set_kernel_cache_folder() -> None:
@@ -110,13 +124,13 @@ def _listen() -> None:
 
         said = False
 
-        def on_start(self, event: Any) -> None:
+        def on_start(self, event: object) -> None:
             """Say it, the first time."""
             if _say is not None and not self.said:
                 self.said = True
                 _say()
 
-        def on_end(self, event: Any) -> None:
+        def on_end(self, event: object) -> None:
             """Nothing is said of an end."""
 
     event.register("numba:compile", Heard())
@@ -131,13 +145,13 @@ class Kernel:
     """
 
     def __init__(
-        self, function: Callable[..., Any], options: dict[str, Any], folder: Callable[[], str] | None = None
+        self, function: Callable[..., object], options: CompilerOptions, folder: Callable[[], str] | None = None
     ) -> None:
         self._function, self._options, self._folder = function, options, folder
         update_wrapper(self, function)
 
     @cached_property
-    def _compiled(self) -> Callable[..., Any]:
+    def _compiled(self) -> Callable[..., object]:
         import numba
 
         _listen()
@@ -152,31 +166,35 @@ class Kernel:
                     kept = kept / wanted.name  # which tells one version of the sources from another
                 if kept != beside:
                     settings.CACHE_DIR = str(kept)
-                return cast(Callable[..., Any], numba.njit(**self._options)(self._function))
+                return numba.njit(**self._options)(self._function)
             finally:
                 settings.CACHE_DIR = before
 
     @cached_property
-    def _numba_type_(self) -> Any:
+    def _numba_type_(self) -> object:
         """What numba takes it for where another kernel calls it."""
         from numba import types
 
-        return types.Dispatcher(self._compiled)
+        return types.Dispatcher(cast("Dispatcher[Callable[..., object]]", self._compiled))
 
     @property
-    def py_func(self) -> Callable[..., Any]:
+    def py_func(self) -> Callable[..., object]:
         """The function as written, by which numba takes it into another kernel where its options say so."""
         return self._function
 
     @property
-    def targetoptions(self) -> dict[str, Any]:
+    def targetoptions(self) -> CompilerOptions:
         """Options of numba.njit, under the name by which numba looks for them."""
         return self._options
 
-    def __call__(self, *arguments: Any) -> Any:
+    def __call__(self, *arguments: object) -> object:
         return self._compiled(*arguments)
 
 
-def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+def njit(**options: Unpack[CompilerOptions]) -> Callable[[F], F]:
     """Decorator like numba.njit that compiles on the first call. options : of numba.njit"""
-    return lambda function: Kernel(function, options)
+
+    def kernel(function: F) -> F:
+        return cast(F, Kernel(function, options))
+
+    return kernel

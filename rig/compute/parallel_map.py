@@ -7,27 +7,26 @@ Threads within the products of matrices as small as here cost more than they bri
 import multiprocessing
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, TypeVar
+from typing import TypeVar, cast
 
 from rig.compute import dask_cluster
-from rig.compute.worker_processes import process_map, worker_count
+from rig.compute.worker_processes import Progress, process_map, worker_count
 
 FEW = 4  # things for each process, below which it is not worth starting any
 
-Progress = Callable[[int, int], None]  # called with (done, of)
 T = TypeVar("T")
 R = TypeVar("R")
 
-_inherited: tuple[Callable[..., Any], Sequence[Any]] | None = None  # what the processes forked next are to call
+_inherited: tuple[Callable[..., object], Sequence[object]] | None = None  # what the processes forked next are to call
 
 
 def parallel_map(
-    function: Callable[[Any], Any],
-    items: Sequence[Any],
+    function: Callable[[T], R],
+    items: Sequence[T],
     progress: Progress | None = None,
     items_per_process: int = FEW,
     on_cluster: bool = False,
-) -> list[Any]:
+) -> list[R]:
     """Results of a function mapped over items in parallel, in the items' order; exceptions are raised here.
 
     It takes one process where the system cannot fork or OMP_NUM_THREADS, which limits the processes as it does threads,
@@ -52,7 +51,7 @@ def parallel_map(
         return out
     _inherited = function, items
     try:
-        return process_map(count, "fork", _call, range(len(items)), progress)
+        return process_map(count, "fork", cast(Callable[[int], R], _call), range(len(items)), progress)
     finally:
         _inherited = None
 
@@ -66,7 +65,7 @@ def thread_map(function: Callable[[T], R], items: Sequence[T]) -> list[R]:
         return list(pool.map(function, items))
 
 
-def _call(i: int) -> Any:
+def _call(i: int) -> object:
     if _inherited is None:
         raise RuntimeError("this process was not forked by parallel_map")
     function, things = _inherited

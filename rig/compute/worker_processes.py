@@ -14,7 +14,8 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
 from itertools import accumulate
-from typing import Any
+from os import PathLike
+from typing import TypeVar
 
 from rig.errors import RigError
 
@@ -23,6 +24,10 @@ ENDED = 3
 SHARES = 4  # parts of what is left for each worker, so that none is waited for long
 MOST = 4  # things of a part: what is lost with a worker, and by which progress goes on
 PR_SET_PDEATHSIG = 1  # of prctl(2): the signal that comes when the parent is gone
+
+Progress = Callable[[int, int], object]  # called with (done, of)
+T = TypeVar("T")
+R = TypeVar("R")
 
 _waited_for: set[subprocess.Popen[str]] = set()  # children of `run_child_process`
 _asked: int | None = None  # workers that the user asked for
@@ -54,11 +59,11 @@ def worker_count() -> int:
 
 def executor_map(
     executor: Executor,
-    function: Callable[..., Any],
-    items: Iterable[Any],
-    progress: Callable[..., Any] | None = None,
-    futures: list[Future[Any]] | None = None,
-) -> list[Any]:
+    function: Callable[[T], R],
+    items: Iterable[T],
+    progress: Progress | None = None,
+    futures: list[Future[R]] | None = None,
+) -> list[R]:
     """Results of a function mapped over items by an executor, in the items' order; the first exception is raised.
 
     progress : called with (done, of), or None; futures : gets the things' Futures, or None
@@ -80,7 +85,7 @@ def executor_map(
     return out
 
 
-def split_for_workers(items: Sequence[Any], workers: int) -> list[Sequence[Any]]:
+def split_for_workers(items: Sequence[T], workers: int) -> list[Sequence[T]]:
     """The items split into parts for the workers: large parts first, single items last."""
     out, at = [], 0
     while at < len(items):
@@ -93,22 +98,22 @@ def split_for_workers(items: Sequence[Any], workers: int) -> list[Sequence[Any]]
 def process_map(
     count: int,
     start_method: str,
-    function: Callable[..., Any],
-    items: Iterable[Any],
-    progress: Callable[..., Any] | None = None,
-    initializer: Callable[..., Any] | None = None,
-    initializer_arguments: tuple[Any, ...] = (),
-) -> list[Any]:
+    function: Callable[[T], R],
+    items: Iterable[T],
+    progress: Progress | None = None,
+    initializer: Callable[..., object] | None = None,
+    initializer_arguments: tuple[object, ...] = (),
+) -> list[R]:
     """Results of a function mapped over items by a process pool; items of killed processes are repeated.
 
     Raises WorkerEnded where ENDED pools in turn came to an end with nothing done
     """
     left = list(enumerate(items))
     total, futile = len(left), 0
-    out: dict[int, Any] = {}
+    out: dict[int, R] = {}
 
     while left:
-        futures: list[Future[Any]] = []
+        futures: list[Future[list[R]]] = []
         shares = split_for_workers(left, count)
         ends = list(accumulate(map(len, shares), initial=len(out)))
 
@@ -145,8 +150,8 @@ def process_map(
 def process_pool(
     count: int,
     start_method: str,
-    initializer: Callable[..., Any] | None = None,
-    initializer_arguments: tuple[Any, ...] = (),
+    initializer: Callable[..., object] | None = None,
+    initializer_arguments: tuple[object, ...] = (),
 ) -> Iterator[ProcessPoolExecutor]:
     """A process pool that ends at once when this process is interrupted or killed.
 
@@ -177,7 +182,7 @@ def process_pool(
     pool.shutdown()
 
 
-def run_child_process(command: list[Any], env: dict[str, str]) -> subprocess.CompletedProcess[str]:
+def run_child_process(command: Sequence[str | PathLike[str]], env: dict[str, str]) -> subprocess.CompletedProcess[str]:
     """Run a child process until it ends; returns what it printed as text.
 
     The child itself is to call `end_when_parent_ends` with this process's id, so that it does not outlive it
@@ -211,7 +216,7 @@ def end_when_parent_ends(parent_pid: int) -> None:
         os._exit(1)
 
 
-def _each(function: Callable[..., Any], things: Sequence[Any]) -> list[Any]:
+def _each(function: Callable[[T], R], things: Sequence[T]) -> list[R]:
     return [function(thing) for thing in things]
 
 

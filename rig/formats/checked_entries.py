@@ -8,7 +8,7 @@ import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn, cast
+from typing import Any, NoReturn, TypedDict, Unpack, cast, overload
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -26,12 +26,27 @@ NEAREST = 0.6  # of difflib's ratio, between an unknown key and the known one th
 SLIPS = 200  # keys among which a slip of one is looked for
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
 NAMES = "letters, digits, '_', '-' and '.', at most 64 of them, the first a letter, digit or '_'"
-REQUIRED = object()
 Key = str | int  # of a table, or an index of a list
 Shape = tuple[int | None, ...]  # of nested lists; None: any length
 
 
-def nearest_known_word(word: str, known: Iterable[Any], cutoff: float = 0.7) -> str | None:
+class Required:
+    """Type of REQUIRED, which stands for a default where there is none."""
+
+
+REQUIRED = Required()
+
+
+class Limits(TypedDict, total=False):
+    """Limits of a number. least, most : both included; above : not included; unit : of all three, for messages"""
+
+    least: float
+    most: float
+    above: float
+    unit: str
+
+
+def nearest_known_word(word: str, known: Iterable[object], cutoff: float = 0.7) -> str | None:
     """The nearest known word, of which a word is likely a misspelling, or None.
     cutoff : of difflib's ratio, least of what counts as near
     """
@@ -60,7 +75,7 @@ class Entries:
     file: Path
     places: Mapping[Any, Any]
 
-    def fail(self, message: str, *keys: Key, value: Any = None) -> NoReturn:
+    def fail(self, message: str, *keys: Key, value: object = None) -> NoReturn:
         """Raise FileError at the value under keys, or at the nearest thing above it that has a place."""
         at = self.path + keys
         while at not in self.places:
@@ -79,7 +94,7 @@ class Entries:
         """A key with its path, as in camera.1.width."""
         return ".".join(str(part + 1 if isinstance(part, int) else part) for part in (*self.path, key))
 
-    def get(self, key: Key, default: Any = REQUIRED) -> Any:
+    def get(self, key: Key, default: object = REQUIRED) -> object:
         """A value as TOML has it. Raises FileError where it is missing and no default is given."""
         if key in self.tree:
             return self.tree[key]
@@ -131,7 +146,7 @@ class Entries:
             self.fail(f"{self.name(key)} must be a list of texts, not {short_repr(value)}", key)
         return tuple(value)
 
-    def flag(self, key: Key, default: Any = REQUIRED) -> bool:
+    def flag(self, key: Key, default: object = REQUIRED) -> bool:
         """True or false."""
         value = self.get(key, default)
         if not isinstance(value, bool):
@@ -145,7 +160,16 @@ class Entries:
             self.fail(f"{self.name(key)}: {name_problem(value)}", key, value=value)
         return value
 
-    def text(self, key: Key, choices: Collection[str] | None = None, default: Any = REQUIRED) -> Any:
+    @overload
+    def text(self, key: Key, choices: Collection[str] | None = None, default: str | Required = ...) -> str: ...
+
+    @overload
+    def text(self, key: Key, choices: Collection[str] | None, default: None) -> str | None: ...
+
+    @overload
+    def text(self, key: Key, *, default: None) -> str | None: ...
+
+    def text(self, key: Key, choices: Collection[str] | None = None, default: object = REQUIRED) -> object:
         """Text, one of choices where these are given."""
         value = self.get(key, default)
         if value is default and default is not REQUIRED:
@@ -156,7 +180,7 @@ class Entries:
             self.refuse(key, f"one of {', '.join(map(repr, choices))}", value)
         return value
 
-    def whole(self, key: Key, least: int, default: Any = REQUIRED, most: int = LARGEST_WHOLE) -> int:
+    def whole(self, key: Key, least: int, default: object = REQUIRED, most: int = LARGEST_WHOLE) -> int:
         """A whole number of at least `least` and at most `most`."""
         value = self.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
@@ -164,7 +188,19 @@ class Entries:
             self.refuse(key, f"a whole number of {limits}", value)
         return value
 
-    def number(self, key: Key, default: Any = REQUIRED, nulls: bool = False, **limits: Any) -> Any:
+    @overload
+    def number(
+        self, key: Key, default: float | Required = ..., *, nulls: bool = False, **limits: Unpack[Limits]
+    ) -> float: ...
+
+    @overload
+    def number(
+        self, key: Key, default: float | Required | None, *, nulls: bool = False, **limits: Unpack[Limits]
+    ) -> float | None: ...
+
+    def number(
+        self, key: Key, default: object = REQUIRED, *, nulls: bool = False, **limits: Unpack[Limits]
+    ) -> float | None:
         """A finite number within limits; None where the default says so.
         nulls : whether it may be null, and then is NaN; limits : least, most, above, unit
         """
@@ -172,12 +208,20 @@ class Entries:
         if value is None and default is None:
             return None
         self.numbers(value, (), key, (), nulls=nulls)
-        if value is None:
+        if not isinstance(value, int | float):
             return math.nan
         self._within(value, (key,), **limits)
         return float(value)
 
-    def each(self, key: Key, count: int, default: Any = REQUIRED, **limits: Any) -> Any:
+    @overload
+    def each(self, key: Key, count: int, default: float | Required = ..., **limits: Unpack[Limits]) -> Floats: ...
+
+    @overload
+    def each(self, key: Key, count: int, default: None, **limits: Unpack[Limits]) -> Floats | None: ...
+
+    def each(
+        self, key: Key, count: int, default: float | Required | None = REQUIRED, **limits: Unpack[Limits]
+    ) -> Floats | None:
         """(count,) finite numbers within limits, stated one by one or one for all; None where the default says so."""
         if not isinstance(self.get(key, default), list):
             value = self.number(key, default, **limits)
@@ -203,9 +247,24 @@ class Entries:
         label = self._label(keys[0], cast(tuple[int, ...], keys[1:]))
         self.fail(f"{label} must be {limits} {unit}".rstrip() + f", not {short_repr(value)}", *keys, value=value)
 
+    @overload
     def array(
-        self, key: Key, shape: Shape, default: Any = REQUIRED, length_limit: float | None = None, nulls: bool = False
-    ) -> Any:
+        self,
+        key: Key,
+        shape: Shape,
+        default: list[float] | Required = ...,
+        length_limit: float | None = None,
+        nulls: bool = False,
+    ) -> Floats: ...
+
+    @overload
+    def array(
+        self, key: Key, shape: Shape, default: None, length_limit: float | None = None, nulls: bool = False
+    ) -> Floats | None: ...
+
+    def array(
+        self, key: Key, shape: Shape, default: object = REQUIRED, length_limit: float | None = None, nulls: bool = False
+    ) -> Floats | None:
         """Numbers nested as shape says (None: any length). length_limit (m) catches figures in another unit;
         nulls : whether a null may stand for what was not measured, and becomes NaN."""
         value = self.get(key, default)
@@ -217,7 +276,7 @@ class Entries:
 
     def numbers(
         self,
-        value: Any,
+        value: object,
         shape: Shape,
         key: Key,
         index: tuple[int, ...],

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -65,9 +66,10 @@ def load_machine(
     cameras = tuple(_camera(c, known[c.name]) for c in nominal_design.cameras)
     if limbs is not None and "insitu" in found.tree:
         table = found.table("insitu")
-        limbs = replace(
-            limbs, **{name: table.array(name, getattr(limbs, name).shape, length_limit=LARGEST_RIG) for name in LIMBS}
+        base, platform, zeros = (
+            table.array(name, getattr(limbs, name).shape, length_limit=LARGEST_RIG) for name in LIMBS
         )
+        limbs = replace(limbs, base_joints=base, platform_joints=platform, zeros=zeros)
     effects = effects_from_entries(found, nominal_design, effect_kinds)
     return replace(nominal_design, mechanism=mechanism, cameras=cameras, insitu=limbs), effects
 
@@ -80,7 +82,7 @@ def _mechanism(stated: Mechanism, table: Entries) -> Mechanism:
             table.fail(f"{table.name('stages')} must hold {len(stated.stages)} stages, got {len(parts)}", "stages")
         stages = tuple(_mechanism(stage, part) for stage, part in zip(stated.stages, parts))
         return replace(stated, stages=stages)  # type: ignore[arg-type]
-    found = {}
+    found: dict[str, Any] = {}
     for name, array in stated.geometry_arrays.items():
         if name in table.tree:
             found[name] = table.array(name, array.shape, length_limit=LARGEST_RIG)

@@ -1,13 +1,14 @@
 """Rotation increment, compiled: a rotation matrix multiplied in place by that of a small rotation vector."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.arrays import Floats
 from rig.compute.numba_kernels import njit
 
 
 @njit(cache=True, nogil=True)
-def rotate_increment(R: Floats, w: Floats) -> None:
+def rotate_increment(R: Floats, w: NDArray[np.floating]) -> None:
     """Rotate R (3, 3) in place by the increment w (3,), a rotation vector: R becomes R exp(w)."""
     x, y, z = w[0], w[1], w[2]
     angle = np.sqrt(x * x + y * y + z * z)

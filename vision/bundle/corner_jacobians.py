@@ -25,7 +25,7 @@ def _fill_small_motion_jacobian(J: Floats, points: Floats, out: Floats) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fill_rotated_jacobian(J: Floats, R: Floats, rotation_index: Floats, mask: Booleans, out: Floats) -> None:
+def _fill_rotated_jacobian(J: Floats, R: Floats, rotation_index: Integers, mask: Booleans, out: Floats) -> None:
     """Into out (n, 2, 3) J (n, 2, 3) times the matrix of R (m, 3, 3) that each is `rotation_index` (n,), or J itself
     but for `mask` (n,).
     """
@@ -58,7 +58,7 @@ def add_corners_to_normal_equations(
     rows: Floats,
     frame: Integers,
     marker: Integers,
-    frame_columns: Floats,
+    frame_columns: Integers,
     shared_columns: Floats,
     sums: tuple[Floats, Floats, Floats, Floats, Floats],
 ) -> None:

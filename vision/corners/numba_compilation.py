@@ -6,13 +6,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from rig.compute.numba_kernels import Kernel, kernel_cache_folder
+from rig.compute.numba_kernels import CompilerOptions, Kernel, kernel_cache_folder
 
 # all of fast mathematics but the promise that nothing is infinite or no number
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
-_OPTIONS = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": _FAST}
+_OPTIONS: CompilerOptions = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": _FAST}
 
-F = TypeVar("F", bound=Callable[..., Any])
+F = TypeVar("F", bound=Callable[..., object])
 
 
 @cache

@@ -19,7 +19,7 @@ SHARED = 3  # frames that two cameras must share for the body to say how they st
 TOGETHER = 16  # frames that one process locates before it takes more
 PLATFORM = -1  # among the bodies of `vouched`; a moving camera's own number stands for the base seen from it
 
-Call = tuple[int, Floats, Floats]  # frame, rows of the observations, T_camera_world (c, 4, 4)
+Call = tuple[int, Integers, Floats]  # frame, rows of the observations, T_camera_world (c, 4, 4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

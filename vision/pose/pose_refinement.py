@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.arrays import Booleans, Floats
+from rig.arrays import Booleans, Floats, Integers
 from rig.compute.numba_kernels import njit
 from rig.model.rotation_increment import rotate_increment
 
@@ -16,7 +16,7 @@ AHEAD = 1e-6  # m; what is nearer to the camera's plane is behind it
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def refine_pose(
-    corners: tuple[Floats, Floats, Floats, Floats],
+    corners: tuple[Floats, Floats, Floats, Integers],
     to_camera: Floats,
     focal: Floats,
     matrix: Floats,
@@ -70,7 +70,7 @@ def refine_pose(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _roots(covariance: Floats, focal: Floats, camera: Floats, seen: Floats, root: Floats, least: float) -> float:
+def _roots(covariance: Floats, focal: Floats, camera: Integers, seen: Booleans, root: Floats, least: float) -> float:
     """Into root (n, 3) the lower triangle (11, 21, 22) of each covariance's inverse square root. Returns least px in
     units of the typical corner.
     """
@@ -87,7 +87,7 @@ def _roots(covariance: Floats, focal: Floats, camera: Floats, seen: Floats, root
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _linearise(
-    corners: tuple[Floats, Floats, Floats, Floats],
+    corners: tuple[Floats, Floats, Floats, Integers],
     to_camera: Floats,
     matrix: Floats,
     root: Floats,

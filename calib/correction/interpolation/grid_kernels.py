@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.arrays import Floats, Integers
 from rig.compute.numba_kernels import njit
 
 STEPS = 100  # of a fixed point
@@ -44,7 +44,7 @@ def compiled_simplex_kernels(axes: int) -> SimplexKernels:
         cells: Floats,
         strides: Floats,
         values: Floats,
-        scratch: tuple[Floats, Floats, Floats],
+        scratch: tuple[Floats, Floats, Integers],
         out: Floats,
     ) -> None:
         t, ranked, steps = scratch

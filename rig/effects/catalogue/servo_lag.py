@@ -55,7 +55,7 @@ def first_order_lag(t: Floats, x: Floats, time_constant: float) -> Floats:
 
 
 @njit(cache=True)
-def _lag(t, x, time_constant):
+def _lag(t: Floats, x: Floats, time_constant: float) -> Floats:
     out = np.empty_like(x)
     out[0] = x[0]
     for k in range(1, len(t)):

@@ -25,7 +25,7 @@ def play_deviation(motion: Motion, half: float) -> Floats:
 
 
 @njit(cache=True)
-def _walk(lengths, half):
+def _walk(lengths: Floats, half: float) -> Floats:
     out = np.empty_like(lengths)
     at = lengths[0].copy()
     for k in range(len(lengths)):

@@ -62,17 +62,16 @@ class Written:
         """Written of a table as diagnosis.json holds it. Raises FileError for one that is none."""
         terms = []
         for entry in table.tables("terms"):
-            wave = entry.get("wave", None)
-            values, powers = tuple(entry.array("values", (1 if wave is None else 2,)).tolist()), entry.get("powers")
+            sine = entry.get("wave", None) is not None
+            values, powers = tuple(entry.array("values", (2 if sine else 1,)).tolist()), entry.get("powers")
             if not isinstance(powers, list) or not all(_paired(pair) and pair[1] in (1, 2, 3) for pair in powers):
                 entry.fail(f"{entry.name('powers')} must list names with powers 1 to 3, not {powers}", "powers")
-            if wave is not None and not (_paired(wave) and isinstance(wave[1], float) and 0 < wave[1] < np.inf):
-                entry.fail(f"{entry.name('wave')} must be a name and a frequency above 0, not {wave}", "wave")
+            wave = _wave(entry) if sine else None
             along = None if entry.get("along", None) is None else entry.text("along", POSE)
             terms.append(
                 Term(
                     tuple((name, power) for name, power in powers),
-                    None if wave is None else (wave[0], wave[1]),
+                    wave,
                     along,
                     values,
                     entry.number("greatest", above=0),
@@ -241,6 +240,14 @@ class Written:
 def _paired(entry: object) -> bool:
     """Whether an entry of a file is a name with something."""
     return isinstance(entry, list) and len(entry) == 2 and isinstance(entry[0], str)
+
+
+def _wave(entry: Entries) -> tuple[str, float]:
+    """(name, rad per its unit) of the sinusoid that a term's table states."""
+    wave = entry.get("wave")
+    if isinstance(wave, list) and _paired(wave) and isinstance(wave[1], float) and 0 < wave[1] < np.inf:
+        return wave[0], wave[1]
+    entry.fail(f"{entry.name('wave')} must be a name and a frequency above 0, not {wave}", "wave")
 
 
 def _names(term: Term, number: int) -> tuple[str, ...]:

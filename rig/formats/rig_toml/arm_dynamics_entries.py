@@ -69,8 +69,9 @@ def dynamics_of_table(table: Entries, joint_count: int) -> ArmDynamics:
         if name not in ("links", "friction")
     }
     friction = table.array("friction", (joint_count, 2), None)
-    for i, j in np.argwhere(friction < 0) if friction is not None else ():
-        table.fail(f"friction[{i + 1}] must not be negative, not {friction[i, j]:g}", "friction", int(i), int(j))
+    if friction is not None:
+        for i, j in np.argwhere(friction < 0):
+            table.fail(f"friction[{i + 1}] must not be negative, not {friction[i, j]:g}", "friction", int(i), int(j))
     return ArmDynamics(links=_links(table, joint_count), friction=friction, **each)
 
 

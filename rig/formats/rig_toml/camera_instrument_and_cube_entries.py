@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from rig.formats.checked_entries import REQUIRED, Entries
+from rig.formats.checked_entries import Entries
 from rig.model.cube_remounting import find_cube, parse_cube_turn_permission
 from rig.model.design import DISTORTION_TERMS, PERMITTED, SOURCES, TURN, Camera, Instrument, Marker, Permission, Target
 from rig.model.mechanism_kinds import Mechanism
@@ -54,8 +54,10 @@ def cameras_of_tables(tables: list[Entries]) -> tuple[Camera, ...]:
                 "distortion",
             )
         shutter = table.text("shutter", ("global", "rolling"), default="global")
-        row_time = table.number(
-            "row_time", default=REQUIRED if shutter == "rolling" else 0.0, least=0, most=1, unit="s"
+        row_time = (
+            table.number("row_time", least=0, most=1, unit="s")
+            if shutter == "rolling" or "row_time" in table.tree
+            else 0.0
         )
         width, height = (table.whole(key, 1, most=LARGEST_IMAGE) for key in ("width", "height"))
         found.append(
@@ -151,6 +153,7 @@ def instrument_of_table(table: Entries) -> Instrument:
                 key,
             )
     position = table.number("position_sigma", above=0, most=1, unit="m") if kind != "orientation" else math.inf
+    rotation: float | None
     if kind == "orientation":
         rotation = table.number("rotation_sigma", above=0, most=1, unit="rad")
     else:

@@ -3,7 +3,7 @@
 from dataclasses import fields
 from pathlib import Path
 
-from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries
+from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries, Required
 from rig.formats.input_files import read_text
 from rig.formats.rig_toml import camera_instrument_and_cube_entries
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table
@@ -149,8 +149,8 @@ def _controller(table: Entries, mechanism: Hexapod | Planar2 | Arm | Chain | Fre
     )
 
 
-def _port(table: Entries, default: object = REQUIRED) -> str:
-    port: str = table.text("port", default=default)
+def _port(table: Entries, default: str | Required = REQUIRED) -> str:
+    port = table.text("port", default=default)
     if problem := port_problem(port):
         table.fail(f"{table.name('port')}: {problem}", "port", value=port)
     return port
@@ -199,26 +199,22 @@ def _limbs(table: Entries) -> MeasuringLimbs:
 
 
 def _sensor(table: Entries) -> Sensor:
-    known = {
-        "blur": (20, "px"),
-        "defocus": (20, "px"),
-        "vignetting": (1, ""),
-        "gain": (1000, "grey levels"),
-        "exposure": (10, "s"),
-        "read_noise": (100, "grey levels"),
-        "electrons": (1e6, ""),
-    }
-    table.refuse_misspelt((*known, "exposures", "bits"))
-    values = {
-        name: table.number(name, least=0, most=most, unit=unit)
-        for name, (most, unit) in known.items()
-        if name in table.tree
-    }
-    if "exposures" in table.tree:
-        values["exposures"] = table.whole("exposures", 1)
-    if "bits" in table.tree and table.whole("bits", 8) not in (8, 12):
+    table.refuse_misspelt([field.name for field in fields(Sensor)])
+    default = Sensor()
+    sensor = Sensor(
+        table.number("blur", default.blur, least=0, most=20, unit="px"),
+        table.number("defocus", default.defocus, least=0, most=20, unit="px"),
+        table.number("vignetting", default.vignetting, least=0, most=1),
+        table.number("gain", default.gain, least=0, most=1000, unit="grey levels"),
+        table.number("exposure", default.exposure, least=0, most=10, unit="s"),
+        read_noise=table.number("read_noise", default.read_noise, least=0, most=100, unit="grey levels"),
+        electrons=table.number("electrons", default.electrons, least=0, most=1e6),
+        exposures=table.whole("exposures", 1, default.exposures),
+        bits=table.whole("bits", 8, default.bits),
+    )
+    if sensor.bits not in (8, 12):
         table.fail("sensor.bits must be 8 or 12", "bits")
-    return Sensor(**values, bits=table.get("bits", 8))
+    return sensor
 
 
 def _targets(tables: list[Entries], bodies: tuple[str, ...]) -> tuple[Target, ...]:

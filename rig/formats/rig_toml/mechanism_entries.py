@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
 
@@ -97,7 +96,7 @@ def _table(table: Entries) -> Joint:
     return found
 
 
-def _slides(table: Entries, i: int, row: list[Any]) -> bool:
+def _slides(table: Entries, i: int, row: list[object]) -> bool:
     """Whether a row is of a slide."""
     word = row[0] if row else None
     if not isinstance(word, str):
@@ -123,6 +122,8 @@ def joint_limits(table: Entries, is_prismatic: Booleans) -> Floats:
     to large, or a slide's are beyond any rig.
     """
     rows = table.get("joints")
+    if not isinstance(rows, list):
+        table.fail(f"{table.name('joints')} must be a list of rows or tables", "joints")
     twice = [i for i, row in enumerate(rows) if isinstance(row, dict) and "limits" in row and "limits" in table.tree]
     if twice:
         table.fail(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.arrays import Floats
+from rig.arrays import Booleans, Floats, Integers
 from rig.errors import RigError, Unreachable
 from rig.model.mechanism_geometry import Arm
 from rig.model.mechanisms import arm as mechanism
@@ -59,9 +59,9 @@ class Branches:
     reason : (...) 0 or why there is no branch at all (REASONS); gap : (...) m or rad by which it fails."""
 
     q: Floats
-    there: Floats
-    singular: Floats
-    reason: Floats
+    there: Booleans
+    singular: Integers
+    reason: Integers
     gap: Floats
 
     def why(self, index: int) -> str:

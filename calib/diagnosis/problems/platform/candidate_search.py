@@ -16,7 +16,8 @@ from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidat
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from rig.arrays import Floats, Integers
-from rig.compute.parallel_map import Progress, parallel_map
+from rig.compute.parallel_map import parallel_map
+from rig.compute.worker_processes import Progress
 from rig.effects.framework.machine_motion import Motion
 from rig.effects.framework.place import Place
 from vision.bundle.corner_jacobians import corner_jacobians

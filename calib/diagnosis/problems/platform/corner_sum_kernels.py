@@ -7,7 +7,7 @@ from rig.compute.numba_kernels import njit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _row_projection(table: Floats, rows: Floats, V: Floats, out: Floats) -> None:
+def _row_projection(table: Floats, rows: Integers, V: Floats, out: Floats) -> None:
     """Into out (q, p) V^T times the rows (h,) of a table (n, p); V : (h, q)."""
     out[:] = 0.0
     for h in range(len(rows)):
@@ -19,7 +19,7 @@ def _row_projection(table: Floats, rows: Floats, V: Floats, out: Floats) -> None
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _row_projection_by_frame(local: Floats, rows: Floats, frame: Integers, V: Floats, out: Floats) -> None:
+def _row_projection_by_frame(local: Floats, rows: Integers, frame: Integers, V: Floats, out: Floats) -> None:
     """Into out (F, L, q), frame by frame, the rows (h,) of local (n, L) transposed times V (h, q); frame : (h,)"""
     out[:] = 0.0
     for h in range(len(rows)):
