@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -159,7 +160,7 @@ def _said(f: Figure) -> str:
     return f"{f.name} {f.hits} of {f.trials} ({f.low:.0%} to {f.high:.0%}, to reach {f.goal or 0:.0%})"
 
 
-def _figure(f: Figure) -> tuple[Any, ...]:
+def _figure(f: Figure) -> tuple[object, ...]:
     goal = "" if f.goal is None else f"{f.goal:.0%}"
     return (
         f.name,
@@ -170,14 +171,14 @@ def _figure(f: Figure) -> tuple[Any, ...]:
     )
 
 
-def _rows(groups: list[Any]) -> list[Json]:
+def _rows(groups: Sequence[tuple[str, Sequence[Figure], dict[str, int]]]) -> list[Json]:
     return [
         {"name": name, **{f.name: [f.hits, f.trials] for f in figures}, "taken_for": taken}
         for name, figures, taken in groups
     ]
 
 
-def _grouped(groups: list[Any], heading: str) -> str:
+def _grouped(groups: Sequence[tuple[str, Sequence[Figure], dict[str, int]]], heading: str) -> str:
     rows = [
         (
             name,

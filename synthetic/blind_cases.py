@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -229,7 +228,7 @@ def simulated_corners(case: DrawnCase) -> Corners:
     return simulation.noisy_corners(case.simulation, case.noise, np.random.default_rng(0))
 
 
-def write_truth(case: DrawnCase, path: Path, **more: Any) -> None:
+def write_truth(case: DrawnCase, path: Path, **more: object) -> None:
     """Write the truth of a blind case, with further entries, into a file."""
     disturbance = case.disturbance.__name__ if case.disturbance is not None else None
     hidden = replace(case.simulation.world, effects=case.hidden)

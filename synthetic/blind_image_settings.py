@@ -1,15 +1,16 @@
 """Image settings of blind cases drawn at random: resolution, lens, sensor, printing errors of the markers."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from rig.effects.framework.effect import Effect
+from rig.effects.framework.marker_columns import Markers, replace_columns
 from rig.model.design import Design, Sensor
 from rig.model.pose import exp
 from synthetic.image_simulation import Images, is_drawable
-from vision.targets import MarkerMap, marker_map
+from vision.targets import marker_map
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,10 +25,10 @@ class Printing(Effect):
     stage: ClassVar = "targets"
     places: ClassVar = ("markers",)
 
-    def attach(self, markers: MarkerMap) -> MarkerMap:
+    def attach(self, markers: Markers) -> Markers:
         tangent = np.zeros((len(markers.id), 6))
         tangent[:, :2] = np.reshape(self.offsets, (-1, 2))
-        return replace(
+        return replace_columns(
             markers,
             T_body_marker=markers.T_body_marker * exp(tangent),
             side=markers.side * (1 + np.asarray(self.scales)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -289,7 +289,7 @@ def _write_measured_poses(
     )
 
 
-def truth_corners(simulation: Simulation) -> list[list[Any]]:
+def truth_corners(simulation: Simulation) -> list[list[int | str | float]]:
     """True corners as rows [frame, camera, marker, corner, u, v] of every visible marker, for a truth file."""
     c = noisy_corners(simulation, 0.0, np.random.default_rng(0))
     return [

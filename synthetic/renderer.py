@@ -42,7 +42,7 @@ TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenCV camera axes to OpenGL's
 PACKAGES = "libegl1 libgl1"
 
 
-def import_pyrender() -> Any:
+def import_pyrender() -> types.ModuleType:
     """Import pyrender without its viewer. Raises MissingLibrary where there is no OpenGL."""
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
     if "pyrender" not in sys.modules:
@@ -178,7 +178,7 @@ class Renderer:
             configure()
             inner._main_fb_ms = inner._main_fb
 
-        def read(scene: Any, flags: int) -> ImageBytes:
+        def read(scene: object, flags: int) -> ImageBytes:
             width, height = inner._main_fb_dims
             GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, inner._main_fb)
             GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 1)
@@ -188,7 +188,7 @@ class Renderer:
 
         inner._configure_main_framebuffer, inner._read_main_framebuffer = single, read
 
-    def _mesh(self, part: Part) -> Any:
+    def _mesh(self, part: Part) -> object:
         pyrender = self.pyrender
         material = pyrender.MetallicRoughnessMaterial(baseColorFactor=[1, 1, 1, 1.0])
         uv = None
@@ -206,7 +206,7 @@ class Renderer:
         return pyrender.Mesh([primitive])
 
 
-def _texture(pyrender: Any, picture: Pixels) -> Any:
+def _texture(pyrender: types.ModuleType, picture: Pixels) -> object:
     """A texture with trilinear mipmaps."""
     from OpenGL import GL
 

@@ -137,7 +137,7 @@ def draw_temperatures(duration: float, rng: np.random.Generator, struts: int = 6
     return Sensors(t, true), Sensors(t, log)
 
 
-def write_truth(path: Path, world: World, T_base_platform: RigidTransform, **more: Any) -> None:
+def write_truth(path: Path, world: World, T_base_platform: RigidTransform, **more: object) -> None:
     """Write the truth file of a recording (JSON): the machine, its effects and its poses."""
     tree = machine_json.machine_dict(world.true, world.effects)
     write_text(path, json.dumps({**tree, "poses": T_base_platform.as_matrix().reshape(-1, 16).tolist(), **more}) + "\n")

@@ -14,13 +14,13 @@ import numpy as np
 from rig.arrays import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.marker_columns import Markers, replace_columns
 from rig.errors import RigError
 from rig.model.design import Camera, Design
 from rig.model.mechanism_kinds import require_hexapod
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, transform_points
 from rig.recording.recording_tables import Corners
-from vision.targets import MarkerMap
 
 WAVES = 4  # sinusoids of a smooth random course
 
@@ -182,8 +182,8 @@ class UnevenPrint(Effect):
     stage: ClassVar = "targets"
     places: ClassVar = ("markers",)
 
-    def attach(self, markers: MarkerMap) -> MarkerMap:
-        return replace(markers, side=markers.side * (1 + np.asarray(self.scales)))
+    def attach(self, markers: Markers) -> Markers:
+        return replace_columns(markers, side=markers.side * (1 + np.asarray(self.scales)))
 
 
 def _course(course: tuple[float, ...], t: Floats, size: int) -> Floats:

@@ -2,10 +2,10 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import scipy
+from scipy.spatial.transform import RigidTransform
 
 from rig.arrays import Floats
 from rig.errors import RigError
@@ -172,7 +172,7 @@ def _standing(owners: Owners, measured: Sequence[Measurement]) -> tuple[Owners, 
     return tuple(out), moved
 
 
-def _places(measured: Measurement) -> dict[str, tuple[Any, ...]]:
+def _places(measured: Measurement) -> dict[str, tuple[RigidTransform, Floats]]:
     """{camera: (pose, (6, 6) covariance, tangent on the right)} of the cameras that stand still."""
     a, covariance = measured.adjustment, measured.adjustment.shared_covariance
     return {
@@ -181,7 +181,7 @@ def _places(measured: Measurement) -> dict[str, tuple[Any, ...]]:
     }
 
 
-def _apart(one: tuple[Any, ...], other: tuple[Any, ...]) -> tuple[Floats, float]:
+def _apart(one: tuple[RigidTransform, Floats], other: tuple[RigidTransform, Floats]) -> tuple[Floats, float]:
     """((6,) motion from one place to the other, probability of as much by chance), in the directions that no datum
     holds: a camera alone in a hand, whose stated place holds the hand's frame, stands where it stood."""
     motion = log(one[0].inv() * other[0])

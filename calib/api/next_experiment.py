@@ -5,7 +5,6 @@ does.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from calib.api.experiment_options import ExperimentOptions
 from calib.certification.platform_certification import Progress
@@ -28,7 +27,7 @@ class NextExperiment:
     none}; cameras : {camera: share of what the first experiment shows in images}; axes : of the machine
     """
 
-    questions: Sequence[Question[Any]]
+    questions: Sequence[Question[object]]
     experiments: Sequence[Experiment]
     refused: dict[str, str]
     cameras: dict[str, float]
@@ -91,7 +90,7 @@ class NextExperiment:
 
 
 def next_experiment(
-    questions: Sequence[Question[Any]], design: Design, options: ExperimentOptions, progress: Progress
+    questions: Sequence[Question[object]], design: Design, options: ExperimentOptions, progress: Progress
 ) -> NextExperiment:
     """NextExperiment that tells best what a diagnosis leaves alike; progress : called with (label, done, of)."""
     if not questions:
@@ -110,7 +109,7 @@ def next_experiment(
     return NextExperiment(questions, experiments, dict(refused), seen, design.mechanism.axes)
 
 
-def _odds_lines(questions: Sequence[Question[Any]]) -> list[str]:
+def _odds_lines(questions: Sequence[Question[object]]) -> list[str]:
     """What is alike, with odds."""
     out = ["alike: " + ", ".join(f"{h.title} {h.odds:.2f}" for h in question.hypotheses) for question in questions]
     return out + [f"cannot be foretold: {text}" for question in questions for text in question.not_asked]

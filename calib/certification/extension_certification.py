@@ -165,7 +165,7 @@ def _with_scatter(samples: Samples, done: Certified, rng: np.random.Generator) -
 
 def certify_interpolation_method(
     samples: Samples,
-    basis: tuple[Struts | Arm, Integers, Any],
+    basis: tuple[Struts | Arm, Integers, Any],  # Any: what identified the geometry, of each kind of machine its own
     stand: Callable[[Samples], "Stand"],
     kind: str,
     rng: np.random.Generator,

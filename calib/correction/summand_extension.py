@@ -6,7 +6,6 @@ Source: configuration-space patent, [0026] to [0030], [0126] to [0137]
 """
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -16,7 +15,7 @@ from calib.correction.correction import AnyCorrection, Correction, commands_with
 from calib.correction.interpolation import interpolation_methods
 from calib.correction.interpolation.field import Field, Known
 from calib.correction.interpolation.field_combinations import SummedPasses
-from calib.correction.interpolation.gaussian_process import RadialMap
+from calib.correction.interpolation.gaussian_process import Radial, RadialMap
 from calib.models.platform.identification import (
     PRIOR,
     Identified,
@@ -162,7 +161,7 @@ def fit_summand_field(samples: Known, kind: str, smoothness_from: Field | None =
     )
 
 
-def correction_with_field(nominal: Struts, identified: Identified, field: Field | None) -> Correction[Struts, Any]:
+def correction_with_field(nominal: Struts, identified: Identified, field: Field | None) -> Correction[Struts, Radial]:
     """Correction of a geometry with a Field for its remainder, or None."""
     return Correction(nominal, identified.mechanism, (None,) * len(nominal.axes), extension=field)
 

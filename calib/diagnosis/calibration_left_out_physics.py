@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import gammaincinv
@@ -209,7 +209,7 @@ def _made_from(of: Marks, paths: Iterable[Path]) -> list[tuple[Path, Json]]:
     ]
 
 
-def _known(tree: Json) -> set[tuple[Any, Any]]:
+def _known(tree: Json) -> set[tuple[object, object]]:
     """{(effect, place)} of the physics that a calibration knows."""
     physics = tree.get("physics") or {}
     known = {(e.get("effect"), e.get("place")) for e in physics.get("effects", ()) if isinstance(e, dict)}

@@ -13,8 +13,8 @@ from calib.diagnosis.engine.cross_validation import CrossValidation
 from calib.diagnosis.engine.excluded_outliers import Outliers
 from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit import Covariate, LackOfFit
-from calib.diagnosis.engine.problem_interface import Progress
-from calib.diagnosis.engine.selection_inputs import NO_STATED_TERMS, NotAsked, StatedTerms
+from calib.diagnosis.engine.problem_interface import Fit, Progress
+from calib.diagnosis.engine.selection_inputs import NO_STATED_TERMS, C, NotAsked, StatedTerms
 from calib.diagnosis.engine.term_selection import Selection, remove_unsupported_findings, select_terms
 from calib.diagnosis.problems.formula_suggestion import Suggestion
 from calib.diagnosis.problems.measured_evidence import (
@@ -102,7 +102,7 @@ class Diagnosis:
     confounds: Confounds | None = None
 
     @property
-    def findings(self) -> list[Finding[Any]]:
+    def findings(self) -> list[Finding[Any]]:  # Any: candidates, of each kind of machine their own
         """The findings, in the order of their weight."""
         return self.selection.findings
 
@@ -154,6 +154,7 @@ def diagnose(
     )
 
 
+# Any: fits and candidates, of each kind of machine their own
 def _measured_evidence(recording: Recording) -> Callable[..., Evidence[Any, Any]]:
     """The function that makes Evidence of a recording of its kind of machine: only what that takes is imported."""
     mechanism = recording.design.mechanism
@@ -166,7 +167,7 @@ def _measured_evidence(recording: Recording) -> Callable[..., Evidence[Any, Any]
     return platform_evidence
 
 
-def diagnose_evidence(evidence: Evidence[Any, Any], name: str, progress: Progress | None = None) -> Diagnosis:
+def diagnose_evidence(evidence: Evidence[Fit, C], name: str, progress: Progress | None = None) -> Diagnosis:
     """Diagnosis of Evidence. name : of the recording"""
     (selection, left, tolerable, not_asked), outliers = _explained_without_outliers(evidence, progress)
     if isinstance(evidence, TemperatureAlternatives):
@@ -203,7 +204,7 @@ def diagnose_evidence(evidence: Evidence[Any, Any], name: str, progress: Progres
     )
 
 
-def _explained_without_outliers(evidence: Evidence[Any, Any], progress: Progress | None) -> tuple[Explained, Outliers]:
+def _explained_without_outliers(evidence: Evidence[Fit, C], progress: Progress | None) -> tuple[Explained, Outliers]:
     """(Explained without outliers, Outliers): beside what explains the evidence, rows show as wild that a large effect
     hid; then all is explained anew without them.
     """
@@ -218,7 +219,7 @@ def _explained_without_outliers(evidence: Evidence[Any, Any], progress: Progress
     return explained, found
 
 
-def _explained(evidence: Evidence[Any, Any], outliers: Outliers, progress: Progress | None) -> Explained:
+def _explained(evidence: Evidence[Fit, C], outliers: Outliers, progress: Progress | None) -> Explained:
     """Explained of Evidence without outliers."""
     problem, not_asked = evidence.problem(outliers)
     selection = select_terms(problem, progress)

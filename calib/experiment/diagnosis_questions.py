@@ -9,13 +9,12 @@ friction's own shape is taken as found.
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.experiment.experiment_question import Question
 
 
-def diagnosis_questions(d: Diagnosis) -> Sequence[Question[Any]]:
+def diagnosis_questions(d: Diagnosis) -> Sequence[Question[object]]:
     """Questions of what a Diagnosis cannot tell apart, none where it can. Raises RigError for a machine of which no
     plan can be foretold.
     """

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -77,7 +76,7 @@ def available_plans(
 
 
 def choose_experiment(
-    open_questions: Sequence[Question[Any]],
+    open_questions: Sequence[Question[object]],
     design: Design,
     plan_texts: Sequence[str],
     seed: int,
@@ -127,7 +126,7 @@ def rank_experiments(experiments: Sequence[Experiment]) -> list[Experiment]:
 
 
 def _plan_configurations(
-    open_questions: Sequence[Question[Any]], design: Design, texts: Sequence[str], seed: int
+    open_questions: Sequence[Question[object]], design: Design, texts: Sequence[str], seed: int
 ) -> dict[str, Floats]:
     """{apart:N: configurations (N, axes)} of those plans' texts that ask for them, the first of one choice. Raises
     RigError where the rig cannot visit what is to be chosen from, and where no question has two names to come apart"""
@@ -139,7 +138,7 @@ def _plan_configurations(
 
 
 def evaluate_experiment(
-    open_questions: Sequence[Question[Any]],
+    open_questions: Sequence[Question[object]],
     design: Design,
     plan_text: str,
     seed: int,
@@ -165,7 +164,7 @@ def evaluate_experiment(
     return Experiment(plan_text, seed, plan, minutes, sum(one.bits for one in found), settles, asks)
 
 
-def _worth(question: Question[Any], plan: Plan) -> Information:
+def _worth(question: Question[object], plan: Plan) -> Information:
     """Information of a plan for one question; where a hypothesis follows a temperature, over days as warm as the first
     recording's and others.
     """

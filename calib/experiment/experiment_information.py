@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -21,7 +20,7 @@ NAME = "apart"  # of the part of a plan that they become
 
 
 def discriminating_configurations(
-    open_questions: Sequence[Question[Any]], design: Design, count: int, seed: int
+    open_questions: Sequence[Question[object]], design: Design, count: int, seed: int
 ) -> Floats:
     """Configurations (count, axes) that discriminate best between each question's two likeliest hypotheses.
 
@@ -63,7 +62,7 @@ def choose_exposures(questions: Sequence[PerFrame], count: int) -> Floats:
     return np.array(out)
 
 
-def camera_information_shares(open_questions: Sequence[Question[Any]], plan: Plan) -> dict[str, float]:
+def camera_information_shares(open_questions: Sequence[Question[object]], plan: Plan) -> dict[str, float]:
     """{camera: share of the information that its images give on the questions}, the greatest first."""
     parts: dict[str, float] = {}
     for question in open_questions:

@@ -2,23 +2,24 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from calib.diagnosis.engine.candidate_score import Alternative
 from calib.diagnosis.engine.finding_confirmation import Finding
-from calib.diagnosis.engine.selection_inputs import PLATFORM
+from calib.diagnosis.engine.selection_inputs import PLATFORM, C
 from calib.diagnosis.report.diagnosis_json import UNKNOWN
 from rig.arrays import Floats
 from rig.planning.plan_construction_and_table import Plan
 
 FOREIGN = 0.05  # of all odds, for what is in no catalogue
 F = TypeVar("F")
+F_co = TypeVar("F_co", covariant=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Hypothesis(Generic[F]):
+class Hypothesis(Generic[F_co]):
     """One explanation of a finding. name, place; odds : share of all, 0..1; refined : all that is free fitted with it
     in the finding's place, or None where it cannot be fitted (a temperature that nobody logs); number : of it among the
     effects of `refined`
@@ -28,7 +29,7 @@ class Hypothesis(Generic[F]):
     name: str
     place: str
     odds: float
-    refined: F | None
+    refined: F_co | None
     number: int
     data_log_odds: float = 0.0
 
@@ -38,7 +39,7 @@ class Hypothesis(Generic[F]):
         return f"{self.name.replace('_', ' ')} at {self.place}" if self.name != UNKNOWN else "something in no catalogue"
 
     @property
-    def fitted(self) -> F:
+    def fitted(self) -> F_co:
         """The fit with it. Raises ValueError where there is none."""
         if self.refined is None:
             raise ValueError(f"{self.title} cannot be fitted")
@@ -71,21 +72,21 @@ class PerFrame:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Question(ABC, Generic[F]):
+class Question(ABC, Generic[F_co]):
     """Hypotheses of one finding, its own first, something in no catalogue last; what cannot be fitted is left out and
     named in `unasked`.
     """
 
-    hypotheses: tuple[Hypothesis[F], ...]
+    hypotheses: tuple[Hypothesis[F_co], ...]
     not_asked: tuple[str, ...] = ()
 
     @property
-    def named(self) -> tuple[Hypothesis[F], ...]:
+    def named(self) -> tuple[Hypothesis[F_co], ...]:
         """Those with a name."""
         return tuple(h for h in self.hypotheses if h.name != UNKNOWN)
 
     @property
-    def likeliest(self) -> tuple[Hypothesis[F], ...]:
+    def likeliest(self) -> tuple[Hypothesis[F_co], ...]:
         """The two likeliest names. Raises ValueError for a question of one name"""
         found = tuple(sorted(self.named, key=lambda h: -h.odds)[:2])
         if len(found) < 2:
@@ -149,7 +150,7 @@ def rival_hypotheses(rivals: list[Rival[F]]) -> tuple[Hypothesis[F], ...]:
     return (*named, Hypothesis(UNKNOWN, rivals[0].place, FOREIGN, rivals[0].fit, rivals[0].number))
 
 
-def is_ruled_out(finding: Finding[Any], alternative: Alternative[Any], size: int) -> bool:
+def is_ruled_out(finding: Finding[C], alternative: Alternative[C], size: int) -> bool:
     """Whether an alternative is ruled out by its odds, or by the data alone where its effect is nearly the same."""
     same = abs(alternative.cosine) > PLATFORM.cosine
     return alternative.behind >= PLATFORM.alike and (
@@ -157,6 +158,6 @@ def is_ruled_out(finding: Finding[Any], alternative: Alternative[Any], size: int
     )
 
 
-def data_log_odds(finding: Finding[Any], alternative: Alternative[Any], size: int) -> float:
+def data_log_odds(finding: Finding[C], alternative: Alternative[C], size: int) -> float:
     """Log odds (minus twice a logarithm) of an alternative against its finding by the data, without complexity cost."""
     return float(alternative.behind - alternative.score.complexity(size) + finding.score.complexity(size))

@@ -4,7 +4,6 @@ import json
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -184,8 +183,11 @@ def _held_out_in(table: Entries) -> HeldOut | None:
 
 
 def _claim_in(table: Entries) -> Claim:
-    def numbers(name: str, shape: tuple[int, ...]) -> Any:
-        return None if table.get(name) is None else _tuples(table.array(name, shape).tolist())
+    def numbers(name: str) -> tuple[float, ...] | None:
+        return None if table.get(name) is None else tuple(table.array(name, (3,)).tolist())
+
+    def rows(name: str) -> tuple[tuple[float, ...], ...] | None:
+        return None if table.get(name) is None else tuple(map(tuple, table.array(name, (2, 3)).tolist()))
 
     return Claim(
         table.whole("distinct", 0),
@@ -194,17 +196,13 @@ def _claim_in(table: Entries) -> Claim:
         table.whole("unknowns", 0),
         table.text("tolerance"),
         table.text("workspace"),
-        numbers("before", (2, 3)),
-        numbers("after", (2, 3)),
-        numbers("ratio", (3,)),
-        numbers("measured", (3,)),
+        rows("before"),
+        rows("after"),
+        numbers("ratio"),
+        numbers("measured"),
         None if table.get("reason") is None else table.text("reason"),
         table.texts("unexplained") if "unexplained" in table.tree else (),
     )
-
-
-def _tuples(values: Any) -> Any:
-    return tuple(map(_tuples, values)) if isinstance(values, list) else values
 
 
 def _figures_in(table: Entries) -> Figures:

@@ -9,7 +9,7 @@ Source of the steps: Bierman, Factorization Methods for Discrete Sequential Esti
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -288,7 +288,7 @@ def _nominal(table: Entries) -> Hexapod:
     )
 
 
-def _out(pose: Pose) -> list[Any]:
+def _out(pose: Pose) -> list[object]:
     return [pose.number, *[part.tolist() for part in pose[1:]]]
 
 

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Protocol, TypedDict, Unpack
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -50,6 +50,23 @@ class View:
     """What displays show. phase : in words; frame, frames, step, steps : how far; left : s; lengths, goal : (axes,) m
     ranges : (axes, 2) m; alarms : the latest; seen : the latest Seen, None before the first; ended : why, None while it
         goes."""
+
+    phase: str
+    frame: int
+    frames: int
+    step: int
+    steps: int
+    left: float
+    lengths: Floats
+    goal: Floats
+    ranges: Floats
+    alarms: tuple[Alarm, ...]
+    seen: MeasuredFrame | None
+    ended: str | None
+
+
+class ViewChanges(TypedDict, total=False):
+    """Fields of a View that have changed."""
 
     phase: str
     frame: int
@@ -174,7 +191,7 @@ class RunObserver:
         self._reason = self._reason or reason
         self._stopping.halt()
 
-    def update(self, **changes: Any) -> None:
+    def update(self, **changes: Unpack[ViewChanges]) -> None:
         """Show what has changed of the view."""
         with self._lock:
             self.view = replace(self.view, **changes)

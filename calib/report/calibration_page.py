@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -185,9 +184,9 @@ def provenance_html(calibration: Calibration) -> str:
     return table(("what", "value"), flattened_rows(before | rows))
 
 
-def flattened_rows(tree: Json, prefix: str = "") -> list[tuple[str, Any]]:
+def flattened_rows(tree: Json, prefix: str = "") -> list[tuple[str, object]]:
     """Rows (name, value) of a nested dict, flattened for a table."""
-    rows: list[tuple[str, Any]] = []
+    rows: list[tuple[str, object]] = []
     for key, value in tree.items():
         name = f"{prefix}{key}"
         rows += (

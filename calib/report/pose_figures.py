@@ -1,7 +1,5 @@
 """Figures of poses for pages: plots, a 3-D scene of the rig, and displacements by effects."""
 
-from typing import Any
-
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
@@ -136,7 +134,7 @@ def fixed_rig_lines(design: Design, markers: MarkerMap | None) -> list[Json]:
     return parts
 
 
-def closed_outline(joints: Floats) -> list[Any]:
+def closed_outline(joints: Floats) -> list[list[float]]:
     """Closed outline [(x, y, z) ..] m around joints (n, 3) m."""
     around = np.argsort(np.arctan2(*(joints - joints.mean(axis=0))[:, 1::-1].T))
     return joints[np.r_[around, around[0]]].tolist()

@@ -10,7 +10,7 @@ Source: Draper and Smith, Applied Regression Analysis, 3rd ed., ch. 5 and 6 (R^2
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from scipy.special import betainc
@@ -18,6 +18,7 @@ from scipy.special import betainc
 from calib.samples.pose_samples import Samples, conditions_of_exposures
 from rig.arrays import Floats
 from rig.formats.checked_entries import Entries
+from rig.formats.json_tree import Json
 from rig.model import mechanisms
 from rig.model.mechanism_geometry import Arm, Chain, Free
 from rig.model.mechanism_kinds import Struts
@@ -93,7 +94,7 @@ class Confounds:
             f"{greatest.share:.0%} a function of place, {greatest.chance:.0%} by chance"
         ).replace("%", " %")
 
-    def tree(self) -> dict[str, Any]:
+    def tree(self) -> Json:
         """The tree that JSON files hold under "confounds"."""
         return {
             "n": self.n,

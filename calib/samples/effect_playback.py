@@ -4,7 +4,6 @@ is.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -68,5 +67,5 @@ def _effect_size_text(effect: Effect) -> str:
     return "" if not sized else sized[0].at(effect.place).said(getattr(effect, sized[0].name))
 
 
-def _times(value: Any, factor: float) -> Any:
+def _times(value: float | tuple[float, ...], factor: float) -> float | tuple[float, ...]:
     return tuple(v * factor for v in value) if isinstance(value, tuple) else value * factor

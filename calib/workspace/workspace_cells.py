@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -185,7 +184,7 @@ def workspace_dict(workspace: Workspace) -> Json:
     }
 
 
-def _plain(values: Floats) -> list[Any]:
+def _plain(values: Floats) -> list[object]:
     known = values.astype(object)
     known[values != values] = None
     return list(known.tolist())

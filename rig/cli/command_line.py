@@ -11,7 +11,7 @@ import threading
 from collections.abc import Collection, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, redirect_stdout, suppress
 from pathlib import Path
-from typing import Any, NoReturn, TextIO, TypeVar, cast
+from typing import NoReturn, TextIO, TypeVar, cast
 
 from rig.cli.shared.argument_parser import Parser, add_common_options, join_negative_numbers
 from rig.errors import RigError
@@ -145,7 +145,7 @@ def run_script() -> NoReturn:
 
 
 class _Version(argparse.Action):
-    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         """Print the version, which is read only where it is asked for, and end."""
         from importlib.metadata import version
 
@@ -302,7 +302,7 @@ def _signals() -> Iterator[None]:
         yield
         return
 
-    def end(number: int, _: Any) -> None:
+    def end(number: int, _: object) -> None:
         raise Ended(number)
 
     numbers = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) == signal.SIG_DFL]

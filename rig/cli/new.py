@@ -4,7 +4,7 @@ import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 from rig.cli.shared.argument_parser import suggestion_text
 from rig.cli.shared.command_options import add_overwrite_option, parse_length
@@ -12,6 +12,7 @@ from rig.errors import RigError
 
 KINDS = ("hexapod", "planar2", "arm")
 CAMERAS, SIZE = "3", "1280x1024"  # what is taken where nothing is answered
+T = TypeVar("T")
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -113,7 +114,7 @@ def _with_struts(arguments: Namespace, kind: str) -> tuple[str, str]:
     return make(radius, cameras, width, height), f"{cameras} cameras and cubes stand where they see each other well"
 
 
-def _answer(arguments: Namespace, name: str, question: str, default: str | None, read: Callable[[str], Any]) -> Any:
+def _answer(arguments: Namespace, name: str, question: str, default: str | None, read: Callable[[str], T]) -> T:
     """What the option says; else the answer to the question, asked again until it can be read. Raises RigError where
     nobody can be asked.
     """

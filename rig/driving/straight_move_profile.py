@@ -1,7 +1,5 @@
 """Straight moves of all axes: segment at a share of full speed, trapezoidal profile, check of the path."""
 
-from typing import Any
-
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
@@ -112,7 +110,7 @@ def require_safe_path(
         k = int(np.min(error.index))
         where = [f"{share[k]:.0%} along: {error}", *([OUT_OF_RANGE] if k == 0 else [])]
         raise Unreachable("not moved: the way leaves the workspace", [k], where) from None
-    least = _dexterity(module, poses, mechanism) / _dexterity(module, home, mechanism)
+    least = _dexterity(poses, way, mechanism) / _dexterity(home, module.home(mechanism), mechanism)
     if least.min() < singularity_margin:
         k = int(np.argmin(least))
         raise Unreachable(
@@ -126,9 +124,9 @@ def require_safe_path(
         )
 
 
-def _dexterity(module: Any, poses: RigidTransform, mechanism: Hexapod | Planar2) -> Floats:
+def _dexterity(poses: RigidTransform, values: Floats, mechanism: Hexapod | Planar2) -> Floats:
     """(...) least singular value of the Jacobian, turns taken as lengths at the platform joints' mean radius."""
-    J = module.jacobian(poses, mechanism)
+    J = mechanisms.kinematics_of(mechanism).axis_changes(poses, values, mechanism)
     if mechanism.plates is not None:
         J = J / np.r_[1, 1, 1, np.full(3, np.linalg.norm(mechanism.plates[1], axis=1).mean())]
-    return np.linalg.svd(J, compute_uv=False)[..., -1]
+    return np.asarray(np.linalg.svd(J, compute_uv=False)[..., -1], float)

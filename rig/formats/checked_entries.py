@@ -83,11 +83,11 @@ class Entries:
         line, column = self.places[at]
         raise FileError(self.file, message, line, column, value)
 
-    def refuse(self, key: Key, expected: str, value: Any) -> NoReturn:
+    def refuse(self, key: Key, expected: str, value: object) -> NoReturn:
         """Raise FileError at a value that is not what it must be. expected : in words"""
         self.fail(f"{self.name(key)} must be {expected}, not {short_repr(value)}", key, value=value)
 
-    def _inner(self, tree: dict[Any, Any], *keys: Key) -> Entries:
+    def _inner(self, tree: dict[int, object] | dict[str, object], *keys: Key) -> Entries:
         return Entries(tree, self.path + keys, self.file, self.places)
 
     def name(self, key: Key) -> str:

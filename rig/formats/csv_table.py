@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import numpy as np
 
@@ -27,13 +27,13 @@ class Table:
 
     path: Path
     columns: tuple[str, ...]
-    rows: list[Any]
+    rows: list[list[str]]
     lines: Floats
 
     def __len__(self) -> int:
         return len(self.rows)
 
-    def fail(self, message: str, row: int | np.integer, column: str | None = None, value: Any = None) -> NoReturn:
+    def fail(self, message: str, row: int | np.integer, column: str | None = None, value: object = None) -> NoReturn:
         """Raise FileError at a row (index) and a column (name); the column is given as its place in the row, from 1."""
         place = self.columns.index(column) + 1 if column is not None else None
         raise FileError(self.path, message, int(self.lines[row]), place, value)

@@ -5,7 +5,7 @@ import re
 import stat
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from rig.errors import FileError
 from rig.formats import remote_folders
@@ -84,7 +84,7 @@ def read_text(path: Path, max_bytes: int = LARGEST, missing_message: str = "no s
     return text
 
 
-def short_repr(value: Any) -> str:
+def short_repr(value: object) -> str:
     """Short repr of a value for a message, truncated where long."""
     try:
         text = repr(value if not isinstance(value, str) else value[: 2 * SHOWN])

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from types import ModuleType
 
 from rig.errors import FileError, MissingLibrary
 from rig.formats.input_files import open_regular_file
@@ -53,7 +53,7 @@ def parquet_bytes(columns: Mapping[str, Sequence[int] | Sequence[float] | Sequen
     return bytes(buffer.getvalue())
 
 
-def _library() -> tuple[Any, Any]:
+def _library() -> tuple[ModuleType, ModuleType]:
     try:
         import pyarrow
         import pyarrow.parquet

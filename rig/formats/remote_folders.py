@@ -7,9 +7,10 @@ Nothing is ever written there.
 
 import os
 import re
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Protocol
 
 from rig.errors import SCHEME, FileError, MissingLibrary
 
@@ -110,7 +111,17 @@ def _entries(folder: str) -> dict[str, int]:
     return {name.rsplit("/", 1)[-1]: bytes_ for name, bytes_ in sizes.items() if name != place.strip("/")}
 
 
-def _system(address: str) -> tuple[Any, str]:
+class FileSystem(Protocol):
+    """What is called of fsspec's file systems, which have no types."""
+
+    def cat_file(self, place: str, *, end: int | None) -> bytes:
+        """A file's first bytes, `end` at most."""
+
+    def ls(self, place: str, *, detail: bool) -> Sequence[Mapping[str, str | int | None]]:
+        """A folder's entries, each with its name and size."""
+
+
+def _system(address: str) -> tuple[FileSystem, str]:
     """(fsspec's file system, the place in it) of a URL."""
     try:
         from fsspec import available_protocols

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
@@ -70,7 +69,7 @@ def first_repeated_key(text: str) -> tuple[str, Place] | None:
     return None
 
 
-def dict_without_repeated_keys(key_value_pairs: list[tuple[str, Any]]) -> Json:
+def dict_without_repeated_keys(key_value_pairs: list[tuple[str, object]]) -> Json:
     """Dict of JSON key-value pairs (json's object_pairs_hook). Raises RepeatedKey for repeated keys.
     Raises RepeatedKey for a key that is there twice.
     """
@@ -135,7 +134,7 @@ def load_json(path: Path, file_kind: str, *schemas: str) -> Entries:
     return Entries(tree, (), path, places)
 
 
-def json_data(value: Any) -> Any:
+def json_data(value: object) -> object:
     """Value as JSON holds it: arrays and tuples as lists, dataclasses as tables of their fields, poses as entries."""
     if isinstance(value, np.ndarray):
         return value.tolist()
@@ -146,7 +145,7 @@ def json_data(value: Any) -> Any:
     return [json_data(one) for one in value] if isinstance(value, tuple | list) else value
 
 
-def nan_to_null(data: Any) -> Any:
+def nan_to_null(data: object) -> object:
     """The data with each NaN replaced by null, since JSON has no NaN."""
     if isinstance(data, dict):
         return {name: nan_to_null(value) for name, value in data.items()}
@@ -212,12 +211,13 @@ def load_yaml(path: Path) -> Entries:
         tree = _yaml_value(root, (), places, path)
     except RecursionError:
         raise FileError(path, "not valid YAML: nested too deep, or an alias within itself") from None
+    assert isinstance(tree, dict)  # as its node is a mapping
     return Entries(tree, (), path, places)
 
 
 def _yaml_value(
     node: yaml.Node, at: tuple[str | int, ...], places: dict[tuple[str | int, ...], tuple[int, int]], file: Path
-) -> Any:
+) -> object:
     """A node as Python has it: tables, lists, texts, numbers, whatever tag it bears."""
     line, column = node.start_mark.line + 1, node.start_mark.column + 1
     places[at] = (line, column)
@@ -237,7 +237,7 @@ def _yaml_value(
     return node.value if getattr(node, "style", None) in ("'", '"') else _plain_yaml_word(node.value)
 
 
-def _plain_yaml_word(text: str) -> Any:
+def _plain_yaml_word(text: str) -> object:
     """A bare word: a number as every other language reads it (1e-5 is one, 010 is ten), true, false, null or text."""
     if WHOLE.fullmatch(text):
         return int(text)

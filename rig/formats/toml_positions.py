@@ -3,7 +3,6 @@
 import re
 import tomllib
 from collections.abc import Callable, Sequence
-from typing import Any
 
 _SPACE = re.compile(r"[ \t]*")
 _BLANK = re.compile(r"(?:[ \t\r\n]|#[^\n]*)*")
@@ -67,7 +66,7 @@ class _Scanner:
                 return tuple(parts)
             self.at += 1
 
-    def resolve(self, parts: Sequence[Any]) -> tuple[str | int, ...]:
+    def resolve(self, parts: Sequence[str]) -> tuple[str | int, ...]:
         """Insert the index of the latest element wherever a part names an array of tables."""
         path: tuple[str | int, ...] = ()
         for part in parts:

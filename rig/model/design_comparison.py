@@ -3,7 +3,6 @@
 import re
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -40,13 +39,13 @@ def same_lens(a: Camera, b: Camera) -> bool:
     return not any(where not in ("pose", "source") for where, _ in _differences(a, b, ""))
 
 
-def _differences(a: Any, b: Any, where: str) -> Iterator[tuple[str, str]]:
+def _differences(a: object, b: object, where: str) -> Iterator[tuple[str, str]]:
     """(name, what differs in words) of two values of one kind."""
     if type(a) is not type(b):
         yield where, f"{where}: {_shown(a)} and {_shown(b)}"
-    elif isinstance(a, RigidTransform):
+    elif isinstance(a, RigidTransform) and isinstance(b, RigidTransform):
         yield from _differences(a.as_matrix(), b.as_matrix(), where)
-    elif isinstance(a, np.ndarray):
+    elif isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
         if a.shape != b.shape:
             yield where, f"{where}: {a.shape} and {b.shape} numbers"
         elif a.size and not np.allclose(a, b, rtol=0, atol=SAME, equal_nan=True):
@@ -56,7 +55,7 @@ def _differences(a: Any, b: Any, where: str) -> Iterator[tuple[str, str]]:
             yield from _differences(
                 getattr(a, field.name), getattr(b, field.name), f"{where}.{field.name}".removeprefix(".")
             )
-    elif isinstance(a, tuple):
+    elif isinstance(a, tuple) and isinstance(b, tuple):
         if len(a) != len(b):
             yield where, f"{where}: {len(a)} and {len(b)}"
         for k, (one, other) in enumerate(zip(a, b)):
@@ -65,7 +64,7 @@ def _differences(a: Any, b: Any, where: str) -> Iterator[tuple[str, str]]:
         yield where, f"{where}: {_shown(a)} and {_shown(b)}"
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     if value is None:
         return "nothing"
     return type(value).__name__ if is_dataclass(value) or isinstance(value, np.ndarray) else repr(value)

@@ -1,15 +1,16 @@
 """Geometry of mechanisms (hexapod, planar, arm, chain, free) as frozen dataclasses in metres and radians."""
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from rig.arrays import Booleans, Floats
 
 
-def _array(value: Any, shape: tuple[int | None, ...], what: str) -> Floats:
+def _array(value: ArrayLike, shape: tuple[int | None, ...], what: str) -> Floats:
     array = np.array(value, float)
     if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape)):
         raise ValueError(f"{what}: expected shape {shape}, got {array.shape}")
@@ -19,7 +20,7 @@ def _array(value: Any, shape: tuple[int | None, ...], what: str) -> Floats:
     return array
 
 
-def freeze_array(instance: Any, name: str, shape: tuple[int | None, ...]) -> None:
+def freeze_array(instance: object, name: str, shape: tuple[int | None, ...]) -> None:
     """Freeze an array field of a dataclass instance: read-only floats of a shape. Raises ValueError otherwise."""
     object.__setattr__(instance, name, _array(getattr(instance, name), shape, name))
 

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -39,12 +38,12 @@ def grid_configurations(strokes: Floats, per_axis: int, fill: float = FILL) -> F
     return scale_to_strokes(strokes, np.array(_serpentine(len(strokes), np.linspace(-1, 1, per_axis))), fill)
 
 
-def _serpentine(axes: int, levels: Floats) -> list[tuple[Any, ...]]:
+def _serpentine(axes: int, levels: Floats) -> list[tuple[float, ...]]:
     """Grid points of levels on each axis in an order in which neighbours differ in one axis by one level."""
     return _vertices([levels] * axes)
 
 
-def _vertices(levels: Sequence[Floats]) -> list[tuple[Any, ...]]:
+def _vertices(levels: Sequence[Floats]) -> list[tuple[float, ...]]:
     """Grid points of each axis' own levels in an order in which neighbours differ in one axis by one level."""
     if not len(levels):
         return [()]

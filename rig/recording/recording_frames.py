@@ -15,14 +15,13 @@ chance does not do that.
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from hashlib import sha256
 from itertools import compress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -242,5 +241,5 @@ def _limbs(recording: Recording) -> list[tuple[int, str]]:
     ]
 
 
-def _mark(kind: str, content: list[Any]) -> str:
+def _mark(kind: str, content: Sequence[object]) -> str:
     return sha256(repr((kind, content)).encode()).hexdigest()[:LENGTH]

@@ -1,14 +1,14 @@
 """Trials of other corner conventions, and the trial measurement of sampled frames that scores every trial."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TypedDict, Unpack
 
 import numpy as np
 
 from rig.arrays import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
-from rig.model.design import Design
+from rig.model.design import Camera, Design, Target
 from rig.recording.recording_tables import Corners
 from vision.corner_observations import observations_from_corners
 from vision.recording_adjustment import Measurement, measure
@@ -20,6 +20,15 @@ FRAMES = 8  # looked at
 LOST = 20.0
 
 
+class CornerColumns(TypedDict, total=False):
+    """Columns of Corners that a mistake changes."""
+
+    camera: list[str]
+    marker: Integers
+    corner: Integers
+    uv: Floats
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledRecording:
     """design : Design as stated; corners : Corners of some frames; frames : (f,) their numbers; t : (f,) s."""
@@ -29,15 +38,15 @@ class SampledRecording:
     frames: Integers
     t: Floats
 
-    def with_cameras(self, cameras: tuple[Any, ...]) -> "SampledRecording":
+    def with_cameras(self, cameras: Sequence[Camera]) -> "SampledRecording":
         """The same with other cameras in the design."""
         return replace(self, design=replace(self.design, cameras=tuple(cameras)))
 
-    def with_targets(self, targets: tuple[Any, ...]) -> "SampledRecording":
+    def with_targets(self, targets: Sequence[Target]) -> "SampledRecording":
         """The same with other targets in the design."""
         return replace(self, design=replace(self.design, targets=tuple(targets)))
 
-    def with_corners(self, **columns: Any) -> "SampledRecording":
+    def with_corners(self, **columns: Unpack[CornerColumns]) -> "SampledRecording":
         """The same with some columns of the corners replaced."""
         return replace(self, corners=replace(self.corners, **columns))
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import fields as parts_of
-from typing import Any
 
 import numpy as np
 
@@ -135,7 +134,7 @@ def _levels(table: Entries, axes: int) -> tuple[Floats, ...]:
     return tuple(inner.array(i, (None,)) for i in range(axes))
 
 
-def _ragged(table: Entries, name: str) -> list[Any]:
+def _ragged(table: Entries, name: str) -> list[object]:
     value = table.get(name)
     if not isinstance(value, list):
         table.fail(f"{table.name(name)} must be a list", name)

@@ -1,7 +1,8 @@
 """Alternative hypotheses of each finding that explain the data as well, listed and refitted."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Generic
+from typing import Generic
 
 from calib.diagnosis.engine.candidate_score import Alternative, Score, score_with_likelihood_ratio
 from calib.diagnosis.engine.linear_model import column_cosine
@@ -26,7 +27,7 @@ def is_indistinguishable(alternative: Alternative[C], policy: SelectionPolicy) -
 
 
 def find_alternatives(
-    problem: Problem[Fit, Model, C], model: Model, own: Score[C], progress: Any
+    problem: Problem[Fit, Model, C], model: Model, own: Score[C], progress: Callable[[int, int], None] | None
 ) -> list[Alternative[C]]:
     """[Alternative] to a Score on a model without it, by weight, the best of each name and place."""
     policy, linear = problem.policy, problem.linear(model)

@@ -1,7 +1,8 @@
 """Findings confirmed: each admitted term against all candidates and smooth functions, with the others admitted."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic
+from typing import Generic
 
 from calib.diagnosis.engine.alternative_hypotheses import find_alternatives, is_indistinguishable, refit_alternatives
 from calib.diagnosis.engine.candidate_score import Alternative, Score, score_with_likelihood_ratio
@@ -28,7 +29,7 @@ def is_significant(score: Score[C], count: int, size: int, policy: SelectionPoli
     return score.p_value * count <= policy.alpha and score.delta_bic(size) >= policy.delta_bic
 
 
-def labelled_progress(progress: Progress | None, label: str) -> Any:
+def labelled_progress(progress: Progress | None, label: str) -> Callable[[int, int], None] | None:
     """A progress (done, of) under a label, or None."""
     return None if progress is None else lambda done, of: progress(label, done, of)
 

@@ -6,7 +6,6 @@ closures, poses) is a kind of measurement; its rows stand frame by frame, then w
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from scipy.sparse.linalg import LinearOperator
@@ -70,11 +69,12 @@ class Column:
         return Column(tuple(None if part is None else part[:, index] for part in self.parts))
 
     @property
-    def whole(self) -> tuple[Any, ...]:
+    def whole(self) -> tuple[Floats, ...]:
         """The parts where every block has one. Raises ValueError where one has none"""
-        if any(part is None for part in self.parts):
+        parts = tuple(part for part in self.parts if part is not None)
+        if len(parts) < len(self.parts):
             raise ValueError("a basis says of every block what it is there, zeros where it is nothing")
-        return self.parts
+        return parts
 
     @property
     def count(self) -> int:

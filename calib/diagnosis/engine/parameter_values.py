@@ -8,6 +8,9 @@ import numpy as np
 from rig.arrays import Floats
 from rig.recording.time_origin import Origin
 
+# value, low, high of a number, or of the numbers of a vector
+Interval = tuple[float, float, float] | tuple[list[float], list[float], list[float]]
+
 
 @dataclass(frozen=True, slots=True)
 class Value:

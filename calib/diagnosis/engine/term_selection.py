@@ -164,7 +164,7 @@ def _hidden(problem: Problem[Fit, Model, C], fit: Fit, model: Model, scores: lis
     return sorted(found, key=lambda s: -s.delta_bic(linear.size))
 
 
-def _hypothesis_key(score: Score[C]) -> tuple[Any, ...]:
+def _hypothesis_key(score: Score[C]) -> tuple[object, ...]:
     """What a hypothesis is known by: its name, place and node."""
     node = tuple(
         sorted(

@@ -1,12 +1,12 @@
 """Suggestion of a formula for an unexplained deviation: its library, its text, its held-out error."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from calib.diagnosis.engine.formula_library import Library, Quantity
 from calib.diagnosis.engine.formula_search import Formula
+from calib.diagnosis.engine.parameter_values import Interval
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.formula_quantities import POSE, quantities_of_motion
 from rig.effects.framework.machine_motion import Motion
@@ -34,7 +34,7 @@ class Suggestion:
     place: str
     written: Written
     effect: Effect
-    intervals: dict[str, tuple[Any, ...]]
+    intervals: dict[str, Interval]
     before: float
     after: float
     noise: float

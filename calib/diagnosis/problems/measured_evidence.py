@@ -129,6 +129,7 @@ class Evidence(Protocol[Fit, C]):
     def gross_outliers(self) -> Outliers:
         """Outliers that show before anything is admitted."""
 
+    # Any: fits, models and candidates, of each kind of machine their own
     def problem(self, outliers: Outliers) -> tuple[Problem[Any, Any, Any], list[NotAsked]]:
         """(Problem without outliers, what its recording cannot be asked for, and why). Raises RigError where what is
         assumed cannot be.

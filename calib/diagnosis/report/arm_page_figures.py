@@ -1,7 +1,6 @@
 """Figures of an arm's diagnosis page: its outline, each finding at its joint, held-out errors."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -157,7 +156,7 @@ class ArmView:
             )
         return parts
 
-    def measurement(self) -> list[tuple[str, Any]]:
+    def measurement(self) -> list[tuple[str, object]]:
         """Where poses came from, and how well they repeat."""
         d = self.diagnosis
         again = repeat_rows(d)

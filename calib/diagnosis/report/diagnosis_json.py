@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
-from typing import Any
 
 from calib.diagnosis.engine.lack_of_fit import Covariate
 from calib.diagnosis.engine.parameter_values import Value
@@ -225,7 +224,7 @@ def recording_entries(parts: tuple[Part, ...]) -> tuple[RecordingEntry, ...]:
     return tuple(RecordingEntry(part.recording.name, part.frames, part.t) for part in parts)
 
 
-def json_tree(value: Any) -> Any:
+def json_tree(value: object) -> object:
     """JSON tree of dicts and lists; of dataclasses, optional fields that are None or empty are left out."""
     if is_dataclass(value):
         items = {f.name: getattr(value, f.name) for f in fields(value)}

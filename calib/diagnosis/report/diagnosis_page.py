@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report import report_sentences
@@ -39,7 +39,7 @@ class View(Protocol):
     def remaining(self, unknown: list[FindingEntry]) -> list[str]:
         """What is left of each part of the machine, and pictures of what is unknown."""
 
-    def measurement(self) -> list[tuple[str, Any]]:
+    def measurement(self) -> list[tuple[str, object]]:
         """[(what, value)] of how it was measured."""
 
 
@@ -236,7 +236,7 @@ def _asked(report: Report) -> list[str]:
     return [*asked, folding_section(f"{len(rows)} could not be", table(("effect", "why"), rows))]
 
 
-def _measurement(report: Report, view: View) -> list[tuple[str, Any]]:
+def _measurement(report: Report, view: View) -> list[tuple[str, object]]:
     units = {
         "corner_px": ("corner, per axis", "px"),
         "pose_m": ("pose, position", "m"),

@@ -1,10 +1,11 @@
 """Contribution of each finding to each pose's error: a table of all, a figure of the worst."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from calib.diagnosis.engine.problem_interface import Fit
+from calib.diagnosis.engine.selection_inputs import C
 from calib.diagnosis.engine.term_selection import Selection
 from calib.diagnosis.problems.measured_evidence import PoseContributions
 from calib.diagnosis.recording_diagnosis import Diagnosis
@@ -34,7 +35,7 @@ def write_contributions(path: Path, diagnosis: Diagnosis) -> None:
     )
 
 
-def contribution_figure(evidence: PoseContributions[Any, Any], selection: Selection[Any, Any]) -> str:
+def contribution_figure(evidence: PoseContributions[Fit, C], selection: Selection[Fit, C]) -> str:
     """Figure of contributions at the worst poses, a stacked bar for each."""
     frames, names, sizes = evidence.contributions(selection)
     worst = np.argsort(-sizes[:, :-1].sum(axis=1))[:WORST]

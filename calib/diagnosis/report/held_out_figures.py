@@ -2,8 +2,6 @@
 given twice.
 """
 
-from typing import Any
-
 import numpy as np
 
 from calib.diagnosis.problems.measured_evidence import (
@@ -107,7 +105,7 @@ def extrapolation_figures(held: HeldOutPoses) -> Json:
     }
 
 
-def repeat_rows(d: Diagnosis) -> list[tuple[str, Any]]:
+def repeat_rows(d: Diagnosis) -> list[tuple[str, object]]:
     """[(what, value)] of how well poses repeat; nothing where too few commands were given twice."""
     if d.repeats is None:
         return []

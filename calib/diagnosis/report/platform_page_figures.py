@@ -1,7 +1,6 @@
 """Figures of a platform's diagnosis page: its outline, each finding's residuals, what is unexplained."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -89,7 +88,7 @@ class PlatformView:
                 parts.append(image_residual_figures(k, own, (corners,), ("what is left",)))
         return parts
 
-    def measurement(self) -> list[tuple[str, Any]]:
+    def measurement(self) -> list[tuple[str, object]]:
         """Where poses came from, and how much there is."""
         k, rec = self.refined.point, self.recording
         return [

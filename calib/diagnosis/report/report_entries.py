@@ -75,6 +75,7 @@ def _measured(one: MeasuredFinding) -> FindingEntry:
     return FindingEntry(one.kind.name, one.place, one.parameters, action=one.kind.action_at(one.place))
 
 
+# Any: candidates, of each kind of machine their own
 def _finding(d: Diagnosis, finding: Finding[Any], proof: CrossValidation) -> FindingEntry:
     problem, fit, score = d.selection.problem, d.selection.fit, finding.score
     candidate = problem.terms(fit)[finding.number]

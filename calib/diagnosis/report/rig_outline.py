@@ -1,9 +1,9 @@
 """The rig in outline, with the parts that a diagnosis points at marked."""
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
@@ -32,7 +32,7 @@ class Outline:
         self._shapes: list[tuple[Floats, str, int, str]] = []
         self._words: list[tuple[Floats, str, int]] = []
 
-    def line(self, points: Any, colour: int, said: str = "") -> None:
+    def line(self, points: ArrayLike, colour: int, said: str = "") -> None:
         """A line through points (n, 3) m. colour : of a finding, or PLAIN; said : what it is"""
         self._shapes.append((_oblique_projection(np.asarray(points, float)), "outline", colour, said))
 
@@ -40,7 +40,7 @@ class Outline:
         """A filled polygon of points (n, 3) m. style : plate or patch"""
         self._shapes.append((_oblique_projection(points), style, colour, ""))
 
-    def label(self, point: Any, words: str, colour: int) -> None:
+    def label(self, point: ArrayLike, words: str, colour: int) -> None:
         """Words at a point (3,) m."""
         self._words.append((_oblique_projection(np.asarray(point, float)), words, colour))
 

@@ -3,7 +3,7 @@
 import re
 from argparse import ArgumentParser
 from collections.abc import Iterable
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 PROGRESS = ("auto", "lines", "none")
 PRINTED = ("completion", "doctor", "effects", "status")  # what they print is all they are for, so they cannot be quiet
@@ -24,6 +24,8 @@ SHARED = (
 
 INVALID = re.compile(r"invalid parse_(\w+) value")  # as argparse names what parses an argument
 NEGATIVE = re.compile(r"-\.?\d[^,]*,")  # figures joined by commas, of which the first is negative
+if TYPE_CHECKING:
+    from _typeshed import SupportsWrite
 
 
 def join_negative_numbers(words: Iterable[str]) -> list[str]:
@@ -45,7 +47,7 @@ class Parser(ArgumentParser):
     words: tuple[str, ...] = ()
     command: "Parser | None" = None
 
-    def print_help(self, file: Any = None) -> None:
+    def print_help(self, file: "SupportsWrite[str] | None" = None) -> None:
         """Print the help; unlike argparse's own this raises OSError where it cannot."""
         print(self.format_help(), end="", file=file)
 

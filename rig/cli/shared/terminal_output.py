@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
-from typing import Any, ClassVar, TextIO, cast
+from typing import Any, ClassVar, Protocol, TextIO, cast
 
 from rig.formats.output_files.atomic_file import escape_unprintable
 
@@ -29,7 +29,7 @@ class Escaped:
         self.controls.write(shown.encode(encoding, "backslashreplace").decode(encoding))
         return len(text)
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         return getattr(self.controls, name)
 
 
@@ -79,7 +79,7 @@ class StandardOutput:
             discard_output(self.stream)
             self.closed_by_reader = True
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         return getattr(self.stream, name)
 
 
@@ -171,6 +171,23 @@ def progress_line(label: str, done: int, total: int, elapsed: float) -> str:
     return f"{share}, about {left / 60:.0f} min left" if left >= 120 else f"{share}, about {left:.0f} s left"
 
 
-def _show(bar: Any) -> None:
+class ProgressBar(Protocol):
+    """What is asked of a bar of tqdm, which has no types. delay : s before it is shown; n : how far it is"""
+
+    delay: float
+    disable: bool
+    n: int
+
+    def refresh(self) -> object:
+        """Draw it again."""
+
+    def update(self, n: int) -> object:
+        """Move it on by n."""
+
+    def close(self) -> object:
+        """End it."""
+
+
+def _show(bar: ProgressBar) -> None:
     bar.delay = 0  # shown from here on, so there is something to clear
     bar.refresh()

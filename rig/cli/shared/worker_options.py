@@ -3,10 +3,10 @@
 import sys
 import time
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
-from typing import Any
+from typing import TypeVar
 
 from rig.cli.shared.terminal_output import Progress
 from rig.compute import dask_cluster
@@ -15,6 +15,7 @@ from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 
 MOST = 1024  # processes
+R = TypeVar("R")
 
 
 def add_worker_options(parser: ArgumentParser) -> None:
@@ -52,7 +53,7 @@ def use_requested_workers(arguments: Namespace) -> Iterator[None]:
 
 
 @contextmanager
-def worker_pool() -> Iterator[Any]:
+def worker_pool() -> Iterator[Executor]:
     """Pool of workers: threads that wait for processes, or the cluster; calls not begun are dropped at its end."""
     there = dask_cluster.current_cluster()
     if there is not None:
@@ -69,7 +70,9 @@ def worker_pool() -> Iterator[Any]:
         threads.shutdown(wait=False, cancel_futures=True)
 
 
-def results_with_progress(pool: Any, function: Callable[..., Any], calls: list[Any], label: str) -> Iterator[Any]:
+def results_with_progress(
+    pool: Executor, function: Callable[..., R], calls: Sequence[tuple[object, ...]], label: str
+) -> Iterator[R]:
     """Results of calls as they complete, with progress on standard error. Raises what a call raises."""
     progress, start = Progress(), time.monotonic()
     waiting = [pool.submit(function, *call) for call in calls]

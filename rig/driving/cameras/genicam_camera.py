@@ -1,7 +1,8 @@
 """GenICam camera (GigE Vision, USB3 Vision) through harvesters: software trigger, hardware timestamps."""
 
 import os
-from typing import Any
+from contextlib import AbstractContextManager
+from typing import Protocol
 
 import numpy as np
 
@@ -15,12 +16,82 @@ STAMP = 1e-9  # s; GenICam counts nanoseconds unless the device says its tick fr
 LATCH = "TimestampLatch"
 
 
+class Number(Protocol):
+    """A setting of a camera. value, min, max : in the setting's own unit"""
+
+    value: float
+    min: float
+    max: float
+
+
+class Command(Protocol):
+    """A command of a camera."""
+
+    def execute(self) -> None:
+        """Execute the command."""
+
+
+class NodeMap(Protocol):
+    """Settings and commands of a camera by their names, of which some cameras lack some."""
+
+    TriggerSoftware: Command
+    TimestampLatch: Command
+    TimestampLatchValue: Number
+    ExposureTime: Number
+
+
+class Device(Protocol):
+    """The camera at the other end."""
+
+    node_map: NodeMap
+
+
+class ImageComponent(Protocol):
+    """An image of a buffer. data : (height width,); data_format : Mono8, .."""
+
+    width: int
+    height: int
+    data_format: str
+    data: Integers
+
+
+class Payload(Protocol):
+    """What a buffer holds."""
+
+    components: list[ImageComponent]
+
+
+class Buffer(AbstractContextManager["Buffer"], Protocol):
+    """A buffer that goes back to its camera at the end. timestamp_ns : None or 0 where the camera stamps none"""
+
+    payload: Payload
+    timestamp_ns: int | None
+
+
+class Acquirer(Protocol):
+    """What is called of harvesters' ImageAcquirer, which has no types."""
+
+    remote_device: Device
+
+    def start(self) -> None:
+        """Begin to acquire."""
+
+    def fetch(self, *, timeout: float) -> Buffer | None:
+        """The next buffer, None where none comes in timeout s."""
+
+    def stop(self) -> None:
+        """End acquiring."""
+
+    def destroy(self) -> None:
+        """Let go of the camera."""
+
+
 class GenicamSource:
     """An acquiring camera. acquirer : harvesters' ImageAcquirer; size : (width, height) px"""
 
     can_set_exposure = True
 
-    def __init__(self, name: str, acquirer: Any, clock: Clock, size: tuple[int, int]) -> None:
+    def __init__(self, name: str, acquirer: Acquirer, clock: Clock, size: tuple[int, int]) -> None:
         self.name, self._acquirer, self._clock, self._size, self._offset = name, acquirer, clock, size, Offset()
         nodes = acquirer.remote_device.node_map
         self._nodes = nodes
@@ -67,7 +138,7 @@ class GenicamSource:
         after = self._clock.now()
         self._offset.learn(before, self._nodes.TimestampLatchValue.value * STAMP, after)
 
-    def _image(self, component: Any) -> Integers:
+    def _image(self, component: ImageComponent) -> Integers:
         """(height, width) uint8 or uint16 of a buffer's component, copied out of it."""
         if (component.width, component.height) != self._size:
             raise CameraError(

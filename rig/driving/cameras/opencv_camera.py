@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, cast
 
 from rig.driving.cameras.camera_interface_and_clock import UNIFORM, CameraError, Frame, Offset
 from rig.driving.clock import Clock
@@ -47,6 +47,8 @@ def gstreamer_pipeline_problem(pipeline: str) -> str | None:
 
 
 if TYPE_CHECKING:
+    from cv2 import VideoCapture
+
     from rig.arrays import Integers
 
 FLUSHED = 8  # frames that may wait in a driver's queue
@@ -61,7 +63,7 @@ class VideoSource:
     arrival.
     """
 
-    def __init__(self, name: str, capture: Any, clock: Clock, size: tuple[int, int], uvc: bool = True) -> None:
+    def __init__(self, name: str, capture: VideoCapture, clock: Clock, size: tuple[int, int], uvc: bool = True) -> None:
         """capture : an open cv2.VideoCapture; size : (width, height) px that its images must have; uvc : whether it
         takes UVC's controls
         """
@@ -122,7 +124,7 @@ class VideoSource:
                 f"camera {self.name!r} gives {image.shape[1]} x {image.shape[0]} px, but rig.toml has "
                 f"{self._size[0]} x {self._size[1]} px"
             )
-        return image
+        return cast("Integers", image)
 
     def set_exposure(self, seconds: float) -> float:
         """Turn UVC's automatic exposure off and expose for so long (steps of 0.1 ms). Raises CameraError where the

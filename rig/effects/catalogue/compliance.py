@@ -1,7 +1,8 @@
 """Compliance: axes yield elastically under load, in static equilibrium."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -84,9 +85,9 @@ class Compliance(Effect):
         return (None,) if parameter.name == "stiffness" else ()
 
     @classmethod
-    def unusual(cls, place: str, values: dict[str, Any]) -> str | None:
+    def unusual(cls, place: str, values: Mapping[str, object]) -> str | None:
         turn = values.get("rms", 0.0)
-        if turn > GIVES:
+        if isinstance(turn, int | float) and turn > GIVES:
             words = (
                 f"turn by {turn * 1e3:.2g} mrad"
                 if Place.parse(place).kind == "joint"

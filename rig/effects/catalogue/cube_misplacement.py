@@ -1,11 +1,12 @@
 """Cube misplacement: one cube sits off its stated pose."""
 
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from rig.effects.framework.effect import Effect
+from rig.effects.framework.marker_columns import Markers, replace_columns
 from rig.effects.framework.parameter import Parameter
 from rig.effects.framework.place import Place
 from rig.model.manufacturing_tolerances import SEAT
@@ -27,10 +28,12 @@ class CubeMisplacement(Effect):
     view: ClassVar = "targets"
     tolerance: ClassVar = SEAT
 
-    def attach(self, markers: Any) -> Any:
+    def attach(self, markers: Markers) -> Markers:
         rows = np.array([self.at(Place("target", name)) for name in markers.target])
         if not rows.any():
             return markers
         middle = markers.T_body_marker.translation[rows].mean(axis=0)
         shift = exp(np.r_[middle, 0, 0, 0]) * exp(np.asarray(self.motion)) * exp(np.r_[-middle, 0, 0, 0])
-        return replace(markers, T_body_marker=displace_selected_poses(markers.T_body_marker, rows, lambda T: shift * T))
+        return replace_columns(
+            markers, T_body_marker=displace_selected_poses(markers.T_body_marker, rows, lambda T: shift * T)
+        )

@@ -1,11 +1,12 @@
 """Face misplacement: one face's marker sits off its stated place on its cube."""
 
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from rig.effects.framework.effect import Effect
+from rig.effects.framework.marker_columns import Markers, replace_columns
 from rig.effects.framework.parameter import Parameter
 from rig.effects.framework.place import Place
 from rig.model.manufacturing_tolerances import PLACES
@@ -31,9 +32,9 @@ class FaceMisplacement(Effect):
     view: ClassVar = "markers"
     tolerance: ClassVar = PLACES
 
-    def attach(self, markers: Any) -> Any:
+    def attach(self, markers: Markers) -> Markers:
         rows = np.array([self.at(Place("marker", str(number))) for number in markers.id])
-        return replace(
+        return replace_columns(
             markers,
             T_body_marker=displace_selected_poses(
                 markers.T_body_marker, rows, lambda T: T * exp(np.r_[self.offset, self.rotation])

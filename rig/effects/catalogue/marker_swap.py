@@ -1,12 +1,13 @@
 """Marker swap: two faces' markers are exchanged, or one is glued on turned."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Self
+from dataclasses import dataclass
+from typing import ClassVar, Self
 
 import numpy as np
 
 from rig.effects.framework.effect import Effect
+from rig.effects.framework.marker_columns import Markers, replace_columns
 from rig.effects.framework.parameter import Drawing, Parameter
 from rig.effects.framework.place import Place
 from rig.model.pose import displace_selected_poses, exp
@@ -60,7 +61,7 @@ class MarkerSwap(Effect):
             else "other and turn are whole numbers"
         )
 
-    def attach(self, markers: Any) -> Any:
+    def attach(self, markers: Markers) -> Markers:
         a = np.flatnonzero(markers.id == self.site.number)
         b = np.flatnonzero(markers.id == int(self.other)) if self.other >= 0 else a
         order, both = (
@@ -72,7 +73,7 @@ class MarkerSwap(Effect):
         poses = displace_selected_poses(
             markers.T_body_marker[order], np.isin(np.arange(len(order)), a), lambda T: T * spin
         )
-        return replace(
+        return replace_columns(
             markers,
             T_body_marker=poses,
             on_platform=markers.on_platform[order],

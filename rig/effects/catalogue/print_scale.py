@@ -1,9 +1,10 @@
 """Print scale: the markers were printed too large or too small."""
 
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from typing import ClassVar
 
 from rig.effects.framework.effect import Effect
+from rig.effects.framework.marker_columns import Markers, replace_columns
 from rig.effects.framework.parameter import Parameter
 from rig.model.manufacturing_tolerances import SIDES
 
@@ -25,5 +26,5 @@ class PrintScale(Effect):
     view: ClassVar = "outward"
     tolerance: ClassVar = SIDES
 
-    def attach(self, markers: Any) -> Any:
-        return replace(markers, side=markers.side * (1 + self.scale))
+    def attach(self, markers: Markers) -> Markers:
+        return replace_columns(markers, side=markers.side * (1 + self.scale))

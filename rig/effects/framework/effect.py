@@ -6,10 +6,10 @@ sit), `view` (what a camera makes of it). Every hook of the base class changes n
 that it needs.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import Field, dataclass, fields
 from itertools import product
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from rig.effects.framework.diagnosis_interface import (
     parameter_values,
 )
 from rig.effects.framework.machine_motion import SOON, Motion, Path
+from rig.effects.framework.marker_columns import Markers
 from rig.effects.framework.parameter import Drawing, Parameter, derivative_step, draw_parameter, parameter_grid
 from rig.effects.framework.place import AXES, Place, axis_mask
 from rig.errors import RigError
@@ -116,10 +117,10 @@ class Effect:
     view: ClassVar[str] = "displacement"
 
     if TYPE_CHECKING:  # every effect is a dataclass of its place and parameters
-        __dataclass_fields__: ClassVar[dict[str, Any]]
+        __dataclass_fields__: ClassVar[dict[str, Field[object]]]
         place: str
 
-        def __init__(self, place: str, **values: Any) -> None: ...
+        def __init__(self, place: str, **values: object) -> None: ...
 
     def needs(self, motion: Motion) -> str | None:
         """What a machine or its recording lacks for this effect, in words that follow its name; None where it has
@@ -154,7 +155,7 @@ class Effect:
         """(n, 6) tangent by which the platform is displaced, on the right (m, rad)."""
         return np.zeros((len(motion.t), 6))
 
-    def attach(self, markers: Any) -> Any:
+    def attach(self, markers: Markers) -> Markers:
         """MarkerMap (id (m,), T_body_marker (m,), side (m,), target names) as the markers really sit."""
         return markers
 
@@ -350,7 +351,7 @@ class Effect:
         return (cls.joint_experiment if joint else cls.experiment).format(axis=at.axis_word)
 
     @classmethod
-    def unusual(cls, place: str, values: dict[str, Any]) -> str | None:
+    def unusual(cls, place: str, values: Mapping[str, object]) -> str | None:
         """Which of {parameter name: number} at a place is far beyond what rigs show, in a sentence; None where none
         is.
         """

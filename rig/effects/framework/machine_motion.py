@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from scipy.linalg import qr
@@ -149,7 +148,7 @@ class Motion:
     kept: dict[tuple[object, ...], Floats] = field(default_factory=dict, init=False, repr=False)
 
     @property
-    def kind(self) -> Kind[Any]:
+    def kind(self) -> Kind[Hexapod | Planar2 | Arm | Chain]:
         """The module of rig.model.mechanisms that moves the mechanism."""
         return mechanisms.kinematics_of(self.mechanism)
 
@@ -191,7 +190,7 @@ class Motion:
         back = np.swapaxes(self.posed().rotation.as_matrix(), 1, 2)
         return (back[:, None] @ moved.reshape(-1, 2, 3, 1)).reshape(-1, 6)
 
-    def once(self, key: tuple[Any, ...], make: Callable[[], Floats]) -> Floats:
+    def once(self, key: tuple[object, ...], make: Callable[[], Floats]) -> Floats:
         """What `make` makes, kept under a key for as long as this Motion lasts."""
         if key not in self.kept:
             self.kept[key] = make()

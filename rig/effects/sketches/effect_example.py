@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from rig.formats.structured_files import toml_entries
 from rig.model import motion_simulation
-from rig.model.design import Design
+from rig.model.design import Camera, Design
 from rig.planning.layout import hexapod_and_two_strut_layout
 from rig.recording.recording_folder import PAYLOAD, Commands, Sensors
 
@@ -71,7 +70,7 @@ def effect_example(
     place: str,
     factor: float = 1.0,
     design: Design | None = None,
-    displaced: Callable[..., Any] = lambda effect, camera: 1.0,
+    displaced: Callable[[Effect, Camera], float] = lambda effect, camera: 1.0,
 ) -> ExampleRun:
     """Example run (ExampleRun) with an effect of a kind at a place, `factor` times its largest usual size.
 

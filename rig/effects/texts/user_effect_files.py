@@ -15,9 +15,10 @@ from hashlib import sha256
 from pathlib import Path
 from traceback import extract_tb
 from types import ModuleType
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.diagnosis_interface import Context
@@ -42,6 +43,7 @@ EXAMPLE = {
     "marker": "marker 1",
     "target": "target one",
 }
+T = TypeVar("T", bound=ArrayLike)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -207,9 +209,9 @@ def _guard(kind: type[Effect], path: Path, line: int | None) -> None:
     setattr(kind, "sites", classmethod(lawful))  # noqa: B010  of a class, which is not to be assigned to
 
 
-def _guarded(hook: Callable[..., Any], name: str, path: Path) -> Callable[..., Any]:
+def _guarded(hook: Callable[..., T], name: str, path: Path) -> Callable[..., T]:
     @wraps(hook)
-    def guarded(effect: Effect, *given: Any) -> Any:
+    def guarded(effect: Effect, *given: object) -> T:
         try:
             found = hook(effect, *given)
         except RigError:

@@ -13,7 +13,6 @@ LinuxCNC, INI configuration, [JOINT_n] COMP_FILE
 
 import json
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -65,7 +64,7 @@ def geometry_json(mechanism: Hexapod | Arm) -> str:
 def geometry_csv(mechanism: Hexapod | Arm) -> str:
     """Geometry as CSV: a row per strut of a Hexapod, a row per joint of an Arm."""
     header: tuple[str, ...]
-    parts: Iterable[tuple[Any, ...]]
+    parts: Iterable[tuple[Floats, ...]]
     if has_plates(mechanism):
         header, last = HEXAPOD, [""] * len(mechanism.axes)
         parts = zip(

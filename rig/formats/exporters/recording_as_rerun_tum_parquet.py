@@ -8,8 +8,10 @@ TUM: a line for each pose, `t x y z qx qy qz qw`, s and m, the quaternion's real
 base frame. Source: TUM RGB-D benchmark, file formats
 """
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -26,7 +28,20 @@ LARGEST = 1 << 28  # bytes of an image
 BLACK, GREY = (20, 20, 20), (150, 150, 150)
 
 
-def import_rerun() -> Any:
+class RecordingStream(Protocol):
+    """What is called of rerun's RecordingStream, which has no types here."""
+
+    def log(self, place: str, thing: object, *, static: bool = False) -> None:
+        """Write a thing at a place of the tree."""
+
+    def set_time(self, timeline: str, *, duration: float | None = None, sequence: int | None = None) -> None:
+        """Set the time (s) or the number of what is written next."""
+
+    def send_columns(self, place: str, indexes: Sequence[object], columns: object) -> None:
+        """Write values over time at a place of the tree."""
+
+
+def import_rerun() -> ModuleType:
     """Import the module rerun. Raises MissingLibrary that names its installation.
     Raises MissingLibrary that says how to install it.
     """
@@ -37,7 +52,7 @@ def import_rerun() -> Any:
     return rerun
 
 
-def write_rerun_file(recording: Recording, out: Path, rerun: Any) -> int:
+def write_rerun_file(recording: Recording, out: Path, rerun: ModuleType) -> int:
     """Write a recording to a Rerun file (.rrd); returns the number of images left out.
 
     rerun : the module rerun
@@ -58,11 +73,11 @@ def write_rerun_file(recording: Recording, out: Path, rerun: Any) -> int:
     return left_out
 
 
-def _placed(rr: Any, T: RigidTransform) -> Any:
+def _placed(rr: ModuleType, T: RigidTransform) -> object:
     return rr.Transform3D(translation=T.translation, mat3x3=T.rotation.as_matrix())
 
 
-def _camera(stream: Any, rr: Any, camera: Camera) -> None:
+def _camera(stream: RecordingStream, rr: ModuleType, camera: Camera) -> None:
     """A camera where rig.toml has it: in the base frame, or on the platform."""
     stream.log(_place(camera), _placed(rr, camera.pose), static=True)
     matrix = camera.matrix.copy()
@@ -77,7 +92,7 @@ def _place(camera: Camera) -> str:
     return f"base/platform/{camera.name}" if camera.mount == "hand" else f"base/{camera.name}"
 
 
-def _target(stream: Any, rr: Any, target: Target) -> None:
+def _target(stream: RecordingStream, rr: ModuleType, target: Target) -> None:
     """A cube as a box; of a target that is no cube its markers as thin ones."""
     body = "base" if target.body == "base" else f"base/{target.body.replace(' ', '_')}"
     boxes = (
@@ -93,12 +108,12 @@ def _target(stream: Any, rr: Any, target: Target) -> None:
         )
 
 
-def _at(stream: Any, frame: int, t: float) -> None:
+def _at(stream: RecordingStream, frame: int, t: float) -> None:
     stream.set_time("t", duration=t)
     stream.set_time("frame", sequence=frame)
 
 
-def _exposures(stream: Any, rr: Any, recording: Recording) -> int:
+def _exposures(stream: RecordingStream, rr: ModuleType, recording: Recording) -> int:
     """Images and corners; the number of images left out."""
     cameras, e, left_out = {camera.name: camera for camera in recording.design.cameras}, recording.exposures, 0
     for frame, t, name, image in zip(e.frame.tolist(), e.t.tolist(), e.camera, e.image):
@@ -121,7 +136,7 @@ def _exposures(stream: Any, rr: Any, recording: Recording) -> int:
     return left_out
 
 
-def _moved(stream: Any, rr: Any, recording: Recording) -> None:
+def _moved(stream: RecordingStream, rr: ModuleType, recording: Recording) -> None:
     """The platform, its way, and a hexapod's struts, at every pose; a chain's stages below the last at theirs."""
     poses, m = recording.poses, recording.design.mechanism
     at = dict(zip(*(values.tolist() for values in recording.exposures.times())))
@@ -143,7 +158,7 @@ def _moved(stream: Any, rr: Any, recording: Recording) -> None:
     stream.log("base/way", rr.LineStrips3D([way], radii=0.001), static=True)
 
 
-def _curves(stream: Any, rr: Any, recording: Recording) -> None:
+def _curves(stream: RecordingStream, rr: ModuleType, recording: Recording) -> None:
     """Commands and sensors over time."""
     curves = []
     if recording.commands is not None:
@@ -187,7 +202,7 @@ def parquet_tables(recording_folder: Path) -> dict[str, bytes]:
     return {name: parquet_bytes(_columns(csv_table.read(recording_folder / f"{name}.csv", ()))) for name in found}
 
 
-def _columns(rows: csv_table.Table) -> dict[str, list[Any]]:
+def _columns(rows: csv_table.Table) -> dict[str, list[int] | list[float] | list[str]]:
     return {
         name: rows.text(name) if name in TEXT else (rows.whole(name) if name in WHOLE else rows.numbers(name)).tolist()
         for name in rows.columns

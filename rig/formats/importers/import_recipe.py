@@ -282,7 +282,7 @@ def recipe_toml(recipe: Recipe, folder: Path) -> str:
     return tomlkit.dumps(document)
 
 
-def _unpacked(value: Any, recipe: Recipe) -> bool:
+def _unpacked(value: object, recipe: Recipe) -> bool:
     """Whether a value is a file, or folders, that a bag was unpacked into: gone when the recipe is read again."""
     bag = recipe.bag.folder if recipe.bag is not None else None
     paths = value if isinstance(value, tuple) else (value,)

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from decimal import Decimal
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -38,6 +37,10 @@ UNKNOWN_SIZE = 0.5  # m, of a rig of which nobody knows how large it is
 BETTER = 0.3  # of the next best disagreement with the commands, that the reading meant leaves
 USUAL = ("zyx", "xyz", "ZYX", "XYZ")  # Euler conventions that are asked about; others are stated
 LEAST = 4  # poses with a command, from which commands decide
+# how rotations can be read: word, unit or None, and what comes of it; and what was read, with the table as read and
+# sentences on it
+Reading = tuple[str, str | None, Rotation]
+ReadRotations = tuple[Rotation | None, ForeignTable, tuple[str, ...]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,7 +126,7 @@ def _size(design: Design) -> float:
 
 def _rotations(
     cells: Cells, found: dict[str, int], table: ForeignTable, design: Design, p: Floats, q: Floats | None
-) -> tuple[Any, ...]:
+) -> ReadRotations:
     """(Rotation (n,) or None where there are none, ForeignTable, sentences)."""
     group = next((g for g in (QUATERNION, EULERS, NUMBERED, VECTOR) if len(set(g) & set(found)) >= 3), None)
     if group is None:
@@ -153,7 +156,7 @@ def _name(rotation: str, unit: str | None) -> str:
     return f"rotation vectors in {unit}" if rotation == "rotvec" else f"{rotation}s"
 
 
-def _quaternions(values: Floats, names: list[str], named: bool, table: ForeignTable) -> list[tuple[Any, ...]]:
+def _quaternions(values: Floats, names: list[str], named: bool, table: ForeignTable) -> list[Reading]:
     if values.shape[1] != 4 or (np.abs(np.linalg.norm(values, axis=1) - 1) > UNIT).any():
         raise RigError(f"{table.file}: {', '.join(names)} are no quaternions: four figures whose squares sum to one")
     if named:
@@ -164,13 +167,13 @@ def _quaternions(values: Floats, names: list[str], named: bool, table: ForeignTa
 
 def _angles(
     values: Floats, names: list[str], stated: set[str | None], euler: bool, table: ForeignTable
-) -> list[tuple[Any, ...]]:
+) -> list[Reading]:
     """Readings of three figures: vectors or Euler angles, in rad or degrees. Columns of Euler angles: about x, y, z in
     that order.
     """
     unit = table.rotation_unit or next(iter(stated - {None}), None)
     asked = (table.rotation,) if table.rotation else (*(() if euler else ("rotvec",)), *USUAL)
-    found = []
+    found: list[Reading] = []
     for u in (unit,) if unit else ("rad", "deg"):
         v = values / ANGLES[u]
         if np.abs(v).max() > (7.0 if unit is None else 1e3):
@@ -184,12 +187,12 @@ def _angles(
 
 
 def _by_commands(
-    ways: list[tuple[Any, ...]], table: ForeignTable, design: Design, p: Floats, q: Floats | None
-) -> tuple[Any, ...]:
+    ways: list[Reading], table: ForeignTable, design: Design, p: Floats, q: Floats | None
+) -> ReadRotations:
     """The reading with which the commands agree; zyx about fixed axes is XYZ about moving ones, and of the same the
     first counts.
     """
-    distinct: list[tuple[Any, ...]] = []
+    distinct: list[Reading] = []
     for way in ways:
         if not any((way[2] * other[2].inv()).magnitude().max() < 1e-9 for other in distinct):
             distinct.append(way)

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from rig.formats.importers.ros_messages import (
     JOINTS,
     POSES,
     TEMPERATURES,
+    Message,
     Topic,
     append_row,
     append_stamp,
@@ -32,6 +33,9 @@ from rig.formats.json_tree import Json
 from rig.formats.output_files import write_bytes
 from rig.model.design import Design
 from rig.model.mechanism_kinds import has_links
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
 
 MOST = 5_000_000  # messages
 SAME_MOMENT = 50_000_000  # ns that a pose may be from an image, to be of its frame
@@ -73,7 +77,7 @@ def unpack_bags(recipe: Recipe, design: Design, folder: Path) -> Recipe:
 
 
 @contextmanager
-def _opened(files: tuple[Path, ...]) -> Iterator[Any]:
+def _opened(files: tuple[Path, ...]) -> Iterator["AnyReader"]:
     """A reader of bags. Raises MissingLibrary, and FileError for whatever it cannot make sense of."""
     try:
         from rosbags.highlevel import AnyReader, AnyReaderError
@@ -98,11 +102,11 @@ def _opened(files: tuple[Path, ...]) -> Iterator[Any]:
         ) from error
 
 
-def _messages(files: tuple[Path, ...], topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
+def _messages(files: tuple[Path, ...], topics: Collection[str]) -> Iterator[tuple[str, int, Message]]:
     """(topic, ns at which it was received, message) in order of time."""
     with _opened(files) as reader:
         for connection, received, raw in reader.messages([c for c in reader.connections if c.topic in topics]):
-            yield connection.topic, received, reader.deserialize(raw, connection.msgtype)
+            yield connection.topic, received, cast(Message, reader.deserialize(raw, connection.msgtype))
 
 
 def _parts(bag: Bag) -> list[tuple[str, str]]:

@@ -3,13 +3,14 @@
 Source: ROS, sensor_msgs/Image, CompressedImage and image_encodings.hpp
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
-from rig.arrays import Pixels
+from rig.arrays import ImageBytes, Pixels
 from rig.errors import FileError, RigError
 from rig.formats.input_files import short_repr
 from rig.formats.output_files import write_bytes
@@ -52,6 +53,73 @@ CONVERTED = {
 }
 
 
+class Stamp(Protocol):
+    """A time since 1970: s and ns."""
+
+    sec: int
+    nanosec: int
+
+
+class Header(Protocol):
+    """Header of a message."""
+
+    stamp: Stamp
+
+
+class Point(Protocol):
+    """A point, m."""
+
+    x: float
+    y: float
+    z: float
+
+
+class Quaternion(Point, Protocol):
+    """A rotation, its real part w."""
+
+    w: float
+
+
+class Body(Protocol):
+    """A pose or a transform, each of which has two of these."""
+
+    position: Point
+    orientation: Quaternion
+    translation: Point
+    rotation: Quaternion
+
+
+class ImageMessage(Protocol):
+    """What is read of an Image or CompressedImage, each of which has a part of it.
+
+    data : (bytes,); format : of a compressed one; encoding, width, height : px, step : bytes of a row, is_bigendian :
+        of a raw one
+    """
+
+    data: ImageBytes
+    format: str
+    encoding: str
+    width: int
+    height: int
+    step: int
+    is_bigendian: bool
+
+
+class Message(ImageMessage, Protocol):
+    """What is read of messages, each type of which has a part of it.
+
+    name, position : of joints, rad or m; temperature : degrees Celsius; transform, pose : of a body, which may stand
+        one deeper
+    """
+
+    header: Header
+    name: list[str]
+    position: Sequence[float]
+    temperature: float
+    transform: Body
+    pose: Body
+
+
 @dataclass(slots=True)
 class Topic:
     """What a topic gave. name; kind : message type; header : names of columns; t : ns; rows : texts; stamped : whether
@@ -66,7 +134,7 @@ class Topic:
     stamped: bool | None = None
 
 
-def encode_image_message(message: Any, compressed: bool, place: str) -> tuple[str, bytes]:
+def encode_image_message(message: ImageMessage, compressed: bool, place: str) -> tuple[str, bytes]:
     """Encode a ROS image message as an image file: (suffix, bytes).
     place : of it, for complaints. Raises RigError for what is not taken, and for half an image.
     """
@@ -102,7 +170,7 @@ def encode_image_message(message: Any, compressed: bool, place: str) -> tuple[st
     return ".png", content.tobytes()
 
 
-def append_stamp(topic: Topic, message: Any, received: int, file: Path) -> None:
+def append_stamp(topic: Topic, message: Message, received: int, file: Path) -> None:
     """Append a message's time in ns: of its header, or of when it was received where headers are empty.
     Raises FileError where only some messages of a topic are stamped.
     """
@@ -116,7 +184,7 @@ def append_stamp(topic: Topic, message: Any, received: int, file: Path) -> None:
     topic.t.append(stamp or received)
 
 
-def write_image_message(folder: Path, topic: Topic, message: Any, file: Path) -> None:
+def write_image_message(folder: Path, topic: Topic, message: Message, file: Path) -> None:
     """Write a message's image into a folder, named by its time. Raises FileError for two of one time."""
     folder.mkdir(parents=True, exist_ok=True)
     suffix, content = encode_image_message(
@@ -128,7 +196,7 @@ def write_image_message(folder: Path, topic: Topic, message: Any, file: Path) ->
     write_bytes(place, content)
 
 
-def append_row(topic: Topic, message: Any, file: Path) -> None:
+def append_row(topic: Topic, message: Message, file: Path) -> None:
     """Append a table's row of a message. Raises FileError for joints that are not those of the first message."""
     if topic.kind in JOINTS:
         names = tuple(message.name) or tuple(f"l{i + 1}" for i in range(len(message.position)))

@@ -10,6 +10,7 @@ from rig.errors import RigError
 from rig.model.mechanism_geometry import Arm, Chain, Free, Hexapod, Planar2
 from rig.model.mechanisms import arm, chain, hexapod, two_strut_plane
 
+K = TypeVar("K", bound=Hexapod | Planar2 | Arm | Chain | Free)
 M = TypeVar("M", contravariant=True)  # the geometry of rig.model.design that a kind moves
 
 
@@ -92,7 +93,7 @@ ALL: dict[str, Kind[Any]] = {"hexapod": hexapod, "planar2": two_strut_plane, "ar
 AXIS_UNITS = {"strut": "m", "slide": "m", "joint": "rad"}  # by what an axis is called
 
 
-def kinematics_of(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> Kind[Any]:
+def kinematics_of(mechanism: K) -> Kind[K]:
     """The kinematics module of a mechanism by its kind. Raises RigError for a kind without kinematics."""
     if mechanism.kind not in ALL:
         raise RigError(f"no kinematics for a mechanism of kind {mechanism.kind!r}; there are {', '.join(ALL)}")

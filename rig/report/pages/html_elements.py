@@ -4,7 +4,6 @@ import html
 import re
 from collections.abc import Iterable, Sequence
 from html import escape
-from typing import Any
 
 from rig.report.pages.svg_elements import escape_html
 
@@ -59,7 +58,7 @@ def list_html(lines: Iterable[str], ordered: bool = False) -> str:
     return f"<{tag}>" + "".join(f"<li>{inline_html(line)}</li>" for line in lines) + f"</{tag}>"
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     r"""HTML of a scrolling table. header : of its columns, \"\" for one without; rows : of text and numbers"""
     lines = [[str(cell) for cell in row] for row in rows]
     said = [_of_text(column) for column in zip(*lines)] or [False] * len(header)

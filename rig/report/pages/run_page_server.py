@@ -17,7 +17,6 @@ from functools import cache
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
-from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from rig.errors import RigError
@@ -131,6 +130,9 @@ class PageServer:
             return True
 
 
+Request = socket.socket | tuple[bytes, socket.socket]  # as socketserver has it; the second of other protocols
+
+
 class _Server(ThreadingHTTPServer):
     """Connections are counted from their first byte, as each takes a file and a thread of the run's own process.
 
@@ -142,16 +144,17 @@ class _Server(ThreadingHTTPServer):
     request_queue_size = 64
     page: PageServer
 
-    def __init__(self, *arguments: Any) -> None:
+    def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
         self.counting, self.strangers, self.known = threading.Lock(), dict[socket.socket, float](), set[socket.socket]()
-        super().__init__(*arguments)
+        super().__init__(address, handler)
 
-    def process_request(self, request: Any, client_address: Any) -> None:
+    def process_request(self, request: Request, client_address: object) -> None:
         """Answer a connection in a thread of its own, and close the oldest one without a token where there are too
         many.
         """
         with self.counting:
-            self.strangers[request] = time.monotonic()
+            if isinstance(request, socket.socket):
+                self.strangers[request] = time.monotonic()
             oldest = next(iter(self.strangers)) if len(self.strangers) > STRANGERS else None
             if oldest is not None:
                 self._part(oldest)
@@ -173,11 +176,12 @@ class _Server(ThreadingHTTPServer):
                 self.known.add(request)
             return True
 
-    def shutdown_request(self, request: Any) -> None:
+    def shutdown_request(self, request: Request) -> None:
         """Close a connection, which no longer counts."""
         with self.counting:
-            self.strangers.pop(request, None)
-            self.known.discard(request)
+            if isinstance(request, socket.socket):
+                self.strangers.pop(request, None)
+                self.known.discard(request)
         super().shutdown_request(request)
 
     def _part(self, request: socket.socket) -> None:
@@ -186,7 +190,7 @@ class _Server(ThreadingHTTPServer):
         with suppress(OSError):  # it is closed already
             request.shutdown(socket.SHUT_RDWR)
 
-    def handle_error(self, request: Any, client_address: Any) -> None:
+    def handle_error(self, request: Request, client_address: object) -> None:
         """A browser that went away is no error of the run's; a mistake of ours is reported, and costs the page
         alone.
         """

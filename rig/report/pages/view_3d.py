@@ -3,7 +3,6 @@
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -136,5 +135,5 @@ def _tree(stage: Scene, chosen: Integers) -> Json:
     }
 
 
-def _short(values: object, digits: int = DIGITS) -> list[Any]:
+def _short(values: object, digits: int = DIGITS) -> list[object]:
     return np.round(np.asarray(values, float), digits).tolist()

@@ -6,7 +6,6 @@ search over thousands of hypotheses runs on inner products alone.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -279,7 +278,7 @@ def _weighed(
     table: Floats,
     closures: _Closures,
     beforehand: Floats,
-    names: tuple[Any, ...],
+    names: tuple[tuple[str, str | int], ...],
     camera_columns: dict[int, list[int]],
 ) -> LinearisedModel:
     """LinearisedModel with the struts weighed by the poses' noise and by what they scatter beyond.

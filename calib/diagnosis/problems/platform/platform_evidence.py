@@ -182,7 +182,7 @@ class PlatformEvidence:
         known = {p.name: p for p in effect.parameters_at(effect.place)}
         out = {
             name: Value(value, known[name].unit, [low, high])
-            if isinstance(value, list)
+            if isinstance(value, list) or isinstance(low, list) or isinstance(high, list)
             else bounded_value(value, known[name].unit, (low, high), known[name].bounds, bound.get(name))
             for name, (value, low, high) in refined.intervals(number).items()
         }

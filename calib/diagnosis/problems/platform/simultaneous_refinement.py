@@ -6,13 +6,14 @@ it there.
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from calib.diagnosis.engine.chance_probability import Z95
 from calib.diagnosis.engine.linear_model import Column, join_columns
+from calib.diagnosis.engine.parameter_values import Interval
 from calib.diagnosis.problems.platform.candidate_search import candidate_column
 from calib.diagnosis.problems.platform.effect_candidates import SIZED, PlatformScore, coefficient_bounds
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
@@ -75,11 +76,12 @@ class Refined:
         precision = np.linalg.pinv(block / scale[:, None] / scale, rcond=1e-10, hermitian=True) / scale[:, None] / scale
         return float(theta @ precision[np.ix_(size, size)] @ theta), int(size.sum())
 
-    def intervals(self, effect: int) -> dict[str, tuple[Any, ...]]:
+    def intervals(self, effect: int) -> dict[str, Interval]:
         """{parameter: (value, low, high)} at 95 % of effect number `effect`, within the parameter's bounds; vectors as
         lists.
         """
-        out: dict[str, tuple[Any, ...]] = {}
+        out: dict[str, Interval] = {}
+        vectors: dict[str, tuple[list[float], list[float], list[float]]] = {}
         for i, c in enumerate(self.coordinates):
             if c.effect != effect:
                 continue
@@ -89,10 +91,11 @@ class Refined:
             ]
             ends[1:] = sorted(ends[1:])
             if c.index is None:
-                out[c.name] = tuple(ends)
+                out[c.name] = ends[0], ends[1], ends[2]
             else:
-                for k in range(3):
-                    out.setdefault(c.name, ([], [], []))[k].append(ends[k])
+                out[c.name] = vectors.setdefault(c.name, ([], [], []))
+                for vector, end in zip(vectors[c.name], ends):
+                    vector.append(end)
         return out
 
     def at_bounds(self, effect: int) -> dict[str, float]:

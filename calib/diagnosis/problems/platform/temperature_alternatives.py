@@ -2,7 +2,6 @@
 
 import inspect
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -61,8 +60,11 @@ def _unlogged_temperature_alternatives(problem: PlatformProblem, selection: Plat
 
 
 def _beside_temperatures(
-    problem: PlatformProblem, selection: PlatformSelection, finding: Finding[Any], asked: list[tuple[type[Effect], str]]
-) -> Finding[Any]:
+    problem: PlatformProblem,
+    selection: PlatformSelection,
+    finding: Finding[PlatformCandidate],
+    asked: list[tuple[type[Effect], str]],
+) -> Finding[PlatformCandidate]:
     model, alternatives = problem.beside(selection.fit, finding.number), list(finding.alternatives)
     alone = problem.marginalised(model)
     own = finding.score.delta_chi2 * finding.score.dispersion

@@ -3,7 +3,6 @@ matters.
 """
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import scipy
@@ -13,8 +12,10 @@ from calib.diagnosis.engine.chance_probability import Z95
 from calib.diagnosis.engine.finding_confirmation import Finding, is_significant
 from calib.diagnosis.engine.lack_of_fit import LackOfFit
 from calib.diagnosis.engine.parameter_values import Value
+from calib.diagnosis.engine.selection_inputs import C
 from calib.diagnosis.problems.measured_evidence import Remark, Tolerable
 from calib.diagnosis.problems.platform.candidate_search import candidate_column
+from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate
 from calib.diagnosis.problems.platform.held_out_validation import residual_change_column
 from calib.diagnosis.problems.platform.linearised_residuals import CORNERS
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
@@ -71,7 +72,9 @@ def _remark(slight: SignificantTolerance) -> Remark:
     return Remark(slight.site.effect, slight.site.place, parameters, slight.site.tolerance.reason, slight.p_value)
 
 
-def _reason(problem: PlatformProblem, selection: PlatformSelection, finding: Finding[Any], known: bool) -> str | None:
+def _reason(
+    problem: PlatformProblem, selection: PlatformSelection, finding: Finding[PlatformCandidate], known: bool
+) -> str | None:
     """Why a Finding is a remark, None where it matters. known : whether tolerances were among the nuisances when it was
     found
     """
@@ -100,7 +103,7 @@ def _reason(problem: PlatformProblem, selection: PlatformSelection, finding: Fin
     return next(own, REASON_TOGETHER)
 
 
-def _weaken_score(score: Score[Any], share: float) -> Score[Any]:
+def _weaken_score(score: Score[C], share: float) -> Score[C]:
     """A Score of which tolerances leave a share of its delta chi-square."""
     delta = score.delta_chi2 * min(share, 1.0)
     chance = float(scipy.special.chdtrc(score.freedom, delta))

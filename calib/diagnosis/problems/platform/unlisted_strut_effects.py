@@ -1,7 +1,7 @@
 """Unlisted effects of struts: formula suggestions for what the catalogue does not explain."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -183,7 +183,7 @@ def _weighed_beside(problem: PlatformProblem, fit: PlatformFit, site: Site, form
     return replace(new, linear=_grown(new.linear, residual_change_column(bare, k.effects).parts))
 
 
-def _grown(linear: LinearModel, parts: tuple[Any, ...]) -> LinearModel:
+def _grown(linear: LinearModel, parts: Sequence[Floats | None]) -> LinearModel:
     """LinearModel with parts (one (m, 1) for each block, None for nothing) added to the residuals, nuisances taken out
     again. What a block knows beforehand besides, tolerances, stays as it is: a part may end before it."""
     added = [np.zeros(len(block.residual)) for block in linear.blocks]
