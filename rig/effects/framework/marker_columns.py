@@ -16,22 +16,28 @@ class MarkerColumns(Protocol):
     """
 
     @property
-    def id(self) -> Integers: ...
+    def id(self) -> Integers:
+        """Identities as printed, (m,)."""
 
     @property
-    def on_platform(self) -> Booleans: ...
+    def on_platform(self) -> Booleans:
+        """Whether each moves, (m,) bool."""
 
     @property
-    def T_body_marker(self) -> RigidTransform: ...
+    def T_body_marker(self) -> RigidTransform:
+        """Poses on their bodies, (m,)."""
 
     @property
-    def side(self) -> Floats: ...
+    def side(self) -> Floats:
+        """Sides, (m,) m."""
 
     @property
-    def target(self) -> list[str]: ...
+    def target(self) -> list[str]:
+        """Names of their targets, m."""
 
     @property
-    def stage(self) -> Floats: ...
+    def stage(self) -> Floats:
+        """Numbers of their stages, (m,)."""
 
 
 Markers = TypeVar("Markers", bound=MarkerColumns)
