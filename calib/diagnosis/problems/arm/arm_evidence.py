@@ -22,7 +22,7 @@ from calib.diagnosis.problems.arm.excess_scatter import excess_scatter
 from calib.diagnosis.problems.arm.finding_parameters import finding_parameters, temperature_offsets
 from calib.diagnosis.problems.arm.joint_candidates import JointCandidate, joint_candidates
 from calib.diagnosis.problems.arm.linearised_poses import FEWEST, Arms, Geometry, linearise_poses
-from calib.diagnosis.problems.arm.nested_selection import COARSE, FINE, nested_held_out_poses
+from calib.diagnosis.problems.arm.nested_selection import COARSE_PARTS, FINE_PARTS, nested_held_out_poses
 from calib.diagnosis.problems.arm.outlier_poses import GATE, GROSS, outlier_poses
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
 from calib.diagnosis.problems.arm.remainder_covariates import ranked_covariates
@@ -69,7 +69,7 @@ class ArmEvidence:
     source: str
     requested: RequestedEffects = RequestedEffects()
     given: StatedTerms = NO_STATED_TERMS
-    stretches: tuple[int, ...] = (FINE, COARSE)
+    stretches: tuple[int, ...] = (FINE_PARTS, COARSE_PARTS)
     log_errors: Mapping[str, Floats] = field(default_factory=dict)
 
     @property

@@ -17,7 +17,7 @@ from rig.arrays import Floats
 from rig.compute.parallel_map import parallel_map
 
 PARTS = 3
-FINE, COARSE = 30, 6  # stretches of time; every third is held out at once
+FINE_PARTS, COARSE_PARTS = 30, 6  # stretches of time; every third is held out at once
 
 
 def nested_held_out_poses(
