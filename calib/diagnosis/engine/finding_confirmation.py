@@ -9,6 +9,8 @@ from calib.diagnosis.engine.linear_model import column_cosine
 from calib.diagnosis.engine.problem_interface import AliasedNodes, Fit, Model, Problem, Progress
 from calib.diagnosis.engine.selection_inputs import C, SelectionPolicy
 
+RESTARTS = 2  # times the most terms that there may be, after which terms are confirmed as they stand
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refit(Generic[Fit, C]):
@@ -86,9 +88,6 @@ def refit_alternatives(
         )
         out.append(Refit(a, replace(a, score=score, behind=behind), new))
     return out
-
-
-RESTARTS = 2  # times the most terms that there may be, after which terms are confirmed as they stand
 
 
 @dataclass(frozen=True, slots=True, eq=False)

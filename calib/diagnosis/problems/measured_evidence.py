@@ -17,6 +17,14 @@ from rig.effects.framework.effect import Effect
 from rig.model.design import Design
 from rig.recording.time_origin import Origin
 
+LEFT = "what remains"  # of a pose, beside what each finding does to it
+STATED, RESIDUALS, ASSUMED_NOISE = (
+    "stated",
+    "residuals",
+    "assumed",
+)  # whence the noise comes: a statement, the residuals themselves, a usual figure
+Family = Literal["struts", "joints"]
+
 
 @dataclass(frozen=True, slots=True)
 class Value:
@@ -54,17 +62,6 @@ def moment_value(t: Floats, value: float, origin: Origin, likely: tuple[float, f
     """
     low, high = (np.clip(np.searchsorted(t, v), 1, len(t) - 1) for v in likely or (value, value))
     return Value(origin.shown(value), "s", [origin.shown(t[low - 1]), origin.shown(t[high])])
-
-
-LEFT = "what remains"  # of a pose, beside what each finding does to it
-STATED, RESIDUALS, ASSUMED_NOISE = (
-    "stated",
-    "residuals",
-    "assumed",
-)  # whence the noise comes: a statement, the residuals themselves, a usual figure
-
-
-Family = Literal["struts", "joints"]
 
 
 @dataclass(frozen=True, slots=True)

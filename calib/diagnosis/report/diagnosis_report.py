@@ -37,6 +37,9 @@ from rig.formats.output_files import write_text
 from rig.report.pages.html_elements import result_html
 from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
 
+ROWS = "Look at the rows that were left out, below: record those configurations once more"
+TAKE_IN = "Let the calibration take it in: `rig calibrate REC --diagnosis DIR --out calibration.json`"
+
 
 @dataclass(frozen=True, slots=True)
 class Report:
@@ -153,10 +156,6 @@ def _all_clear_sentence(report: Report) -> str:
         ", which what is left of the corners determines: nobody states it" if report.noise_from == RESIDUALS else ""
     )
     return f"Nothing is left out: the recording and the model of the rig agree within the noise{whence}."
-
-
-ROWS = "Look at the rows that were left out, below: record those configurations once more"
-TAKE_IN = "Let the calibration take it in: `rig calibrate REC --diagnosis DIR --out calibration.json`"
 
 
 def diagnosis_verdict(report: Report) -> Verdict:

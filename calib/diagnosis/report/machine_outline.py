@@ -28,6 +28,9 @@ CAMERA_DISTANCE = 0.6  # of their distance at which cameras are drawn
 MARGIN, HIGH = 24.0, 330.0  # units of a figure
 
 Colour = Callable[..., int]
+GHOSTS = 14  # other configurations, drawn faintly
+VIEWS = (((0, 2), "from the side"), ((0, 1), "from above"))
+ARM_FIGURE_HEIGHT, ARM_MARGIN = 260.0, 24.0  # of a view, units of a figure
 
 
 class Outline:
@@ -165,11 +168,6 @@ def _camera(drawn: Outline, camera: Camera, colour: int, middle: Floats) -> None
     for end in ends:
         drawn.line([tip, end], colour, camera.name)
     drawn.label(tip, camera.name, colour)
-
-
-GHOSTS = 14  # other configurations, drawn faintly
-VIEWS = (((0, 2), "from the side"), ((0, 1), "from above"))
-ARM_FIGURE_HEIGHT, ARM_MARGIN = 260.0, 24.0  # of a view, units of a figure
 
 
 def arm_outline_figures(arm: Arm | Chain, q: Floats, marked_joints: dict[int, dict[str, float]]) -> str:

@@ -21,6 +21,8 @@ from rig.report.pages.plots import Series, panel_row, plot_panel
 
 BINS = 14  # of the covariate, with as many residuals each
 BEFORE, AFTER, GREY = 3, 0, -1  # colours of a figure
+SCALES, UNITS = {"m": 1e6}, {"m": "µm"}  # in which misfits are shown
+SAME_ANGLE = 0.02  # rad; nearer angles than that share a joint's profile
 
 
 def residual_scatter_figure(x: Floats, label: str, both: list[Floats], y: str) -> str:
@@ -86,10 +88,6 @@ def residuals_in_time_figure(title: str, t: Floats, values: Floats, y: str) -> s
         AFTER,
     )
     return plot_panel(title, ("time, min", y), [Series(t / 60, values, colour=GREY), mean], level=0.0)
-
-
-SCALES, UNITS = {"m": 1e6}, {"m": "µm"}  # in which misfits are shown
-SAME_ANGLE = 0.02  # rad; nearer angles than that share a joint's profile
 
 
 def held_out_entries(d: Diagnosis) -> Json:

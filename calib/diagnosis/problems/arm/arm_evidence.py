@@ -58,6 +58,8 @@ REASON = (
     "what was measured and the command agree with no other pose, neither those before and after it nor those at "
     "joint angles near it"
 )
+ROUNDS = 3  # of making poses linear anew without what is grossly wild
+ArmSelection = Selection[Fit, JointCandidate]
 
 
 def outlier_poses(arms: Arms, residuals: Floats, gate: float) -> Outliers:
@@ -102,11 +104,6 @@ def _smooth(arms: Arms) -> Floats:
 def _varying(arms: Arms) -> list[Floats]:
     """[(n,)] of the log's channels that vary, about their means."""
     return [values - values.mean() for values in arms.channels.values() if np.ptp(values) > 0]
-
-
-ROUNDS = 3  # of making poses linear anew without what is grossly wild
-
-ArmSelection = Selection[Fit, JointCandidate]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

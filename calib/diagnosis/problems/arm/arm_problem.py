@@ -43,6 +43,8 @@ from rig.compute.parallel_map import parallel_map
 
 ALIASES = 3  # other orders of a sinusoid that are looked at
 KNOWN = 0.5  # numbers that data must determine of a term for it to be tested
+PARTS = 3
+FINE_PARTS, COARSE_PARTS = 30, 6  # stretches of time; every third is held out at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,10 +205,6 @@ class ArmProblem:
 
     def within(self, left: LackOfFit, place: str) -> bool:
         return left.place == place
-
-
-PARTS = 3
-FINE_PARTS, COARSE_PARTS = 30, 6  # stretches of time; every third is held out at once
 
 
 def nested_held_out_poses(

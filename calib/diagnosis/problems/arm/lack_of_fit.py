@@ -26,6 +26,8 @@ from rig.effects.framework.machine_motion import independent_load_columns
 
 KNOTS = 8  # of a smooth function of time
 PRIOR = 1e-3  # rad; size of a coefficient
+SHARE = 0.05  # of the squares left, from which a covariate is named beside the scatter
+JOINTS = "joints"
 
 
 def lack_of_fit(fit: Fit, cluster: int = 1, place: str | None = None, alpha: float = ALPHA) -> list[LackOfFit]:
@@ -68,9 +70,6 @@ def _hats(t: Floats) -> Floats:
     return np.stack([np.interp(t, x, row) for row in np.eye(KNOTS)[1:]], axis=1)
 
 
-SHARE = 0.05  # of the squares left, from which a covariate is named beside the scatter
-
-
 def excess_scatter(fit: Fit, repeats: Repeats | None, covariates: Sequence[Covariate]) -> list[LackOfFit]:
     """[LackOfFit] of excess scatter of positions and of rotations beyond their stated noise.
 
@@ -99,9 +98,6 @@ def excess_scatter(fit: Fit, repeats: Repeats | None, covariates: Sequence[Covar
 def _explains(covariate: Covariate, count: int) -> bool:
     """Whether a covariate, one of so many, explains some of what is left with all admitted."""
     return any(s.p_value * count < ALPHA and s.share > SHARE for s in covariate.after.values())
-
-
-JOINTS = "joints"
 
 
 def ranked_covariates(before: Fit, after: Fit, cluster: int) -> list[Covariate]:

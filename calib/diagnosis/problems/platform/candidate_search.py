@@ -22,6 +22,9 @@ from rig.effects.framework.machine_motion import Motion
 from rig.effects.framework.place import Place
 from vision.bundle.corner_jacobians import corner_jacobians
 
+CHUNK = 64  # nodes at a time
+FEW = 8  # columns, above which rows are gathered for a product of matrices
+
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _row_projection(table: Floats, rows: Floats, V: Floats, out: Floats) -> None:
@@ -44,10 +47,6 @@ def _row_projection_by_frame(local: Floats, rows: Floats, frame: Integers, V: Fl
             v = local[rows[h], k]
             for i in range(V.shape[1]):
                 out[frame[h], k, i] += v * V[h, i]
-
-
-CHUNK = 64  # nodes at a time
-FEW = 8  # columns, above which rows are gathered for a product of matrices
 
 
 def search_candidates(

@@ -53,6 +53,8 @@ MEDIAN_SPREAD = (
     5.6  # variance of a sample's middle square over its square, times the sample's size, for normal residuals
 )
 FAR = 5.0  # standard deviations; a residual counts for no more where neighbours are compared
+MIDDLE = 5.6 / 2  # a middle square has so many times the variance of a mean square over as many numbers
+STRUTS, IMAGES = "struts", "images"
 
 
 def is_at_place(left: LackOfFit, place: str) -> bool:
@@ -210,9 +212,6 @@ def _following(products: FrameProducts, order: Integers, place: str, information
     return LackOfFit(place, float(np.sqrt(max(alike, 0) / information)), "px", ("order",), p, max(alike, 0.0))
 
 
-MIDDLE = 5.6 / 2  # a middle square has so many times the variance of a mean square over as many numbers
-
-
 def excess_scatter(model: LinearisedModel, left: list[LackOfFit]) -> list[LackOfFit]:
     """[LackOfFit] of excess scatter of struts and corners, at places with no other lack of fit.
     left : what functions
@@ -265,9 +264,6 @@ def _corners(model: LinearisedModel) -> LackOfFit | None:
         return None
     freedom = (len(model.corner_residual) - model.corners.local.shape[1] * model.frames) / MIDDLE
     return detect_excess_scatter("cameras", "px", stated, freedom * (model.corner_noise() / stated) ** 2, freedom)
-
-
-STRUTS, IMAGES = "struts", "images"
 
 
 def ranked_covariates(before: LinearisedModel, after: LinearisedModel) -> list[Covariate]:

@@ -38,6 +38,9 @@ ALONE = (
     "configurations near it"
 )
 MISREAD = "its corners are off as those of this marker before and after are not, nor any near them: it was misread"
+FAR = 5.0  # px; a sighting farther off than this, in the middle, is misplaced
+BROUGHT_BACK = 0.2  # of that distance to which an exchange must bring it
+SHARE = 0.7  # of a marker's sightings that must be misplaced
 
 
 def _find_outliers(point: OperatingPoint, covariance: Floats) -> Outliers:
@@ -175,11 +178,6 @@ def _near(k: OperatingPoint, middle: Floats, i: int) -> Floats:
     alike = np.flatnonzero(same)
     place = alike[cKDTree(middle[alike]).query(middle[i], k=min(IN_PLACE + 1, len(alike)))[1]]
     return np.setdiff1d(np.concatenate([again, image, np.atleast_1d(place)]), [i])
-
-
-FAR = 5.0  # px; a sighting farther off than this, in the middle, is misplaced
-BROUGHT_BACK = 0.2  # of that distance to which an exchange must bring it
-SHARE = 0.7  # of a marker's sightings that must be misplaced
 
 
 def find_marker_swaps(point: OperatingPoint, kinds: Sequence[type[Effect]]) -> list[Effect]:

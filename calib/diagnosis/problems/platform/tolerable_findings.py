@@ -36,6 +36,8 @@ from rig.model.manufacturing_tolerances import STILL
 LASTING = ("image position", "place on the marker")  # what is left and depends on these is the same in every frame
 LASTING_VIEWS = ("map", "outward", "markers", "targets")  # effects that residuals show so are, too
 REASON_TOGETHER = "printed markers, the corner finder and thermometers may do on their own"
+MOST = 2.0  # of what is tolerated, that a kind of it is taken to vary by
+ROUNDS, SETTLED = 100, 1e-3  # of the fixed point; the part of what is tolerated by which it may still change
 
 
 def separate_tolerable_findings(
@@ -122,10 +124,6 @@ def _corner_displacement(fit: PlatformFit, number: int) -> float:
     square = model.linear.project(residual_change_column(model, others)).gram[0, 0]
     touched = np.count_nonzero((k.pixels() != k.pixels(tuple(others))).any(axis=1))
     return float(model.corner_noise() * np.sqrt(max(square, 0.0) / max(touched, 1)))
-
-
-MOST = 2.0  # of what is tolerated, that a kind of it is taken to vary by
-ROUNDS, SETTLED = 100, 1e-3  # of the fixed point; the part of what is tolerated by which it may still change
 
 
 def widen_intervals(refined: Refined, sensitivities: Sensitivities) -> Refined:
