@@ -11,7 +11,7 @@ from calib.diagnosis.engine.candidate_score import best_node_score, insignifican
 from calib.diagnosis.engine.frame_inner_products import FrameProducts, Solved
 from calib.diagnosis.engine.linear_model import Column
 from calib.diagnosis.engine.selection_inputs import Node
-from calib.diagnosis.problems.platform import candidate_search, vibration_frequency
+from calib.diagnosis.problems.platform import vibration_frequency
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore, Reach
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
@@ -171,9 +171,9 @@ def constant_displacement_normal(model: LinearisedModel, displaced_corners: Inte
     if q > FEW:
         K[:] = (basis[CORNERS][both].T @ V).T
     else:
-        candidate_search._row_projection(basis[CORNERS], both, V, K)
+        _row_projection(basis[CORNERS], both, V, K)
     own = np.empty((model.frames, c.local.shape[1], q))
-    candidate_search._row_projection_by_frame(c.local, both, frame, V, own)
+    _row_projection_by_frame(c.local, both, frame, V, own)
     G = raw - np.tensordot(own, own, ((0, 1), (0, 1)))
     if k.axes:
         moved = (model.closures.to_rows @ own).reshape(-1, q)
