@@ -11,6 +11,7 @@ import numpy as np
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.parameter import Drawing
+from rig.effects.framework.place import Place
 from rig.errors import RigError
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml import design_file
@@ -183,9 +184,9 @@ def _effect(kind: type[Effect], design: Design, route: Plan, rng: np.random.Gene
     axes = mechanisms.axis_places(design.mechanism)
     place = {
         "axis": axes[rng.integers(len(axes))],
-        "camera": f"camera {camera.name}",
-        "target": f"target {target.name}",
-        "marker": f"marker {target.ids[rng.integers(len(target.ids))]}",
+        "camera": str(Place("camera", camera.name)),
+        "target": str(Place("target", target.name)),
+        "marker": str(Place("marker", str(target.ids[rng.integers(len(target.ids))]))),
     }.get(place, place)
     sensors, _ = secret_machine.draw_temperatures(
         float(route.t[-1]), np.random.default_rng(0), secret_machine.strut_count(require_axes(design.mechanism))

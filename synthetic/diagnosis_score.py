@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 
 from rig.effects.catalogue.effect_list import BY_NAME
+from rig.effects.framework.place import Place
 from rig.formats import structured_files
 from rig.formats.checked_entries import Entries
 from rig.formats.input_files import short_repr
@@ -202,10 +203,10 @@ def _place(table: Entries, effect: str, other: object) -> str:
     place, kind = table.text("place"), BY_NAME.get(effect)
     if kind is None or not kind.discrete or not isinstance(other, int | float) or not other >= 0:
         return place
-    number = place.partition(" ")[2]
+    number = Place.parse(place).name
     if not (number.isascii() and number.isdigit()):
         table.fail(f"{table.name('place')} must be a marker, not {short_repr(place)}", "place")
-    return f"marker {min(int(number), int(other))}"
+    return str(Place("marker", str(min(int(number), int(other)))))
 
 
 def interval_coverage(true_effect: Hidden, finding: Found | None) -> list[bool]:

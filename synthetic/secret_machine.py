@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.framework.effect import Effect
+from rig.effects.framework.place import Place
 from rig.effects.texts.effect_notation import Kinds
 from rig.errors import RigError
 from rig.formats import machine_json
@@ -169,7 +170,7 @@ def remount_cubes(world: World, quarters: Mapping[str, int]) -> World:
 
     def off(name: str, quarter: int) -> Effect:
         rng = np.random.default_rng([own, zlib.crc32(name.encode()), quarter])
-        return displaced(f"target {name}", **{motion: tuple((SEAT * rng.normal(size=6)).tolist())})
+        return displaced(str(Place("target", name)), **{motion: tuple((SEAT * rng.normal(size=6)).tolist())})
 
     return World(
         stated,

@@ -15,6 +15,7 @@ from rig.arrays import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.machine_motion import Motion
 from rig.effects.framework.marker_columns import Markers, replace_columns
+from rig.effects.framework.place import Place
 from rig.errors import RigError
 from rig.model.design import Camera, Design
 from rig.model.mechanism_kinds import require_hexapod
@@ -152,7 +153,7 @@ class BreathingLens(Effect):
     places: ClassVar = ("camera",)
 
     def focal(self, camera: Camera, t: Floats, channel: Callable[..., Floats]) -> Floats:
-        return 1 + _course(self.course, t, 1)[:, 0] * self.at(f"camera {camera.name}")
+        return 1 + _course(self.course, t, 1)[:, 0] * self.at(Place("camera", camera.name))
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,7 +169,9 @@ class SwayingTripod(Effect):
 
     def mount(self, camera: Camera, t: Floats, channel: Callable[..., Floats]) -> Floats:
         return (
-            np.sin(2 * np.pi * self.frequency * t)[:, None] * np.asarray(self.motion) * self.at(f"camera {camera.name}")
+            np.sin(2 * np.pi * self.frequency * t)[:, None]
+            * np.asarray(self.motion)
+            * self.at(Place("camera", camera.name))
         )
 
 
@@ -201,8 +204,8 @@ def draw_unlisted_effect(design: Design, duration: float, rng: np.random.Generat
     """
     m = require_hexapod(design.mechanism)
     radius, stroke = float(np.linalg.norm(m.base_joints, axis=1).mean()), float(np.ptp(m.strut_range, axis=1).mean())
-    strut = f"strut {rng.integers(1, 7)}"
-    camera = f"camera {design.cameras[rng.integers(len(design.cameras))].name}"
+    strut = str(Place("strut", str(rng.integers(1, 7))))
+    camera = str(Place("camera", design.cameras[rng.integers(len(design.cameras))].name))
 
     def waves(size: int, scale: float) -> tuple[float, ...]:
         rows = [

@@ -180,7 +180,7 @@ def test_a_plan_of_an_arm_takes_what_is_seen_and_tells_most(tmp_path, capfd):
 
 
 def test_reversals_at_speed_tell_an_arms_lag_from_a_clock():
-    from calib.diagnosis.problems.arm.effect_separation import arm_effect_separation
+    from calib.diagnosis.effect_signal import effect_separation
     from rig.effects.texts.effect_notation import parse_effect
     from rig.planning.layout import shipped_arm_layout
     from rig.planning.plan import build_plan
@@ -190,9 +190,7 @@ def test_reversals_at_speed_tell_an_arms_lag_from_a_clock():
     for text in ("moving:40", "zigzag:40"):
         plan = build_plan(design, text, 3)
         for name, pair in (("two", [lag, late]), ("one", [lag, lag])):
-            found[text, name] = arm_effect_separation(
-                text, design, plan.commands, plan.t, None, pair, (2e-5, 1e-4)
-            ).misfit
+            found[text, name] = effect_separation(text, design, plan.commands, plan.t, None, pair, (2e-5, 1e-4)).misfit
     assert found["zigzag:40", "two"] > 20 and found["zigzag:40", "two"] > 3 * found["moving:40", "two"]
     assert found["zigzag:40", "one"] < 1e-3 * found["zigzag:40", "two"]
 

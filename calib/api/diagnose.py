@@ -20,8 +20,7 @@ from calib.diagnosis.engine.selection_inputs import StatedTerms
 from calib.diagnosis.recording_diagnosis import Diagnosis, DiagnosisOptions
 from calib.diagnosis.report.diagnosis_json import UNKNOWN
 from calib.diagnosis.report.diagnosis_page import diagnosis_page, machine_view
-from calib.diagnosis.report.diagnosis_report import Report
-from calib.diagnosis.report.diagnosis_verdict import diagnosis_verdict
+from calib.diagnosis.report.diagnosis_report import Report, diagnosis_verdict
 from calib.diagnosis.report.report_entries import diagnosis_report, write_diagnosis
 from calib.experiment.diagnosis_questions import diagnosis_questions
 from calib.files import calibration_from_recording

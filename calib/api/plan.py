@@ -16,9 +16,7 @@ from calib.api.plan_result import (
     geometry_and_excluded_configurations,
 )
 from calib.certification.platform_certification import Progress, silent_progress
-from calib.diagnosis.engine.hypothesis_separation import Separation
-from calib.diagnosis.problems.arm.effect_separation import arm_effect_separation as arm_effect_separation
-from calib.diagnosis.problems.platform.effect_separation import platform_effect_separation as platform_effect_separation
+from calib.diagnosis.effect_signal import Separation, effect_separation
 from calib.models.platform.optimal_configurations import fewest_configurations
 from calib.samples.confounded_conditions import confounds_of_configurations
 from rig import api
@@ -129,8 +127,7 @@ def _separations(design: Design, effects: list[Effect], options: PlanOptions) ->
         tried = build_plan(design, text, SEED)
         end = tried.commands.t[-1]
         sensors = options.log(end) if options.log is not None else Sensors(np.array([0.0, end]), {})
-        separation = platform_effect_separation if struts else arm_effect_separation
         with_payload = sensors_with_payload(tried, sensors)
-        found = separation(text, design, tried.commands, tried.t, with_payload, effects, options.sigma)
+        found = effect_separation(text, design, tried.commands, tried.t, with_payload, effects, options.sigma)
         out.append((found, tried))
     return out

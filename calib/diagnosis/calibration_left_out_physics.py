@@ -24,8 +24,7 @@ from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.diagnosis.report import report_sentences
 from calib.diagnosis.report.diagnosis_json import UNKNOWN
-from calib.diagnosis.report.diagnosis_report import Report
-from calib.diagnosis.report.diagnosis_verdict import doubts, unexplained_sentences
+from calib.diagnosis.report.diagnosis_report import Report, doubts, unexplained_sentences
 from calib.diagnosis.report.report_entries import diagnosis_report
 from calib.files import calibration_file
 from calib.files.calibration_from_recording import SEED

@@ -13,7 +13,7 @@ from calib.correction.physics_compensation import Physics, Unknown
 from calib.diagnosis.engine.chance_probability import Z95
 from calib.diagnosis.engine.lack_of_fit import LackOfFit
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
-from calib.diagnosis.problems.platform.exchanged_or_turned_faces import correct_marker_swaps
+from calib.diagnosis.problems.platform.misplaced_markers_and_frames import correct_marker_swaps
 from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording, without_distant_corners
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refined, refine
 from calib.diagnosis.recording_diagnosis import Diagnosis

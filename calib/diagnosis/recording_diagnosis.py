@@ -10,11 +10,10 @@ from threadpoolctl import threadpool_limits
 
 from calib.certification.calibration import Calibration
 from calib.diagnosis.engine.cross_validation import CrossValidation
-from calib.diagnosis.engine.excluded_outliers import Outliers
 from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Fit, Progress
-from calib.diagnosis.engine.selection_inputs import NO_STATED_TERMS, C, NotAsked, StatedTerms
+from calib.diagnosis.engine.selection_inputs import NO_STATED_TERMS, C, NotAsked, Outliers, StatedTerms
 from calib.diagnosis.engine.term_selection import Selection, remove_unsupported_findings, select_terms
 from calib.diagnosis.problems.formula_suggestion import Suggestion
 from calib.diagnosis.problems.measured_evidence import (

@@ -13,12 +13,11 @@ from typing import cast
 import numpy as np
 
 from calib.diagnosis.engine.linear_model import Column, join_columns
-from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, parameter_directions
 from calib.diagnosis.problems.platform.held_out_validation import residual_change_column
 from calib.diagnosis.problems.platform.linearised_corners import seat_freedoms
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel, linearise
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint, cube_seats
-from calib.diagnosis.problems.platform.parameter_directions import parameter_directions
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refined
 from calib.diagnosis.problems.platform.temperature_alternatives import WARM
 from calib.experiment.experiment_question import (

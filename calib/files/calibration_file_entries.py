@@ -9,6 +9,7 @@ from calib.correction.physics_compensation import Physics, Unknown
 from rig.arrays import Booleans
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.fit_coordinates import coordinates_of_effects
+from rig.effects.framework.place import Place
 from rig.effects.texts.effect_notation import Kinds, effect_to_dict
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.input_files import short_repr
@@ -275,4 +276,4 @@ def physics_from_entries(
 
 def _seen(entry: Entries) -> bool:
     """Whether an effect sits at what only cameras know of: a calibration holds no cameras to look it up in."""
-    return str(entry.get("place", "")).partition(" ")[0] in ("camera", "cameras", "marker", "markers", "target")
+    return Place.parse(str(entry.get("place", ""))).kind in ("camera", "cameras", "marker", "markers", "target")

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.diagnosis.problems.platform.effect_strength import platform_effect_signal_to_noise
+from calib.diagnosis.effect_signal import platform_effect_signal_to_noise
 from calib.diagnosis.report.report_entries import diagnosis_report, write_diagnosis
 from calib.samples.recording_samples import Sampled, sample_recording
 from rig.model.pose import pose_difference

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.engine.chance_probability import Z95
-from calib.diagnosis.engine.parameter_values import Value, bounded_value
+from calib.diagnosis.problems.measured_evidence import Value, bounded_value
 from calib.diagnosis.problems.platform import tolerance_columns
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
-from calib.diagnosis.problems.platform.interval_widening import (
+from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
+from calib.diagnosis.problems.platform.simultaneous_refinement import Refined, refine, refine_at_fixed_repeated_error
+from calib.diagnosis.problems.platform.tolerable_findings import (
     observed_tolerance_sigmas,
     tolerance_errors,
     widen_intervals,
 )
-from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
-from calib.diagnosis.problems.platform.simultaneous_refinement import Refined, refine, refine_at_fixed_repeated_error
 from calib.diagnosis.report import report_sentences
 from calib.diagnosis.report.diagnosis_json import FindingEntry
 from rig.effects.framework.fit_coordinates import coordinates_of_effects

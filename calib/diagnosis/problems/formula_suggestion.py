@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.diagnosis.engine.formula_library import Library, Quantity
 from calib.diagnosis.engine.formula_search import Formula
-from calib.diagnosis.engine.parameter_values import Interval
+from calib.diagnosis.problems.measured_evidence import Interval
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.formula_quantities import POSE, quantities_of_motion
 from rig.effects.framework.machine_motion import Motion

@@ -1,12 +1,24 @@
 """Requested effects: which effects of the catalogue, at which places, a diagnosis includes or omits."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
 
 from calib.diagnosis.engine.selection_inputs import Candidate, NotAsked, StatedTerms
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import Effect
-from rig.errors import RigError
+from rig.errors import FileError, RigError
+
+Made = TypeVar("Made", bound=Candidate)
+
+
+class EffectSites(NamedTuple):
+    """places : at which an effect may be requested, None for any; searched : those at which candidates are made;
+    not_asked : what it cannot be asked for"""
+
+    places: tuple[str, ...] | None
+    searched: tuple[str, ...]
+    not_asked: Sequence[NotAsked] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +55,33 @@ class RequestedEffects:
         """Whether an effect is asked for at a place."""
         there = {name, f"{name} {place}"}
         return (not self.only or bool(there & set(self.only))) and not there & set(self.without)
+
+    def candidates(
+        self, sites_of: Callable[[type[Effect]], EffectSites], candidates_at: Callable[[type[Effect], str], list[Made]]
+    ) -> tuple[list[Made], list[NotAsked]]:
+        """(candidates, what cannot be tested) of the requested catalogue.
+
+        sites_of : EffectSites of an effect, RigError where it cannot be tested at all; candidates_at : of an effect at
+            a place. Raises RigError for a requested place at which an effect cannot sit
+        """
+        out: list[Made] = []
+        skipped: list[NotAsked] = []
+        sites: dict[str, tuple[str, ...]] = {}
+        for kind in filter(lambda kind: self.touches(kind.name), self.kinds):
+            try:
+                found = sites_of(kind)
+                skipped += found.not_asked
+                if found.places is not None:
+                    sites[kind.name] = found.places
+                for place in found.searched:
+                    if self.place(kind.name, place):
+                        out += candidates_at(kind, place)
+            except FileError:
+                raise  # of a file that a user wrote
+            except RigError as error:
+                skipped.append(NotAsked(kind.name, str(error)))
+        self.check(sites)
+        return out, [s for s in skipped if self.name(s.effect)]
 
     def check(self, sites: dict[str, tuple[str, ...]]) -> None:
         """Raise RigError where a place is asked for, or left out, that none of the places (of each effect that can be

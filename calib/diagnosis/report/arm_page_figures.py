@@ -8,10 +8,15 @@ from calib.diagnosis.problems.arm.arm_evidence import ArmEvidence
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report import finding_contributions
-from calib.diagnosis.report.arm_outline import arm_outline_figures
 from calib.diagnosis.report.diagnosis_json import FindingEntry
-from calib.diagnosis.report.held_out_figures import SAME_ANGLE, held_out_gain_table, repeat_rows, residual_statistics
-from calib.diagnosis.report.residual_figures import residual_scatter_figure
+from calib.diagnosis.report.machine_outline import arm_outline_figures
+from calib.diagnosis.report.residual_figures import (
+    SAME_ANGLE,
+    held_out_gain_table,
+    repeat_rows,
+    residual_scatter_figure,
+    residual_statistics,
+)
 from calib.report.pose_figures import mechanism_scene
 from calib.samples.effect_playback import FACTORS
 from rig.model import mechanisms

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 
 from calib.diagnosis.engine.lack_of_fit import Covariate
-from calib.diagnosis.engine.parameter_values import Value
 from calib.diagnosis.engine.selection_inputs import StatedTerms
 from calib.diagnosis.problems.formula_suggestion import Suggestion
+from calib.diagnosis.problems.measured_evidence import Value
 from rig.effects.texts.formula_effect_file import Written
 from rig.effects.texts.user_effect_files import Plugin
 from rig.recording.recording_folder import Part

@@ -8,15 +8,14 @@ from calib.diagnosis.problems.platform.linearised_residuals import LinearisedMod
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refined
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report.diagnosis_json import FindingEntry
-from calib.diagnosis.report.held_out_figures import held_out_gain_table, repeat_rows
-from calib.diagnosis.report.residual_figures import residuals_in_time_figure
+from calib.diagnosis.report.machine_outline import rig_outline_figure
+from calib.diagnosis.report.residual_figures import held_out_gain_table, repeat_rows, residuals_in_time_figure
 from calib.diagnosis.report.residual_plots import (
     effect_residual_figures,
     image_residual_figures,
     model_residuals,
     residuals_without_effects,
 )
-from calib.diagnosis.report.rig_outline import rig_outline_figure
 from calib.report.pose_figures import rig_scene
 from calib.samples.effect_playback import effect_displacements
 from rig.arrays import Floats

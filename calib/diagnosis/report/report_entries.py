@@ -10,8 +10,7 @@ from typing import Any
 from calib.diagnosis.engine.cross_validation import CrossValidation
 from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit import LackOfFit, first_of_each_place
-from calib.diagnosis.engine.parameter_values import Value
-from calib.diagnosis.problems.measured_evidence import MeasuredFinding, Misfit, ScatterSize
+from calib.diagnosis.problems.measured_evidence import MeasuredFinding, Misfit, ScatterSize, Value
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report import finding_contributions
 from calib.diagnosis.report.diagnosis_json import (
@@ -29,9 +28,8 @@ from calib.diagnosis.report.diagnosis_json import (
     stated_beforehand,
     suggestion_entries,
 )
-from calib.diagnosis.report.diagnosis_report import Report
-from calib.diagnosis.report.diagnosis_verdict import write_diagnosis_json
-from calib.diagnosis.report.held_out_figures import held_out_entries
+from calib.diagnosis.report.diagnosis_report import Report, write_diagnosis_json
+from calib.diagnosis.report.residual_figures import held_out_entries
 from rig.effects.framework.effect import Effect
 from rig.formats import machine_json, remote_folders
 from rig.formats.input_files import read_text

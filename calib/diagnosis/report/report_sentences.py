@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.diagnosis.engine.excluded_outliers import Crowd, LeftOut
-from calib.diagnosis.engine.parameter_values import Value
+from calib.diagnosis.engine.selection_inputs import Crowd, LeftOut
+from calib.diagnosis.problems.measured_evidence import Value
 from calib.diagnosis.report.diagnosis_json import (
     ASSUMED,
     CovariateEntry,

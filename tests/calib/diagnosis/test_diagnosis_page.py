@@ -11,9 +11,9 @@ import pytest
 from calib.diagnosis.engine.lack_of_fit import LackOfFit
 from calib.diagnosis.problems.platform import platform_evidence as platform
 from calib.diagnosis.report.diagnosis_json import AlternativeEntry, NotAskedEntry
+from calib.diagnosis.report.machine_outline import MARKS, rig_outline_figure
 from calib.diagnosis.report.report_entries import diagnosis_report
 from calib.diagnosis.report.residual_plots import effect_residual_figures, model_residuals, residuals_without_effects
-from calib.diagnosis.report.rig_outline import MARKS, rig_outline_figure
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.texts.effect_notation import parse_effect
 from rig.planning import plan

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.diagnosis.problems.platform.effect_separation import platform_effect_separation
+from calib.diagnosis.effect_signal import effect_separation
 from rig.cli import command_line
 from rig.effects.texts.effect_notation import parse_effect
 from rig.planning.plan import build_plan, sensors_with_payload
@@ -15,7 +15,7 @@ SIGMA = (1e-5, 1e-4)
 def told_apart(design, text, *effects):
     plan = build_plan(design, text, 3)
     sensors, _ = draw_temperatures(plan.commands.t[-1], np.random.default_rng(3))
-    return platform_effect_separation(
+    return effect_separation(
         text,
         design,
         plan.commands,

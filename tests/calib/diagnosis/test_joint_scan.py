@@ -9,7 +9,7 @@ import pytest
 
 from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.term_selection import select_terms
-from calib.diagnosis.problems.arm import excess_scatter as arm_excess_scatter
+from calib.diagnosis.problems.arm import lack_of_fit as arm_excess_scatter
 from calib.diagnosis.problems.arm.arm_evidence import pose_repeatability
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.candidate_search import joint_products, search_candidates, solved_grid, solved_nodes

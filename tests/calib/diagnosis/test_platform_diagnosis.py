@@ -11,13 +11,12 @@ import pytest
 from calib.certification.calibration import Calibration
 from calib.certification.platform_certification import certify_platform
 from calib.diagnosis.engine.chance_probability import scan_p_value
-from calib.diagnosis.problems.platform import exchanged_or_turned_faces
+from calib.diagnosis.problems.platform import misplaced_markers_and_frames
 from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
-from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, parameter_directions
 from calib.diagnosis.problems.platform.lack_of_fit import lack_of_fit
 from calib.diagnosis.problems.platform.linearised_residuals import CORNERS, linearise
 from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
-from calib.diagnosis.problems.platform.parameter_directions import parameter_directions
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine
 from calib.diagnosis.problems.requested_effects import RequestedEffects
 from calib.diagnosis.report.report_entries import diagnosis_report
@@ -112,9 +111,9 @@ def test_what_is_hidden_is_found(tmp_path, design, text, name, parameter, value)
 def test_faces_exchanged_are_named(tmp_path, design):
     rec = recorded(tmp_path, design, ["marker_swap:8:other=6,turn=1"])
     point, _, _ = operating_point_of_recording(rec)
-    found = exchanged_or_turned_faces.find_marker_swaps(point, [k for k in ALL if k.discrete])
+    found = misplaced_markers_and_frames.find_marker_swaps(point, [k for k in ALL if k.discrete])
     assert len(found) == 1 and {found[0].place, f"marker {int(found[0].other)}"} == {"marker 8", "marker 6"}
-    left = exchanged_or_turned_faces.correct_marker_swaps(point, found)
+    left = misplaced_markers_and_frames.correct_marker_swaps(point, found)
     assert np.abs(left.seen.observations.uv - left.pixels()).max() < 3
 
 

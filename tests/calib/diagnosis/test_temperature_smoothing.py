@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
-from calib.diagnosis.problems.platform.interval_widening import temperature_log_errors
 from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine
+from calib.diagnosis.problems.platform.tolerable_findings import temperature_log_errors
 from calib.diagnosis.problems.temperature_smoothing import smooth_temperatures
 from rig.effects.texts.effect_notation import parse_effect
 from rig.recording.recording_folder import Sensors

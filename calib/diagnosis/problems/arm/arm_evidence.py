@@ -1,6 +1,4 @@
-"""Evidence of a recording of an arm, or of a chain of mechanisms: measured poses, linear about the calibrated geometry,
-and what only such a machine says of what explains them.
-"""
+"""Evidence of a recording of an arm, or of a chain of mechanisms: measured poses and their outliers."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -10,22 +8,17 @@ import numpy as np
 
 from calib.certification.calibration import Calibration
 from calib.diagnosis.engine.cross_validation import CrossValidation
-from calib.diagnosis.engine.excluded_outliers import Outliers
 from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit import Covariate, LackOfFit
-from calib.diagnosis.engine.parameter_values import Value
 from calib.diagnosis.engine.problem_interface import Progress
-from calib.diagnosis.engine.selection_inputs import NO_STATED_TERMS, NotAsked, StatedTerms
+from calib.diagnosis.engine.selection_inputs import NO_STATED_TERMS, Crowd, LeftOut, NotAsked, Outliers, StatedTerms
 from calib.diagnosis.engine.term_selection import Selection
-from calib.diagnosis.problems.arm.arm_problem import ArmProblem
-from calib.diagnosis.problems.arm.excess_scatter import excess_scatter
+from calib.diagnosis.problems.arm.arm_problem import COARSE_PARTS, FINE_PARTS, ArmProblem, nested_held_out_poses
 from calib.diagnosis.problems.arm.finding_parameters import finding_parameters, temperature_offsets
 from calib.diagnosis.problems.arm.joint_candidates import JointCandidate, joint_candidates
+from calib.diagnosis.problems.arm.lack_of_fit import excess_scatter, ranked_covariates
 from calib.diagnosis.problems.arm.linearised_poses import FEWEST, Arms, Geometry, linearise_poses
-from calib.diagnosis.problems.arm.nested_selection import COARSE, FINE, nested_held_out_poses
-from calib.diagnosis.problems.arm.outlier_poses import GATE, GROSS, outlier_poses
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
-from calib.diagnosis.problems.arm.remainder_covariates import ranked_covariates
 from calib.diagnosis.problems.arm.unlisted_joint_effects import suggest_joint_formulas
 from calib.diagnosis.problems.formula_suggestion import Suggestion
 from calib.diagnosis.problems.measured_evidence import (
@@ -37,10 +30,13 @@ from calib.diagnosis.problems.measured_evidence import (
     Misfit,
     Noise,
     Repeats,
+    Value,
 )
+from calib.diagnosis.problems.remainder_covariates import axis_speeds, time_cosines
 from calib.diagnosis.problems.repeated_commands import repeated_pairs, repeats_of_pairs
 from calib.diagnosis.problems.requested_effects import RequestedEffects, require_assumed_effects_testable
 from calib.diagnosis.problems.temperature_smoothing import smooth_temperatures
+from calib.identify.robust_fit import MIDDLE, MOST, outlier_rows, robust_fit
 from calib.models.arm.held_out_scatter import UNSTATED
 from calib.samples.recording_samples import Sampled, sample_recording
 from rig.arrays import Floats, Integers
@@ -52,9 +48,62 @@ from rig.recording.recording_folder import Recording
 from rig.recording.time_origin import Origin
 from vision.pose_uncertainty_prediction import predict_pose_uncertainty
 
+GROSS, GATE = (
+    20.0,
+    7.0,
+)  # times the scatter of the others, from which a pose may be wild before anything is admitted, and after
+SLOW = 4  # cosines of time that are free at each joint
+ROWS = 4  # numbers measured for each that is free
+REASON = (
+    "what was measured and the command agree with no other pose, neither those before and after it nor those at "
+    "joint angles near it"
+)
 ROUNDS = 3  # of making poses linear anew without what is grossly wild
-
 ArmSelection = Selection[Fit, JointCandidate]
+
+
+def outlier_poses(arms: Arms, residuals: Floats, gate: float) -> Outliers:
+    """Outliers by residuals left (n, k), m and rad, beyond a gate."""
+    W = np.linalg.inv(np.linalg.cholesky(arms.own))
+    columns = np.concatenate([arms.freedoms, _smooth(arms)], axis=2)[..., : residuals.size // ROWS]
+    found = robust_fit([((W @ residuals[..., None])[..., 0], W @ columns)])
+    all_off = _relative(found.residual)
+    far = outlier_rows(all_off, arms.t, arms.q, gate)
+    if far.sum() > MOST * len(arms):
+        return Outliers(crowd=Crowd("poses", int(far.sum()), len(arms)))
+    residual = np.linalg.solve(W[far], found.residual[far, :, None])[..., 0]
+    told = []
+    for frame, off, relative in zip(arms.frame[far].tolist(), residual, np.abs(all_off[far])):
+        turned = int(relative.argmax()) >= 3
+        size = float(np.linalg.norm(off[3:] if turned else off[:3]))
+        told.append(LeftOut(frame, "pose", "rig", size, "rad" if turned else "m", float(relative.max()), REASON))
+    return Outliers(frozenset(arms.frame[far].tolist()), left_out=tuple(told))
+
+
+def _relative(residual: Floats) -> Floats:
+    """(n, k) whitened residuals over one scatter of positions and one of rotations, by their middle length: what a
+    joint does shows along other axes in every pose."""
+    out = np.empty_like(residual)
+    for part in (slice(0, 3), slice(3, 6)):
+        if residual[:, part].size:
+            out[:, part] = residual[:, part] / max(
+                float(np.median(np.linalg.norm(residual[:, part], axis=1))) / np.sqrt(MIDDLE), 1e-300
+            )
+    return out
+
+
+def _smooth(arms: Arms) -> Floats:
+    """(n, k, q) what joints may do besides their geometry to what is measured, the plainest first."""
+    path = arms.context.moved().path
+    functions = [path.direction, axis_speeds(arms.commands, arms.t), path.last_step]
+    functions += [np.broadcast_to(c[:, None], arms.q.shape) for c in (*time_cosines(arms.t, SLOW).T, *_varying(arms))]
+    scaled = [values / np.abs(values).max() for values in functions if np.any(values)]
+    return np.concatenate([arms.joints * values[:, None, :] for values in scaled], axis=2)
+
+
+def _varying(arms: Arms) -> list[Floats]:
+    """[(n,)] of the log's channels that vary, about their means."""
+    return [values - values.mean() for values in arms.channels.values() if np.ptp(values) > 0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +118,7 @@ class ArmEvidence:
     source: str
     requested: RequestedEffects = RequestedEffects()
     given: StatedTerms = NO_STATED_TERMS
-    stretches: tuple[int, ...] = (FINE, COARSE)
+    stretches: tuple[int, ...] = (FINE_PARTS, COARSE_PARTS)
     log_errors: Mapping[str, Floats] = field(default_factory=dict)
 
     @property

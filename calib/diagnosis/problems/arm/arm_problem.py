@@ -1,9 +1,11 @@
-"""The arm as Problem of the engine: terms turn joints, linear about the calibrated geometry."""
+"""The arm as Problem of the engine: terms turn joints, linear about the geometry; their nested selection."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
+from threadpoolctl import threadpool_limits
 
 from calib.diagnosis.engine.cross_validation import (
     FOLDS,
@@ -13,11 +15,12 @@ from calib.diagnosis.engine.cross_validation import (
     sizes_without_columns,
     time_stretch_folds,
 )
+from calib.diagnosis.engine.finding_confirmation import labelled_progress
 from calib.diagnosis.engine.lack_of_fit import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, LinearModel
-from calib.diagnosis.engine.problem_interface import Wald
+from calib.diagnosis.engine.problem_interface import Progress, Wald
 from calib.diagnosis.engine.selection_inputs import ARM, SelectionPolicy, StatedTerms
-from calib.diagnosis.engine.term_selection import remove_redundant_terms
+from calib.diagnosis.engine.term_selection import fit_selected_terms, remove_redundant_terms
 from calib.diagnosis.problems.arm import lack_of_fit as remainder
 from calib.diagnosis.problems.arm.candidate_search import candidate_with_nodes, score_column, search_candidates
 from calib.diagnosis.problems.arm.joint_candidates import JointCandidate, JointScore
@@ -33,11 +36,15 @@ from calib.diagnosis.problems.arm.term_simplification import (
     refine_profiles,
     simplify_profiles,
 )
+from calib.diagnosis.problems.measured_evidence import HeldOutPoses
 from calib.samples.pose_samples import time_block_folds
 from rig.arrays import Booleans, Floats, Integers
+from rig.compute.parallel_map import parallel_map
 
 ALIASES = 3  # other orders of a sinusoid that are looked at
 KNOWN = 0.5  # numbers that data must determine of a term for it to be tested
+PARTS = 3
+FINE_PARTS, COARSE_PARTS = 30, 6  # stretches of time; every third is held out at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -198,3 +205,49 @@ class ArmProblem:
 
     def within(self, left: LackOfFit, place: str) -> bool:
         return left.place == place
+
+
+def nested_held_out_poses(
+    problem: ArmProblem, counts: tuple[int, ...], progress: Progress | None = None
+) -> list[HeldOutPoses]:
+    """HeldOutPoses of what a problem may fit, over each number of stretches of time: effects are chosen, and all is
+    fitted, on two thirds of them at a time."""
+    arms, kept = problem.arms, np.ones(len(problem.arms), bool) if problem.train is None else problem.train
+    parts = [time_stretch_folds(len(arms), count) % PARTS for count in counts]
+
+    def predicted(one: tuple[int, int]) -> tuple[Floats, Floats, tuple[str, ...]]:
+        part = parts[one[0]] == one[1]
+        with threadpool_limits(1):
+            chosen, bare = fit_selected_terms(replace(problem, train=kept & ~part)), fit_poses(arms, (), kept & ~part)
+        return (
+            bare.left[part],
+            chosen.left[part],
+            tuple(f"{t.candidate.name} {t.candidate.place}" for t in chosen.terms),
+        )
+
+    things = [(i, k) for i in range(len(counts)) for k in range(PARTS)]
+    found = dict(
+        zip(
+            things,
+            parallel_map(
+                predicted, things, labelled_progress(progress, "choosing anew without stretches"), items_per_process=1
+            ),
+        )
+    )
+    out = []
+    for i, (count, part) in enumerate(zip(counts, parts)):
+        before, after, far = np.empty(arms.left.shape), np.empty(arms.left.shape), np.empty(len(arms))
+        for k in range(PARTS):
+            before[part == k], after[part == k], _ = found[i, k]
+            far[part == k] = _farthest(arms.q[part == k], arms.q[(part != k) & kept])
+        out.append(
+            HeldOutPoses(before[kept], after[kept], count, tuple(found[i, k][2] for k in range(PARTS)), far[kept])
+        )
+    return out
+
+
+def _farthest(q: Floats, fitted: Floats) -> Floats:
+    """(m,) rad: over the joints, the greatest distance of angles q (m, joints) from the nearest of fitted (n,
+    joints).
+    """
+    return np.stack([cKDTree(b[:, None]).query(a[:, None])[0] for a, b in zip(q.T, fitted.T)]).max(axis=0)

@@ -10,11 +10,11 @@ from scipy.linalg import cho_solve
 
 from calib.diagnosis.engine.chance_probability import Z95
 from calib.diagnosis.engine.finding_confirmation import Finding
-from calib.diagnosis.engine.parameter_values import Value, bounded_value, moment_value
 from calib.diagnosis.problems.arm.joint_candidates import SPAN, Form, JointCandidate, joint_candidate
 from calib.diagnosis.problems.arm.linearised_poses import Arms
 from calib.diagnosis.problems.arm.nonlinear_parameters import onset_time_interval, term_parameter_covariance
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
+from calib.diagnosis.problems.measured_evidence import Value, bounded_value, moment_value
 from rig.arrays import Floats
 from rig.model import motion_simulation
 from rig.recording.recording_folder import Sensors

@@ -9,12 +9,12 @@ import numpy as np
 from calib.diagnosis.engine.candidate_score import Score
 from calib.diagnosis.engine.selection_inputs import Candidate, Node, NotAsked
 from calib.diagnosis.problems.arm.linearised_poses import Arms
-from calib.diagnosis.problems.requested_effects import RequestedEffects
+from calib.diagnosis.problems.requested_effects import EffectSites, RequestedEffects
 from rig.arrays import Floats
 from rig.effects.framework.diagnosis_interface import COUNT, QUADRATURE
 from rig.effects.framework.effect import Candidate as EffectCandidate
 from rig.effects.framework.effect import Effect
-from rig.errors import FileError, RigError
+from rig.errors import RigError
 
 
 class Form(Enum):
@@ -84,28 +84,20 @@ def joint_candidates(arms: Arms, asked: RequestedEffects) -> tuple[list[JointCan
 
     Raises RigError for a place where what is asked for cannot sit.
     """
-    out, skipped, sites = [], [], {}
-    for kind in asked.kinds:
-        if not asked.touches(kind.name):
-            continue
+
+    def sites_of(kind: type[Effect]) -> EffectSites:
         if kind.discrete or kind.stage in ("targets", "view"):
-            skipped.append(NotAsked(kind.name, POSES_ALONE if arms.context.design.cameras else NO_CORNERS))
-            continue
-        try:
-            found = kind.sites(arms.context)
-            skipped += _lacking(kind, found, arms)
-            if found and any(p.role == "frequency" for p in kind.parameters):
-                raise RigError(f"{kind.name}: an arm's poses are searched for no frequency")
-            sites[kind.name] = found
-            for place in found:
-                if asked.place(kind.name, place):
-                    out += _candidates(tuple(kind.candidates(place, arms.context)), arms)
-        except FileError:
-            raise  # of a file that a user wrote
-        except RigError as error:
-            skipped.append(NotAsked(kind.name, str(error)))
-    asked.check(sites)
-    return out, [s for s in skipped if asked.name(s.effect)]
+            raise RigError(POSES_ALONE if arms.context.design.cameras else NO_CORNERS)
+        found = kind.sites(arms.context)
+        lacking = _lacking(kind, found, arms)
+        if found and any(p.role == "frequency" for p in kind.parameters):
+            reason = f"{kind.name}: an arm's poses are searched for no frequency"
+            return EffectSites(None, (), [*lacking, NotAsked(kind.name, reason)])
+        return EffectSites(found, found, lacking)
+
+    return asked.candidates(
+        sites_of, lambda kind, place: _candidates(tuple(kind.candidates(place, arms.context)), arms)
+    )
 
 
 def _lacking(kind: type[Effect], found: tuple[str, ...], arms: Arms) -> list[NotAsked]:

@@ -11,11 +11,12 @@ from calib.diagnosis.engine.candidate_score import best_node_score, insignifican
 from calib.diagnosis.engine.frame_inner_products import FrameProducts, Solved
 from calib.diagnosis.engine.linear_model import Column
 from calib.diagnosis.engine.selection_inputs import Node
-from calib.diagnosis.problems.platform import corner_sum_kernels, vibration_frequency
+from calib.diagnosis.problems.platform import vibration_frequency
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore, Reach
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from rig.arrays import Floats, Integers
+from rig.compute.numba_kernels import njit
 from rig.compute.parallel_map import parallel_map
 from rig.compute.worker_processes import Progress
 from rig.effects.framework.machine_motion import Motion
@@ -24,6 +25,29 @@ from vision.bundle.corner_jacobians import corner_jacobians
 
 CHUNK = 64  # nodes at a time
 FEW = 8  # columns, above which rows are gathered for a product of matrices
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _row_projection(table: Floats, rows: Integers, V: Floats, out: Floats) -> None:
+    """Into out (q, p) V^T times the rows (h,) of a table (n, p); V : (h, q)."""
+    out[:] = 0.0
+    for h in range(len(rows)):
+        part = table[rows[h]]
+        for i in range(V.shape[1]):
+            v = V[h, i]
+            for j in range(len(part)):
+                out[i, j] += v * part[j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _row_projection_by_frame(local: Floats, rows: Integers, frame: Integers, V: Floats, out: Floats) -> None:
+    """Into out (F, L, q), frame by frame, the rows (h,) of local (n, L) transposed times V (h, q); frame : (h,)"""
+    out[:] = 0.0
+    for h in range(len(rows)):
+        for k in range(local.shape[1]):
+            v = local[rows[h], k]
+            for i in range(V.shape[1]):
+                out[frame[h], k, i] += v * V[h, i]
 
 
 def search_candidates(
@@ -148,9 +172,9 @@ def constant_displacement_normal(model: LinearisedModel, displaced_corners: Inte
     if q > FEW:
         K[:] = (basis[CORNERS][both].T @ V).T
     else:
-        corner_sum_kernels._row_projection(basis[CORNERS], both, V, K)
+        _row_projection(basis[CORNERS], both, V, K)
     own = np.empty((model.frames, c.local.shape[1], q))
-    corner_sum_kernels._row_projection_by_frame(c.local, both, frame, V, own)
+    _row_projection_by_frame(c.local, both, frame, V, own)
     G = raw - np.tensordot(own, own, ((0, 1), (0, 1)))
     if k.axes:
         moved = (model.closures.to_rows @ own).reshape(-1, q)

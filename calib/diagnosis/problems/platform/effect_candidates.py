@@ -8,13 +8,12 @@ import numpy as np
 from calib.diagnosis.engine.candidate_score import Score
 from calib.diagnosis.engine.selection_inputs import Candidate, Node, NotAsked, Role, UsualRange
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
-from calib.diagnosis.problems.requested_effects import RequestedEffects
+from calib.diagnosis.problems.requested_effects import EffectSites, RequestedEffects
 from rig.arrays import Floats
 from rig.effects.framework.diagnosis_interface import QUADRATURE, Context
 from rig.effects.framework.effect import Candidate as EffectCandidate
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.place import Place
-from rig.errors import FileError, RigError
 
 SIZED = ("linear", "inverse", "size")  # roles of the numbers that tell how large an effect is
 ROUNDED = 1e-12  # share by which a sinusoid stays below its amplitude's bound, so that rounding does not take it beyond
@@ -88,26 +87,18 @@ def platform_candidates(
     point: OperatingPoint, asked: RequestedEffects
 ) -> tuple[list[PlatformCandidate], list[NotAsked]]:
     """(candidates, what cannot be tested) of an OperatingPoint, of the requested catalogue."""
-    out, skipped, sites, context = [], [], {}, effect_context(point)
-    for kind in asked.kinds:
-        if not asked.touches(kind.name):
-            continue
-        try:
-            sites[kind.name] = kind.sites(context)
-            if kind.discrete:  # a face that nobody saw may have been exchanged as well
-                sites[kind.name] = tuple(
-                    str(Place("marker", str(number))) for number in dict.fromkeys(point.observed.markers.id)
-                )
-                continue
-            for place in sites[kind.name]:
-                if asked.place(kind.name, place):
-                    out += [platform_candidate(spec) for spec in kind.candidates(place, context)]
-        except FileError:
-            raise  # of a file that a user wrote
-        except RigError as error:
-            skipped.append(NotAsked(kind.name, str(error)))
-    asked.check(sites)
-    return out, [s for s in skipped if asked.name(s.effect)]
+    context = effect_context(point)
+
+    def sites_of(kind: type[Effect]) -> EffectSites:
+        sites = kind.sites(context)
+        if not kind.discrete:
+            return EffectSites(sites, sites)
+        ids = dict.fromkeys(point.observed.markers.id)  # a face that nobody saw may have been exchanged as well
+        return EffectSites(tuple(str(Place("marker", str(number))) for number in ids), ())
+
+    return asked.candidates(
+        sites_of, lambda kind, place: [platform_candidate(spec) for spec in kind.candidates(place, context)]
+    )
 
 
 def effect_context(point: OperatingPoint) -> Context:

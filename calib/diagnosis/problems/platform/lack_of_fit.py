@@ -2,13 +2,26 @@
 
 from collections.abc import Callable
 from functools import partial
+from typing import cast
 
 import numpy as np
 import scipy
 
 from calib.diagnosis.engine.chance_probability import scan_p_value
 from calib.diagnosis.engine.frame_inner_products import FrameProducts, solve_normal_equations
-from calib.diagnosis.engine.lack_of_fit import ALPHA, LIKELY, LackOfFit, Test, significant_lack_of_fit, test_lack_of_fit
+from calib.diagnosis.engine.lack_of_fit import (
+    ALPHA,
+    LIKELY,
+    Covariate,
+    LackOfFit,
+    Share,
+    Test,
+    detect_excess_scatter,
+    explained_share,
+    rank_covariates,
+    significant_lack_of_fit,
+    test_lack_of_fit,
+)
 from calib.diagnosis.problems.platform.candidate_search import (
     axis_products,
     constant_displacement_normal,
@@ -16,7 +29,7 @@ from calib.diagnosis.problems.platform.candidate_search import (
 )
 from calib.diagnosis.problems.platform.effect_candidates import effect_context, lacks_temperature_log
 from calib.diagnosis.problems.platform.linearised_corners import MEDIAN
-from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel
+from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.smooth_functions import (
     FAST,
@@ -28,6 +41,8 @@ from calib.diagnosis.problems.platform.smooth_functions import (
     view_time_functions,
     warp_pixels,
 )
+from calib.diagnosis.problems.remainder_covariates import motion_functions, separate_weights, time_and_sensor_functions
+from calib.models.platform.identification import geometric_parameters
 from rig.arrays import Floats, Integers
 from rig.compute.parallel_map import parallel_map
 from rig.effects.catalogue.effect_list import ALL
@@ -38,6 +53,8 @@ MEDIAN_SPREAD = (
     5.6  # variance of a sample's middle square over its square, times the sample's size, for normal residuals
 )
 FAR = 5.0  # standard deviations; a residual counts for no more where neighbours are compared
+MIDDLE = 5.6 / 2  # a middle square has so many times the variance of a mean square over as many numbers
+STRUTS, IMAGES = "struts", "images"
 
 
 def is_at_place(left: LackOfFit, place: str) -> bool:
@@ -193,3 +210,87 @@ def _following(products: FrameProducts, order: Integers, place: str, information
     chance = np.sqrt(np.einsum("ab,fbc,cd,fda->", M, gamma[1:], M, gamma[:-1], optimize=True))
     p = float(scipy.special.ndtr(-(alike / max(chance, 1e-300))))
     return LackOfFit(place, float(np.sqrt(max(alike, 0) / information)), "px", ("order",), p, max(alike, 0.0))
+
+
+def excess_scatter(model: LinearisedModel, left: list[LackOfFit]) -> list[LackOfFit]:
+    """[LackOfFit] of excess scatter of struts and corners, at places with no other lack of fit.
+    left : what functions
+    explain
+    """
+    known = {u.place for u in left}
+    found = [*(_strut_scatter(model) if model.point.axes else []), _corners(model)]
+    return [
+        u
+        for u in found
+        if u is not None
+        and u.place not in known
+        and not any(is_at_place(u, effect.place) for effect in model.point.effects)
+    ]
+
+
+def closure_residuals(model: LinearisedModel) -> Floats:
+    """(F, axes) m that a model as it is leaves of the closures."""
+    return closures_in_metres(model, model.closure_residual)
+
+
+def closures_in_metres(model: LinearisedModel, closures: Floats) -> Floats:
+    """(F, axes) m of whitened closures (F axes + .,)."""
+    F, axes = model.frames, model.point.axes
+    return (
+        cast(Floats, np.linalg.solve(model.closures.W, closures[: F * axes].reshape(F, axes, 1))[..., 0])
+        if axes
+        else np.zeros((F, 0))
+    )
+
+
+def _strut_scatter(model: LinearisedModel) -> list[LackOfFit | None]:
+    """Of each strut, by its closures."""
+    k, F = model.point, model.frames
+    inverse = np.linalg.inv(model.closures.W)
+    residual = (inverse @ model.closure_residual[: F * k.axes].reshape(F, k.axes, 1))[..., 0]
+    own = model.strut_noise() - model.closures.scatter**2
+    squares, freedom = (residual**2 / own).sum(axis=0), F - len(geometric_parameters(k.platform)) / k.axes
+    noise = np.sqrt(own.mean(axis=0))
+    return [
+        detect_excess_scatter(str(Place.axis("strut", i)), "m", float(noise[i]), float(squares[i]), freedom, k.axes)
+        for i in range(k.axes)
+    ]
+
+
+def _corners(model: LinearisedModel) -> LackOfFit | None:
+    """Of all corners, by the middle of their residuals, where somebody states their noise."""
+    seen, stated = model.point.seen, None if model.point.seen is None else model.point.seen.stated
+    if seen is None or stated is None:
+        return None
+    freedom = (len(model.corner_residual) - model.corners.local.shape[1] * model.frames) / MIDDLE
+    return detect_excess_scatter("cameras", "px", stated, freedom * (model.corner_noise() / stated) ** 2, freedom)
+
+
+def ranked_covariates(before: LinearisedModel, after: LinearisedModel) -> list[Covariate]:
+    """[Covariate] ranked by the share of residuals they explain, without effects and with them."""
+    return rank_covariates(*parallel_map(_shares, [before, after], items_per_process=1))
+
+
+def _shares(model: LinearisedModel) -> dict[str, dict[str, Share]]:
+    k = model.point
+    out: dict[str, dict[str, Share]] = {}
+    if k.axes:
+        products = axis_products(model)
+        for name, functions in {
+            **time_and_sensor_functions(k.t, k.sensors),
+            **motion_functions(k.motion(()).path, k.commanded, k.t),
+        }.items():
+            out.setdefault(name, {})[STRUTS] = explained_share(
+                model.linear, CLOSURES, [(products, separate_weights(functions, k.axes))]
+            )
+    if k.seen is not None and len(k.moving) < len(k.design.cameras):
+        seen = np.unique(k.seen.observations.camera)
+        views = [
+            corner_products(model, view_pixels(model, Place("camera", k.design.cameras[i].name)))
+            for i in seen
+            if i not in k.moving
+        ]
+        for name, functions in time_and_sensor_functions(k.t, k.sensors).items():
+            parts = [(products, separate_weights(functions, products.beta.shape[1])) for products in views]
+            out.setdefault(name, {})[IMAGES] = explained_share(model.linear, CORNERS, parts)
+    return out

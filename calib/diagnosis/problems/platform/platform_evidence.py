@@ -8,12 +8,10 @@ import numpy as np
 
 from calib.certification.calibration import Calibration
 from calib.diagnosis.engine.cross_validation import CrossValidation
-from calib.diagnosis.engine.excluded_outliers import Outliers
 from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit import Covariate, LackOfFit
-from calib.diagnosis.engine.parameter_values import Value, bounded_value, moment_value
 from calib.diagnosis.engine.problem_interface import Progress
-from calib.diagnosis.engine.selection_inputs import NotAsked, StatedTerms
+from calib.diagnosis.engine.selection_inputs import NotAsked, Outliers, StatedTerms
 from calib.diagnosis.problems.formula_suggestion import Suggestion
 from calib.diagnosis.problems.measured_evidence import (
     ASSUMED_NOISE,
@@ -26,23 +24,28 @@ from calib.diagnosis.problems.measured_evidence import (
     Noise,
     Repeats,
     Tolerable,
+    Value,
+    bounded_value,
+    moment_value,
 )
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, platform_candidates
-from calib.diagnosis.problems.platform.excess_scatter import closure_residuals, excess_scatter
-from calib.diagnosis.problems.platform.exchanged_or_turned_faces import correct_marker_swaps, find_marker_swaps
 from calib.diagnosis.problems.platform.held_out_validation import cross_validate_blocks, cross_validate_region
-from calib.diagnosis.problems.platform.interval_widening import widen_intervals
+from calib.diagnosis.problems.platform.lack_of_fit import closure_residuals, excess_scatter, ranked_covariates
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS
+from calib.diagnosis.problems.platform.misplaced_markers_and_frames import (
+    _find_outliers,
+    _without_outliers,
+    correct_marker_swaps,
+    find_marker_swaps,
+)
 from calib.diagnosis.problems.platform.operating_point import (
     OperatingPoint,
     operating_point_of_recording,
     without_distant_corners,
 )
-from calib.diagnosis.problems.platform.outlier_frames import _find_outliers, _without_outliers
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
-from calib.diagnosis.problems.platform.remainder_covariates import ranked_covariates
 from calib.diagnosis.problems.platform.temperature_alternatives import add_temperature_alternatives
-from calib.diagnosis.problems.platform.tolerable_findings import separate_tolerable_findings
+from calib.diagnosis.problems.platform.tolerable_findings import separate_tolerable_findings, widen_intervals
 from calib.diagnosis.problems.platform.unlisted_strut_effects import suggest_strut_formulas
 from calib.diagnosis.problems.repeated_commands import repeated_pairs, repeats_of_pairs
 from calib.diagnosis.problems.requested_effects import RequestedEffects, require_assumed_effects_testable

@@ -16,11 +16,10 @@ from calib.diagnosis.problems.platform import lack_of_fit as remainder
 from calib.diagnosis.problems.platform import tolerance_columns
 from calib.diagnosis.problems.platform.candidate_search import candidate_column, search_candidates
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore
-from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, parameter_directions
 from calib.diagnosis.problems.platform.held_out_validation import cross_validate
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel, linearise
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
-from calib.diagnosis.problems.platform.parameter_directions import parameter_directions
 from calib.diagnosis.problems.platform.simultaneous_refinement import (
     Refined,
     add_term,

@@ -13,10 +13,10 @@ from scipy.linalg import block_diag
 
 from calib.diagnosis.engine.chance_probability import Z95
 from calib.diagnosis.engine.linear_model import Column, join_columns
-from calib.diagnosis.engine.parameter_values import Interval
+from calib.diagnosis.problems.measured_evidence import Interval
 from calib.diagnosis.problems.platform.candidate_search import candidate_column
 from calib.diagnosis.problems.platform.effect_candidates import SIZED, PlatformScore, coefficient_bounds
-from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, parameter_directions
 from calib.diagnosis.problems.platform.linearised_corners import (
     edge_bias_freedoms,
     repeated_corner_error,
@@ -24,7 +24,6 @@ from calib.diagnosis.problems.platform.linearised_corners import (
 )
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel, linearise
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint, move_operating_point
-from calib.diagnosis.problems.platform.parameter_directions import parameter_directions
 from calib.identify.least_squares import bounded_least_squares_step
 from calib.models.platform.identification import geometric_parameters, mechanism_with_parameters
 from rig.arrays import Floats, Integers

@@ -24,10 +24,10 @@ from calib.diagnosis.problems.formula_suggestion import (
     library_of_quantities,
 )
 from calib.diagnosis.problems.platform.candidate_search import axis_products
+from calib.diagnosis.problems.platform.effect_sensitivities import parameter_directions
 from calib.diagnosis.problems.platform.held_out_validation import residual_change_column
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, LinearisedModel, linearise
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
-from calib.diagnosis.problems.platform.parameter_directions import parameter_directions
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine
 from rig.arrays import Floats
