@@ -12,7 +12,8 @@ from rig.errors import FileError
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
 from vision.checks.corner_convention_trials import FRAMES
-from vision.corners.marker_detection import Detection, detect_markers, opencv_detector
+from vision.corners.marker_detection import Detection, detect_markers
+from vision.corners.marker_reader import opencv_detector
 from vision.reading.parallel_images import map_images_in_threads
 from vision.reading.recording_corners import image_reader
 from vision.targets import MarkerMap, marker_map

@@ -5,7 +5,7 @@ square.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache
 from typing import Literal, NamedTuple, overload
 
 import cv2
@@ -16,7 +16,7 @@ from rig.arrays import Floats, Integers, Pixels
 from rig.model.design import Camera
 from vision.corners import edge_pixels, local_lens, square_fit, square_gauss_newton, square_sides
 from vision.corners.edge_spread import LEVELS, NO_PROFILE, PLAIN_EDGE_SPREAD, EdgeSpread
-from vision.corners.marker_reader import ExcludedMarker, ReadMarkers, read_markers
+from vision.corners.marker_reader import ExcludedMarker, ReadMarkers, opencv_detector, read_markers
 from vision.predict import markers_expected_in_image
 from vision.targets import MarkerMap, marker_cells
 
@@ -107,15 +107,6 @@ def grey_images_for_reader_and_fit(image: Pixels, with_reader_image: bool = True
         return None, full
     top = max(float(np.percentile(full, 99.9)), 1e-3)
     return np.clip(full * (255 / top), 0, 255).astype(np.uint8), full
-
-
-@lru_cache
-def opencv_detector(dictionary_name: str) -> cv2.aruco.ArucoDetector:
-    """cv2.aruco.ArucoDetector of all of a dictionary (OpenCV name), corners as they are read."""
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.perspectiveRemovePixelPerCell = 8
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
-    return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary_name)), parameters)
 
 
 def detect_markers(

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from rig.arrays import Floats, Integers, Pixels
-from vision.corners.marker_detection import opencv_detector
+from vision.corners.marker_reader import opencv_detector
 from vision.predict import Sightings, markers_expected_in_image, markers_facing_cameras, predict_sightings
 from vision.recording_adjustment import Measurement
 from vision.targets import MarkerMap

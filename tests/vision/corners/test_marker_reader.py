@@ -1,5 +1,5 @@
-"""Markers found and read: whatever OpenCV's own reader finds, at the same pixels, in pictures of every kind; and each
-step by itself.
+"""Markers found and read in pictures of every kind, of every family; what is seen twice, and what has an outline around
+it.
 """
 
 import cv2
@@ -8,12 +8,11 @@ import pytest
 
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.pictures import quad
-from vision.corners.dark_pixel_outlines import BY, WINDOWS, mark_dark_pixels
-from vision.corners.marker_reader import find_dark_quadrangles, identify_markers, marker_codes, read_markers
-from vision.corners.quadrangle_candidates import Candidates, marker_candidates
+from vision.corners.marker_reader import read_markers
 from vision.targets import marker_cells
 
 FINE = 12  # texture pixels to a cell
+NEAR = 0.9  # share of the markers read, whose corners are so near; others are partly covered
 GROUNDS = ("flat", "slope", "cloth", "checks")
 FAMILIES = (
     "DICT_4X4_1000",
@@ -24,19 +23,6 @@ FAMILIES = (
     "DICT_APRILTAG_16h5",
     "DICT_APRILTAG_36h11",
 )
-
-
-def by_opencv(image, name, numbers):
-    """{identity: corners (4, 2) px} that OpenCV's reader, with settings as ours, sees once."""
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.perspectiveRemovePixelPerCell = 8
-    only = cv2.aruco.Dictionary(
-        dictionary.bytesList[list(numbers)], dictionary.markerSize, dictionary.maxCorrectionBits
-    )
-    corners, rows, _ = cv2.aruco.ArucoDetector(only, parameters).detectMarkers(image)
-    rows = [] if rows is None else rows.ravel().tolist()
-    return {numbers[row]: corners[k][0] for k, row in enumerate(rows) if rows.count(row) == 1}
 
 
 def ground(rng, width, height):
@@ -98,88 +84,63 @@ def photograph(rng, name, numbers, width, height):
     return np.clip(np.rint(image), 0, 255).astype(np.uint8), true
 
 
-def compared(design, rng, name, count, width, height):
-    """How many markers OpenCV finds in so many photographs, each of which is read at the same pixels; what is read
-    besides is there too.
-    """
-    numbers, seen = list(range(20)), 0
+def count_read(design, rng, name, count, width, height):
+    """How many markers of a rig are read within 4 px in so many photographs, nearly all of those read."""
+    numbers, near = list(range(20)), []
     markers = sheet(design, name, numbers)
     for k in range(count):
         image, true = photograph(rng, name, range(25), width, height)
-        theirs, ours = by_opencv(image, name, numbers), read_markers(image, markers)
-        found = dict(zip(ours.marker.tolist(), ours.corners))
-        for number, corners in theirs.items():
-            assert number in found, (name, k, number)
-            np.testing.assert_array_equal(found[number], corners)
-        for number in found.keys() - theirs.keys():
-            assert np.abs(found[number] - true[number]).max() < 4, (name, k, number)
-        seen += len(theirs)
-    return seen
+        read = read_markers(image, markers)
+        assert set(read.marker.tolist()) <= true.keys() & set(numbers), (name, k)
+        near += [
+            bool(np.abs(corners - true[number]).max() < 4)
+            for number, corners in zip(read.marker.tolist(), read.corners)
+        ]
+    assert np.mean(near) > NEAR
+    return sum(near)
 
 
 @pytest.mark.parametrize("name", ["DICT_4X4_50", NAME])
-def test_what_opencv_reads_is_read_at_the_same_pixels(design, name):
-    assert compared(design, np.random.default_rng(1), name, 40, 320, 240) > 25
+def test_markers_are_read_where_they_are(design, name):
+    assert count_read(design, np.random.default_rng(1), name, 40, 320, 240) > 25
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FAMILIES)
-def test_what_opencv_reads_is_read_at_the_same_pixels_in_every_family(design, name):
+def test_markers_of_every_family_are_read_where_they_are(design, name):
     rng = np.random.default_rng(2)
-    assert sum(compared(design, rng, name, 60, *size) for size in ((640, 480), (1280, 1024))) > 100
+    assert sum(count_read(design, rng, name, 60, *size) for size in ((640, 480), (1280, 1024))) > 100
 
 
-@pytest.mark.parametrize("window", WINDOWS)
-@pytest.mark.parametrize("shape", [(1, 1), (3, 40), (61, 1), (50, 70)])
-def test_what_is_darker_than_its_surroundings_is_marked(window, shape):
-    image = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
-    out, r = np.zeros((shape[0] + 2, shape[1] + 2), np.uint8), window // 2
-    mark_dark_pixels(image, window, out)
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(image, r, mode="edge").astype(int), (window, window))
-    np.testing.assert_array_equal(out[1:-1, 1:-1], np.rint(around.mean(axis=(2, 3))) - image >= BY)
-    assert not out[[0, -1]].any() and not out[:, [0, -1]].any()
+def square(left, top, side):
+    """(4, 2) px corners of an upright marker."""
+    return np.array([[left, top], [left + side, top], [left + side, top + side], [left, top + side]], float)
 
 
-def test_outlines_of_what_is_dark_and_of_what_is_bright_in_it_are_found():
-    """A dark frame: the outer pixels of the dark are the one outline, those of the dark around the bright the other; a
-    disc has none.
-    """
-    image = np.full((200, 200), 200, np.uint8)
-    image[40:101, 30:111] = 20
-    image[60:81, 60:81] = 200
-    cv2.circle(image, (150, 150), 30, 20, -1)
-    found = find_dark_quadrangles(image)
-    assert {tuple(q.min(axis=0)) + tuple(q.max(axis=0)) for q in found} >= {(30, 40, 110, 100), (59, 59, 81, 81)}
-    assert found[..., 1].max() < 120  # the disc is none
-
-
-def test_outlines_of_three_hundredths_of_the_longer_side_are_the_shortest():
-    image = np.full((200, 1000), 200, np.uint8)
-    image[50:58, 100:108] = image[50:59, 300:309] = 20  # 28 and 32 pixels around
-    assert {tuple(q.min(axis=0)) + tuple(q.max(axis=0)) for q in find_dark_quadrangles(image)} == {(300, 50, 308, 58)}
+def test_a_marker_that_is_there_twice_is_left_out_with_a_reason(design):
+    image = np.full((240, 320), 200.0)
+    for left, number in ((30, 3), (130, 3), (230, 8)):
+        lay(image, square(left, 80, 60), NAME, number, 1, 220, 20)
+    read = read_markers(np.clip(np.rint(image), 0, 255).astype(np.uint8), sheet(design, NAME, [3, 8]))
+    assert read.marker.tolist() == [8]
+    assert [(one.marker, one.repeated, one.reason) for one in read.left_out] == [(3, True, "seen 2 times in one image")]
 
 
 @pytest.mark.parametrize("turn", range(4))
-def test_a_code_is_told_however_it_lies_and_with_as_many_errors_as_are_corrected(turn):
-    wanted = marker_codes(NAME, (3, 8))
-    cells = marker_cells(NAME, 8)[1:-1, 1:-1]
-    quads = Candidates(np.array([[[20, 20], [103, 20], [103, 103], [20, 103]]], float), np.array([0]), np.array([0, 1]))
-    first = np.roll(quads.quads[0], -turn, axis=0)[0]
-    for errors in range(wanted.wrong + 2):
-        shown = cells.copy()
-        shown[1, 1 : 1 + errors] = 1 - shown[1, 1 : 1 + errors]
-        image = np.full((124, 124), 200, np.uint8)
-        image[20:104, 20:104] = np.kron(20 + 180 * np.rot90(shown, -turn), np.ones((12, 12)))
-        rows, corners = identify_markers(image, quads, wanted)
-        assert rows.tolist() == ([1] if errors <= wanted.wrong else [])
-        if len(rows):
-            np.testing.assert_array_equal(corners[0, 0], first)
+def test_corners_begin_at_the_markers_own_first(design, turn):
+    image, corners = np.full((240, 320), 200.0), np.roll(square(100, 60, 84), -turn, axis=0)
+    lay(image, corners, NAME, 8, 1, 220, 20)
+    read = read_markers(np.clip(np.rint(image), 0, 255).astype(np.uint8), sheet(design, NAME, [3, 8]))
+    assert read.marker.tolist() == [8]
+    assert np.abs(read.corners[0] - corners).max() < 2
 
 
-def test_of_one_place_the_largest_is_read_first_and_what_the_border_may_cut_off_is_not():
-    at = np.array([[0, 0], [70, 0], [70, 70], [0, 70]])
-    inset = 35 + (at - 35) * 50 // 70
-    quads = np.array([inset + 50, at + 50, at + [200, 50], at + [1, 200], at + [50, 51]], np.int32)
-    first, tries, starts = marker_candidates(quads, (300, 400), 7)
-    np.testing.assert_array_equal(first[tries[:2]], quads[[1, 0]])  # the fifth is the second's, a pixel off
-    assert starts.tolist() == [0, 2, 3] and (first[tries[2]] == quads[2]).all()
+@pytest.mark.parametrize("margin", [0.7, 0.85, 1.0])
+def test_a_marker_whose_white_margin_ends_in_the_dark_is_read(design, margin):
+    """The margin's outline is not taken for the marker's own: a cube's face on a dark ground."""
+    markers = sheet(design, NAME, [3, 8])
+    for side in (40, 60, 80):
+        image = np.full((240, 320), 30.0)
+        lay(image, square(100, 60, side), NAME, 8, margin, 220, 20)
+        image = cv2.GaussianBlur(image, (0, 0), 0.8)
+        assert read_markers(np.clip(np.rint(image), 0, 255).astype(np.uint8), markers).marker.tolist() == [8]
