@@ -16,7 +16,6 @@ from rig.model.design import Design
 from rig.model.mechanism_geometry import Hexapod
 from rig.model.mechanism_kinds import require_hexapod
 from rig.model.pose import pose
-from rig.planning import sobol_points
 
 FILL = 0.8  # of the strokes that plans use
 FARTHEST = 1.0  # m or rad from home, or times a way
@@ -25,7 +24,15 @@ DIAGONAL = 0.8  # of half the cube's diagonal, at which ISO 9283 places its pose
 
 def sobol_configurations(strokes: Floats, count: int, fill: float = FILL, seed: int = 0) -> Floats:
     """Sobol configurations (count, axes) that cover the middle `fill` of the strokes (axes, 2) evenly."""
-    return scale_to_strokes(strokes, 2 * sobol_points.sobol_points(len(strokes), count, seed) - 1, fill)
+    return scale_to_strokes(strokes, 2 * _sobol_points(len(strokes), count, seed) - 1, fill)
+
+
+def _sobol_points(axes: int, count: int, seed: int) -> Floats:
+    """Scrambled Sobol points (count, axes) of the unit cube, 0 to 1."""
+    import scipy.stats.qmc  # takes a third of a second
+
+    whole = int(np.ceil(np.log2(max(count, 2))))
+    return np.asarray(scipy.stats.qmc.Sobol(axes, rng=np.random.default_rng(seed)).random_base2(whole)[:count])
 
 
 def grid_configurations(strokes: Floats, per_axis: int, fill: float = FILL) -> Floats:
