@@ -9,4 +9,3 @@ Integers = NDArray[np.integer]  # of any width: NumPy indexes by one, OpenCV cou
 Booleans = NDArray[np.bool_]
 ImageBytes = NDArray[np.uint8]  # (height, width) grey levels or (height, width, 3) BGR
 Pixels = NDArray[np.integer | np.floating]  # what OpenCV draws on and gives back
-Texts = NDArray[np.str_]

@@ -18,7 +18,7 @@ MOST_LINES, MOST_PARAMETERS = 100, 8  # lines as the formatter lays them out
 SHAPE = re.compile(
     r"\((\.\.\.?|\w+)( [-+*]+)?( \w+)?,[^()]*\)|\(\.\.\.\)|\(\d+ \+ "
 )  # (n, 2), (..., 6), (f a, q), (k,), (...)
-ARRAYS = re.compile(r"\b(Floats|Singles|Integers|Booleans|ImageBytes|Pixels|Texts|NDArray)\b")  # see rig.arrays
+ARRAYS = re.compile(r"\b(Floats|Singles|Integers|Booleans|ImageBytes|Pixels|NDArray)\b")  # see rig.arrays
 UNITS = ("m ", "m,", "m;", "rad", "px", "s ", "s,", "Nm", "kg", "image", "level")  # as docstrings write them
 
 

@@ -15,7 +15,6 @@ COLDEST = -60.0
 GRAVITY = (9.75, 9.85)  # m/s^2 on the Earth's surface
 HEAVY = 30.0  # times the platform's mass
 TON = 2000.0  # kg; no load of a platform on struts whose mass nobody states
-STEPS = 0.02  # share of a channel's rows at which a load changes; a temperature changes at most of them
 COLDER = 0.4  # K by which exchanged channels differ from where they ought to be
 
 

@@ -27,7 +27,6 @@ from rig.errors import RigError
 from rig.formats.output_files import write_text
 
 APART = 1e-6  # s; rows of commands.csv lie at least so far apart
-AGREE = 1e-9  # m; nearer than this a strut has not moved
 
 
 class Growing:

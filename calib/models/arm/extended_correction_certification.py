@@ -5,7 +5,6 @@ over the joint space, by the same ways as of machines on struts. Source: configu
 [0130]
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -63,8 +62,6 @@ from rig.planning.configuration_sets import FILL, sobol_configurations
 LOOSE = 10.0
 STEPS, SETTLED = 20, 1e-13  # of joint values that meet a pose, rad or m
 PLACES = 256  # at which a single step is held against the fixed point, and what is promised is worked out
-
-Geometry = Callable[[Samples], tuple[ArmCorrection, Identified]]  # what an extension stands on, by some samples
 
 
 def joint_space_summands(samples: Samples, arm: Arm, shared: Floats) -> Known:
