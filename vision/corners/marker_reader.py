@@ -67,7 +67,7 @@ def read_markers(image: Pixels, marker_map: MarkerMap) -> ReadMarkers:
         numbers = tuple(number for number, other in zip(marker_map.id.tolist(), marker_map.dictionary) if other == name)
         quads, places, _ = opencv_detector(name, numbers).detectMarkers(image)
         for place, quad in zip([] if places is None else places.ravel().tolist(), quads):
-            found.setdefault(numbers[place], []).append(quad[0])
+            found.setdefault(numbers[int(place)], []).append(quad[0])
     left_out = [
         ExcludedMarker(number, f"seen {len(found.pop(number))} times in one image", True)
         for number in [number for number, quads in found.items() if len(quads) > 1]

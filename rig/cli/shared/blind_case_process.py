@@ -14,7 +14,7 @@ from dataclasses import replace
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rig.compute.worker_processes import end_when_parent_ends
 from rig.formats.json_tree import Json
@@ -38,7 +38,7 @@ def forbid_own_reading_of_folder(folder: str | Path) -> None:
     """Forbid this process to read a folder: PermissionError from now on (PEP 578; irrevocable)."""
     closed = os.path.realpath(folder)
 
-    def watch(event: str, given: tuple[Any, ...]) -> None:
+    def watch(event: str, given: tuple[object, ...]) -> None:
         if event in WATCHED and given and isinstance(given[0], (str, bytes, os.PathLike)):
             path = os.path.realpath(os.fsdecode(given[0]))
             if path == closed or path.startswith(closed + os.sep):
