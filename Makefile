@@ -27,7 +27,7 @@ docs: .venv/.runs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
 
 test: setup
-	$(BIN)/python -m tests.compiled
+	$(BIN)/python -m tests.compile_kernels
 	$(BIN)/python -m pytest -q -n auto
 
 test-slow: setup
@@ -49,7 +49,7 @@ fuzz: setup
 
 fuzz-wire: setup
 	$(BIN)/python -m pip install -q atheris
-	for parser in grblhal gcs linuxcnc struts requests; do $(BIN)/python -m tests.rig.guided $$parser 1000000 || exit 1; done
+	for parser in grblhal gcs linuxcnc struts requests; do $(BIN)/python -m tests.rig.coverage_guided_fuzzing $$parser 1000000 || exit 1; done
 
 test-bounds: setup
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=out/numba-bounds $(BIN)/python -m pytest -q -p no:cacheprovider -n auto tests/calib tests/vision tests/rig

@@ -12,15 +12,14 @@ what a calibration does to the workspace, `export` writes for other programs, `p
 
 from typing import TYPE_CHECKING
 
-from rig.compute.lazy_package_exports import lazy_getattr
+from rig.compute.numba_kernels_and_lazy_exports import lazy_getattr
 
 if TYPE_CHECKING:
     from calib.api.accept_limbs import AcceptLimbsOptions as AcceptLimbsOptions
     from calib.api.accept_limbs import accept_limbs as accept_limbs
+    from calib.api.calibrate import CalibrateOptions as CalibrateOptions
     from calib.api.calibrate import calibrate as calibrate
-    from calib.api.calibrate_options import CalibrateOptions as CalibrateOptions
     from calib.api.certify import certify as certify
-    from calib.api.check import check as check
     from calib.api.close_loops import LoopClosureOptions as LoopClosureOptions
     from calib.api.close_loops import close_loops as close_loops
     from calib.api.correct import CorrectOptions as CorrectOptions
@@ -33,11 +32,12 @@ if TYPE_CHECKING:
     from calib.api.learn import LearnOptions as LearnOptions
     from calib.api.learn import learn as learn
     from calib.api.plan import plan as plan
-    from calib.api.plan_result import PlanOptions as PlanOptions
+    from calib.api.plan_options_and_result import PlanOptions as PlanOptions
+    from calib.api.recording_check_and_preparation import check as check
     from calib.api.run import RunOptions as RunOptions
     from calib.api.run import plan_run as plan_run
-    from calib.api.verify import verify as verify
-    from calib.api.watch import watch as watch
+    from calib.api.verify_and_watch import verify as verify
+    from calib.api.verify_and_watch import watch as watch
     from calib.api.workspace import analyse_workspace as analyse_workspace
     from calib.certificate.certificate_contents import CertifyOptions as CertifyOptions
     from calib.experiment.investigation_machine import InvestigateOptions as InvestigateOptions
@@ -78,14 +78,14 @@ __getattr__ = lazy_getattr(
     __name__,
     {
         "plan": "calib.api.plan",
-        "PlanOptions": "calib.api.plan_result",
-        "check": "calib.api.check",
+        "PlanOptions": "calib.api.plan_options_and_result",
+        "check": "calib.api.recording_check_and_preparation",
         "calibrate": "calib.api.calibrate",
-        "CalibrateOptions": "calib.api.calibrate_options",
+        "CalibrateOptions": "calib.api.calibrate",
         **dict.fromkeys(("diagnose", "DiagnoseOptions"), "calib.api.diagnose"),
         **dict.fromkeys(("correct", "CorrectOptions"), "calib.api.correct"),
-        "verify": "calib.api.verify",
-        "watch": "calib.api.watch",
+        "verify": "calib.api.verify_and_watch",
+        "watch": "calib.api.verify_and_watch",
         "certify": "calib.api.certify",
         **dict.fromkeys(("learn", "LearnOptions"), "calib.api.learn"),
         **dict.fromkeys(("accept_limbs", "AcceptLimbsOptions"), "calib.api.accept_limbs"),

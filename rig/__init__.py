@@ -7,8 +7,7 @@ and column.
 
 from typing import TYPE_CHECKING
 
-from rig.compute.lazy_package_exports import lazy_getattr
-from rig.compute.numba_kernels import set_kernel_cache_folder
+from rig.compute.numba_kernels_and_lazy_exports import lazy_getattr, set_kernel_cache_folder
 
 if TYPE_CHECKING:
     from rig.api import CheckResult as CheckResult

@@ -5,18 +5,18 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.arrays import Floats
-from rig.checks.mistake_report import Mistake, sort_mistakes
+from rig.array_types import Floats
+from rig.checks.mistake import Mistake, sort_mistakes
 from rig.errors import FileError, RigError
 from rig.formats.input_files import read_bytes
-from rig.formats.json_tree import Json
-from rig.formats.output_files import Outputs, write_bytes
+from rig.formats.json_type import Json
+from rig.formats.output_files import CommandOutputs, write_bytes
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_elements import result_html
+from rig.report.pages.html_and_svg_elements import result_html
 
 CERTAIN = 0.7  # proof of a mistake in the files, from which nothing is learnt by looking farther
 
@@ -57,7 +57,7 @@ def save(recording: Recording, folder: Path | str, overwrite: bool = False) -> N
 
     if recording.parts:
         raise RigError(f"{recording.name}: several recordings as one have no folder; save each by itself")
-    with Outputs("save", (str(recording.folder),), [recording.folder], overwrite) as outputs:
+    with CommandOutputs("save", (str(recording.folder),), [recording.folder], overwrite) as outputs:
         out = outputs.folder(Path(folder))
         write_bytes(out / "rig.toml", read_bytes(recording.folder / "rig.toml"))
         copy_frames_commands_and_sensors(recording.folder, out, recording.exposures, recording.origin)

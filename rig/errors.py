@@ -7,17 +7,17 @@ from collections.abc import Sequence
 from os import PathLike
 from typing import TYPE_CHECKING
 
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 
 if TYPE_CHECKING:
-    from rig.arrays import Floats, Integers
+    from rig.array_types import Floats, Integers
 
 SCHEME = r"(?:[a-z][a-z0-9+.-]*::)*[a-z][a-z0-9+.-]+:"  # of a URL, as fsspec chains them
 FOLDED = re.compile(rf"^({SCHEME})/(?=[^/])")  # what pathlib makes of SCHEME//
 
 
-def url(path: str | PathLike[str]) -> str:
-    """A path as its user writes it: with both strokes after the scheme, where it stands for a URL."""
+def user_path_text(path: str | PathLike[str]) -> str:
+    """Text of a path as its user wrote it: with both slashes after the scheme where it is a URL."""
     return FOLDED.sub(r"\1//", str(path))
 
 
@@ -44,7 +44,7 @@ class FileError(RigError):
         column: int | None = None,
         value: object = None,
     ) -> None:
-        self.path, self.line, self.column, self.value = url(path), line, column, value
+        self.path, self.line, self.column, self.value = user_path_text(path), line, column, value
         place = ":".join(str(part) for part in (self.path, line, column) if part is not None)
         super().__init__(f"{place}: {message}")
 

@@ -6,14 +6,14 @@
 
 from typing import TYPE_CHECKING
 
-from rig.compute.lazy_package_exports import lazy_getattr
+from rig.compute.numba_kernels_and_lazy_exports import lazy_getattr
 
 if TYPE_CHECKING:
     from synthetic.api import ImageOptions as ImageOptions
     from synthetic.api import SimulateOptions as SimulateOptions
     from synthetic.api import SimulationResult as SimulationResult
-    from synthetic.api import redraw as redraw
     from synthetic.api import simulate as simulate
+    from synthetic.api import simulate_with_and_without_findings as simulate_with_and_without_findings
 
-__all__ = ["simulate", "redraw", "SimulateOptions", "ImageOptions", "SimulationResult"]
+__all__ = ["simulate", "simulate_with_and_without_findings", "SimulateOptions", "ImageOptions", "SimulationResult"]
 __getattr__ = lazy_getattr(__name__, dict.fromkeys(__all__, "synthetic.api"))

@@ -12,16 +12,16 @@ import numpy as np
 
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_notation import Kinds, parse_effect, require_existing_place, require_nonzero_effect
+from rig.effects.texts.effect_text_and_dict import Kinds, parse_effect, require_existing_place, require_nonzero_effect
 from rig.errors import RigError
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design, Sensor
 from rig.planning.plan import build_plan
 from rig.recording.recording_folder import load_sensors
-from rig.report.pages.html_elements import result_html
+from rig.report.pages.html_and_svg_elements import result_html
 from synthetic import recording_simulation, secret_machine
-from synthetic.diagnosis_replay import replay_diagnosis
+from synthetic.diagnosed_recording_simulation import simulate_diagnosed_recording
 from synthetic.recording_simulation import Simulation
 
 if TYPE_CHECKING:
@@ -156,10 +156,10 @@ def simulate(rig_toml: Path | str, options: SimulateOptions = SimulateOptions())
     pictures = options.pictures(design.sensor)
     _require_observer(design, path, options.images)
     if options.images:
-        from synthetic.image_simulation import check_drawable
-        from synthetic.renderer import import_pyrender
+        from synthetic.ideal_image_renderer import import_pyrender
+        from synthetic.image_simulation import require_renderable
 
-        check_drawable(effects)
+        require_renderable(effects)
         import_pyrender()
     rng = np.random.default_rng(options.seed)
     if options.machine is not None:
@@ -169,18 +169,20 @@ def simulate(rig_toml: Path | str, options: SimulateOptions = SimulateOptions())
         world = secret_machine.draw_machine(design, rng, options.secret, effects)
     plan = build_plan(design, options.plan, options.seed)
     sensors = None if options.sensors is None else load_sensors(options.sensors, plan.origin)
-    done = recording_simulation.simulate(world, plan, rng, sensors)
+    done = recording_simulation.simulate_world(world, plan, rng, sensors)
     return SimulationResult(done, path.read_text(encoding="utf-8-sig"), options, pictures, rng)
 
 
-def redraw(diagnosis: Path | str, options: SimulateOptions = SimulateOptions()) -> dict[str, SimulationResult]:
-    """{"with": SimulationResult, "without": SimulationResult} of a folder that `rig diagnose` wrote: the recording
+def simulate_with_and_without_findings(
+    diagnosis: Path | str, options: SimulateOptions = SimulateOptions()
+) -> dict[str, SimulationResult]:
+    """Simulate a folder that `rig diagnose` wrote with and without its findings, SimulationResults: the recording
     drawn anew with the effects found, and with none. options : of them noise, seed, kinds, images and drawing count
 
     Raises FileError for a folder that holds no diagnosed recording, RigError where nothing was commanded
     """
     folder = Path(diagnosis)
-    done = replay_diagnosis(folder, options.kinds or BY_NAME)
+    done = simulate_diagnosed_recording(folder, options.kinds or BY_NAME)
     pictures = options.pictures(next(iter(done.values())).world.true.sensor)
     text = (folder / "rig.toml").read_text(encoding="utf-8-sig")
     return {

@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.framework.parameter import Drawing, log_uniform
+from rig.effects.framework.effect_data_types import Drawing, log_uniform
 from rig.errors import RigError
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Design, Instrument
-from rig.model.mechanism_kinds import require_arm
+from rig.model.mechanism_kinds_and_hexapod_properties import require_arm
 from rig.model.pose import exp
 from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.plan import build_plan, plan_of_configurations
@@ -125,7 +125,7 @@ def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, fram
     effects = [_effect(e, design, route, rng) for e in hidden]
     if len({(e.name, e.place) for e in effects}) < len(effects):
         raise RigError("the same effect twice at one place")
-    done = simulation.simulate(
+    done = simulation.simulate_world(
         secret_machine.draw_machine(design, rng, float(rng.uniform(0.5, 1.5)), effects), route, rng
     )
     return DrawnArmCase(kind, make, done, text, sigma, hard, plan, rng)

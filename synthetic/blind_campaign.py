@@ -11,15 +11,15 @@ from rig.effects.catalogue.effect_list import BY_NAME
 from rig.errors import FileError, RigError
 from rig.formats import structured_files
 from rig.formats.input_files import read_bytes, short_repr
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 from rig.formats.output_files import write_text
-from rig.report.pages.html_elements import result_html
-from rig.report.verdict import Verdict
+from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.verdict_and_refutations_of_results import Verdict
 from synthetic import blind_arm_cases, blind_cases, blind_image_settings
 from synthetic.blind_campaign_page import campaign_dict, campaign_verdict, write_campaign_page
 from synthetic.diagnosis_score import Case, campaign_figures, campaign_medians, score_case
-from synthetic.image_simulation import is_drawable
+from synthetic.image_simulation import is_renderable
 
 MOST, MOST_FRAMES = 1_000_000, 10_000  # cases of a campaign, frames of a case
 FOLDERS = ("recordings", "hashes", "truth", "diagnoses")
@@ -77,7 +77,7 @@ class CampaignOptions:
             raise RigError(f"--hide takes some of {', '.join(able)}")
         if self.arm and lists["withhold"]:
             raise RigError("--withhold takes covariates of a hexapod away; with --mechanism arm leave it out")
-        unseen = [name for name in lists["effects"] if self.images and not is_drawable(BY_NAME[name])]
+        unseen = [name for name in lists["effects"] if self.images and not is_renderable(BY_NAME[name])]
         if unseen:
             raise RigError(f"--effects: pictures do not show {', '.join(unseen)}, only corners do; leave --images out")
         return lists
@@ -187,7 +187,7 @@ class Campaign:
         """What a case's hash says, or None where there is none or it is torn, which is said: the case is then drawn
         anew, the same by its seed.
         """
-        path = hash_file(self.folder, index)
+        path = truth_hash_path(self.folder, index)
         if not path.exists():
             return None
         found = re.match(rb"[0-9a-f]{64}\b", read_bytes(path))
@@ -196,8 +196,8 @@ class Campaign:
         return found and found[0].decode()
 
 
-def hash_file(folder: Path, index: int) -> Path:
-    """Where the hash of a case's truth is in a campaign's folder."""
+def truth_hash_path(folder: Path, index: int) -> Path:
+    """Path of the file with the hash of a case's truth, in a campaign's folder."""
     return folder / "hashes" / f"{index:04d}.sha256"
 
 

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rig.formats.json_tree import Json
-from rig.report.pages.html_elements import heading, note, paragraph, table
-from rig.report.pages.page_and_svg_templates import Link, Page, write_page
-from rig.report.pages.plots import Series, plot_panel
-from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
+from rig.formats.json_type import Json
+from rig.report.pages.html_and_svg_elements import heading_html, note_html, paragraph_html, table_html
+from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
+from rig.report.pages.plots import Series, plot_panel_svg
+from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
 from synthetic import diagnosis_score
 
 if TYPE_CHECKING:
@@ -80,36 +80,36 @@ def write_campaign_page(path: Path, settings: Json, cases: list[Case]) -> None:
         if value
     )
     parts = [
-        paragraph(
+        paragraph_html(
             f"{len(cases)} blinded cases ({said}). Strength is an effect's signal-to-noise over all corners "
             "once cameras and geometry "
             f"have taken what they can; an effect is strong from {diagnosis_score.STRONG:g} on. Intervals "
             "are Clopper and Pearson's, 95 %."
         ),
-        table(
+        table_html(
             ("what", "hits", "of", "share", "interval", "to reach"),
             [_figure(f) for f in diagnosis_score.campaign_figures(cases)],
         ),
-        table(
+        table_html(
             ("median", ""),
             [
                 (name, "not known" if math.isnan(value) else f"{value:.3g}")
                 for name, value in diagnosis_score.campaign_medians(cases).items()
             ],
         ),
-        heading("By effect"),
-        note("Strong ones, in cases with one or two."),
+        heading_html("By effect"),
+        note_html("Strong ones, in cases with one or two."),
         _grouped(diagnosis_score.figures_by_effect(cases), "effect"),
-        heading("By strength"),
+        heading_html("By strength"),
         _grouped(diagnosis_score.figures_by_strength(cases), "signal-to-noise"),
     ]
     if any(c.hidden for c in cases):
         parts.append(_strengths(cases))
     parts += [
-        heading("What was taken for what"),
-        note("Rows: what was hidden. Columns: the name that it was given."),
+        heading_html("What was taken for what"),
+        note_html("Rows: what was hidden. Columns: the name that it was given."),
         _confusion(diagnosis_score.confusion_table(cases)),
-        heading("Answers that were not right"),
+        heading_html("Answers that were not right"),
         _wrong(cases),
     ]
     links = [
@@ -137,14 +137,16 @@ def campaign_verdict(figures: list[Figure]) -> Verdict:
     missed = [f for f in asked if f.hits < (f.goal or 0) * f.trials]
     if not asked:
         return judge_evidence(
-            Evidence("no figure is judged", missing=(Missing("no case shows a figure that is to be reached", MORE),))
+            Evidence(
+                "no figure is judged", missing=(MissingEvidence("no case shows a figure that is to be reached", MORE),)
+            )
         )
     surely = [f for f in missed if f.high < (f.goal or 0)]
     few = [
         f for f in asked if f not in missed and f.low < (f.goal or 0) < 1
     ]  # of no number of cases is all surely reached
-    missing = [Missing(f"{_said(f)} falls short") for f in missed if f not in surely]
-    missing += [Missing(f"too few cases to be sure: {'; '.join(map(_said, few))}", MORE)] if few else []
+    missing = [MissingEvidence(f"{_said(f)} falls short") for f in missed if f not in surely]
+    missing += [MissingEvidence(f"too few cases to be sure: {'; '.join(map(_said, few))}", MORE)] if few else []
     reached = f"{len(asked) - len(missed)} of {len(asked)} figures reach what they are to reach"
     return judge_evidence(
         Evidence(
@@ -190,7 +192,7 @@ def _grouped(groups: Sequence[tuple[str, Sequence[Figure], dict[str, int]]], hea
         )
         for name, figures, taken in groups
     ]
-    return table((heading, "times", "detected", "named", "placed", "intervals that cover", "taken for"), rows)
+    return table_html((heading, "times", "detected", "named", "placed", "intervals that cover", "taken for"), rows)
 
 
 def _strengths(cases: list[Case]) -> str:
@@ -201,7 +203,7 @@ def _strengths(cases: list[Case]) -> str:
         Series(np.log10(strength[became == k]), np.full((became == k).sum(), len(OUTCOMES) - float(k)), name, colour=k)
         for k, name in enumerate(OUTCOMES)
     ]
-    return plot_panel(
+    return plot_panel_svg(
         "what became of each hidden effect",
         ("signal-to-noise, power of ten", ""),
         series,
@@ -213,7 +215,7 @@ def _confusion(matrix: dict[str, dict[str, int]]) -> str:
     columns = sorted(
         {name for counts in matrix.values() for name in counts}, key=lambda name: (name in ("unknown", "nothing"), name)
     )
-    return table(
+    return table_html(
         ("hidden", *(name.replace("_", " ") for name in columns)),
         [(name, *(counts.get(column, "") for column in columns)) for name, counts in sorted(matrix.items())],
     )
@@ -228,7 +230,7 @@ def _wrong(cases: list[Case]) -> str:
         found = ", ".join(f"{f.effect} at {f.place}" for f in c.found) or "nothing"
         if c.failed is not None or not _right(c):
             rows.append((c.index, hidden, c.failed or found))
-    return table(("case", "hidden (strength)", "found"), rows) if rows else paragraph("There is none.")
+    return table_html(("case", "hidden (strength)", "found"), rows) if rows else paragraph_html("There is none.")
 
 
 def _right(c: Case) -> bool:

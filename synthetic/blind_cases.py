@@ -10,15 +10,14 @@ import numpy as np
 
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.framework.parameter import Drawing
-from rig.effects.framework.place import Place
+from rig.effects.framework.effect_data_types import Drawing, Place
 from rig.errors import RigError
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Camera, Design
-from rig.model.mechanism_kinds import require_axes
-from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.model.mechanism_kinds_and_hexapod_properties import require_axes
+from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.planning.plan import build_plan
 from rig.planning.plan_construction_and_table import Plan
 from rig.recording.recording_folder import Sensors
@@ -99,7 +98,7 @@ def draw_case(
     """
     catalogue = [e for e in ALL if e.name in effects] or list(ALL)
     catalogue = (
-        (blind_image_settings.drawable_effects(catalogue) or blind_image_settings.drawable_effects(list(ALL)))
+        (blind_image_settings.renderable_effects(catalogue) or blind_image_settings.renderable_effects(list(ALL)))
         if images
         else catalogue
     )
@@ -130,7 +129,7 @@ def _drawn(
         effects = [unlisted_physics.draw_unlisted_effect(design, duration, rng)]
     slight = [] if eyes is None else [blind_image_settings.draw_typical_printing_errors(design, rng)]
     secret = secret_machine.draw_machine(design, rng, float(rng.uniform(0.5, 1.5)), [*effects, *slight])
-    done = simulation.simulate(secret, route, rng)
+    done = simulation.simulate_world(secret, route, rng)
     kept = {
         name: v for name, v in done.log.channels.items() if not ("temperature" in withheld and "temperature" in name)
     }
@@ -145,7 +144,7 @@ def _drawn(
 
 def _rig(rng: np.random.Generator, width: int = 1280, height: int = 1024) -> str:
     """Text of the rig.toml of a random rig of a plausible size."""
-    text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(
+    text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(
         _log(rng, 0.15, 0.6),
         cameras=int(rng.choice([2, 3, 3, 3, 4])),
         width=width,

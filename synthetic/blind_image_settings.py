@@ -9,7 +9,7 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.marker_columns import Markers, replace_columns
 from rig.model.design import Design, Sensor
 from rig.model.pose import exp
-from synthetic.image_simulation import Images, is_drawable
+from synthetic.image_simulation import Images, is_renderable
 from vision.targets import marker_map
 
 
@@ -108,6 +108,6 @@ def draw_typical_printing_errors(design: Design, rng: np.random.Generator) -> Pr
     return draw_printing_errors(design, rng, place, side)
 
 
-def drawable_effects(catalogue: list[type[Effect]]) -> list[type[Effect]]:
-    """Effects of a catalogue that can be drawn in a rendered image."""
-    return [kind for kind in catalogue if is_drawable(kind)]
+def renderable_effects(catalogue: list[type[Effect]]) -> list[type[Effect]]:
+    """Effects of a catalogue that can be rendered in images."""
+    return [kind for kind in catalogue if is_renderable(kind)]

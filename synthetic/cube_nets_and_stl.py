@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import RigError
 from rig.model.design import Design
 
@@ -103,11 +103,11 @@ def net_pieces(groups: Sequence[Sequence[str]], flaps: bool = True) -> tuple[Pie
 
 
 def arrange_net(
-    edge: float, usable: tuple[float, float], turned: tuple[float, float]
+    edge: float, upright_area: tuple[float, float], sideways_area: tuple[float, float]
 ) -> tuple[Size, tuple[Sheet, ...]]:
     """Arrangement of a cube's net on the fewest sheets, in the fewest pieces. edge : mm
 
-    usable, turned : (width, height) mm of a sheet that stands upright, and on its side
+    upright_area, sideways_area : (width, height) mm of a sheet that stands upright, and on its side
 
     Faces too large for their flaps come without, to be glued on a body. Raises RigError for a face larger than the
     sheet
@@ -116,13 +116,13 @@ def arrange_net(
     for flap in (min(TAB * edge, WIDEST), 0.0):
         size = Size(edge, flap)
         for groups in PARTITIONS if flap else PARTITIONS[-1:]:
-            sheets = _packed(net_pieces(groups, flap > 0), size, (usable, turned))
+            sheets = _packed(net_pieces(groups, flap > 0), size, (upright_area, sideways_area))
             if sheets is not None and (best is None or len(sheets) < len(best[1])):
                 best = size, sheets
         if best is not None:
             return best
     raise RigError(
-        f"a face of {edge:.4g} mm is larger than the {usable[0]:.0f} x {usable[1]:.0f} mm that can be printed on"
+        f"a face of {edge:.4g} mm is larger than the {upright_area[0]:.0f} x {upright_area[1]:.0f} mm that can be printed on"
     )
 
 

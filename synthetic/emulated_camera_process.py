@@ -12,11 +12,11 @@ from rig.driving.clock import SystemClock
 from rig.driving.emulators.emulator_opening import home_lengths
 from rig.errors import RigError
 from rig.formats.rig_toml import design_file
-from rig.model.mechanism_kinds import require_struts
+from rig.model.mechanism_kinds_and_hexapod_properties import require_struts
 from synthetic import secret_machine
 from synthetic.emulated_cameras import CameraServer, EmulatedCameras, HistoryFromFile
-from synthetic.image_simulation import Images, check_drawable
-from synthetic.renderer import import_pyrender
+from synthetic.ideal_image_renderer import import_pyrender
+from synthetic.image_simulation import Images, require_renderable
 
 START_TIMEOUT = 300.0  # s for the process to be ready; compiling and OpenGL take some
 
@@ -64,7 +64,7 @@ def _serve_emulated_cameras(
     try:
         stated = design_file.load_design(design)
         secret = secret_machine.world_from_truth(Path(truth), stated) if truth else secret_machine.World(stated, stated)
-        check_drawable(secret.effects)
+        require_renderable(secret.effects)
         import_pyrender()
         clock, images = SystemClock(), Images(stated.sensor)
         home = home_lengths(require_struts(stated.mechanism))

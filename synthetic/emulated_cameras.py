@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.driving.cameras.camera_opening import USUAL
 from rig.driving.clock import Clock
 from rig.errors import RigError
@@ -105,7 +105,7 @@ class EmulatedCameras:
         when, warmth = np.array([t - self._start]), self._temperatures.true
         plan = Plan(commands, when, np.array([(0.0, 0.0)]))
         loaded = replace(warmth, channels={**warmth.channels, "payload_mass_kg": np.zeros(len(warmth.t))})
-        run = motion_simulation.run_machine(
+        run = motion_simulation.simulate_machine_run(
             self.world.true,
             commands,
             when,

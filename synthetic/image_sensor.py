@@ -6,7 +6,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.model.design import Sensor
 
 KEPT = 4  # of what the last cameras' optics do; a falloff is as large as a picture

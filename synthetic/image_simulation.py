@@ -12,18 +12,18 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Floats
-from rig.compute import dask_cluster
+from rig.array_types import Floats
+from rig.compute import parallel_map_and_dask_cluster
 from rig.compute.worker_processes import process_map, worker_count
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.formats.output_files import write_bytes
 from rig.model.design import Camera, Sensor
 from synthetic import rig_meshes
+from synthetic.ideal_image_renderer import SAMPLES, Renderer, import_pyrender
 from synthetic.image_sensor import expose_image
 from synthetic.recording_simulation import Simulation, carried_camera_poses, stage_poses_of_run
-from synthetic.renderer import SAMPLES, Renderer, import_pyrender
 from vision.predict import State, markers_facing_cameras, predict_sightings
 from vision.targets import marker_map
 
@@ -58,14 +58,14 @@ def render_images(
 
     Raises MissingLibrary where there is no OpenGL, RigError for an effect that the renderer cannot draw
     """
-    check_drawable(simulation.world.effects)
+    require_renderable(simulation.world.effects)
     import_pyrender()
     world, plan = simulation.world, simulation.plan
     for camera in world.true.cameras:
         (out / "images" / camera.name).mkdir(parents=True, exist_ok=True)
     # camera by camera, since a process that changes camera makes a new framebuffer
     work = [(f, i) for i in range(len(world.true.cameras)) for f in range(len(plan.t))]
-    there = None if images.processes else dask_cluster.current_cluster()
+    there = None if images.processes else parallel_map_and_dask_cluster.current_cluster()
     if there is not None:
         there.map(partial(_draw_there, simulation, out, images, seed), work, progress)
         return
@@ -86,15 +86,15 @@ def render_images(
         os.environ.pop("LP_NUM_THREADS") if before is None else os.environ.update(LP_NUM_THREADS=before)
 
 
-def check_drawable(effects: Iterable[Effect]) -> None:
-    """Check that effects are drawable in images. Raises RigError for effects that act on corners alone."""
+def require_renderable(effects: Iterable[Effect]) -> None:
+    """Require that effects can be rendered in images. Raises RigError for effects that act on corners alone."""
     for effect in effects:
-        if not is_drawable(type(effect)):
+        if not is_renderable(type(effect)):
             raise RigError(f"{effect.name} is not drawn into images, only into corners: simulate with --corners")
 
 
-def is_drawable(kind: type[Effect]) -> bool:
-    """Whether an effect class is drawable in images: it does not act on corners alone."""
+def is_renderable(kind: type[Effect]) -> bool:
+    """Whether an effect class can be rendered in images: it does not act on corners alone."""
     return kind.bend is Effect.bend and kind.print_ is Effect.print_
 
 
@@ -174,7 +174,7 @@ def render_image(simulation: Simulation, frame: int, camera: int, images: Images
     if "renderer" in _state and _state["simulation"].world is not simulation.world:
         _state.pop("renderer").close()
     if "renderer" not in _state:
-        check_drawable(simulation.world.effects)
+        require_renderable(simulation.world.effects)
         _start(simulation, None, images, seed)
         _prepare()
     _state.update(simulation=simulation, images=images, seed=seed)

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Booleans, Floats, Integers
+from rig.array_types import Booleans, Floats, Integers
 from rig.model.design import Design
 from synthetic.rig_meshes import (
     PLATE,

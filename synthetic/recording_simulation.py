@@ -10,12 +10,12 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Booleans, Floats
+from rig.array_types import Booleans, Floats
 from rig.formats.output_files import write_text
 from rig.model import motion_simulation
-from rig.model.cube_remounting import quarter_turns, rig_toml_with_turns
 from rig.model.design import Camera, Design, Instrument, MeasuringLimbs
-from rig.model.mechanism_kinds import require_axes
+from rig.model.design_comparison_and_cube_remounting import quarter_turns_of_cubes, rig_toml_with_turns
+from rig.model.mechanism_kinds_and_hexapod_properties import require_axes
 from rig.model.pose import exp, pose_to_vector, transform_points
 from rig.planning.plan import sensors_with_payload
 from rig.planning.plan_construction_and_table import Plan
@@ -43,13 +43,13 @@ class Simulation:
     plan: Plan
     sensors: Sensors
     log: Sensors
-    run: motion_simulation.Run
+    run: motion_simulation.MachineRun
 
     def at_times(self, t: Floats) -> list[RigidTransform]:
         """[T_base_stage : RigidTransform (n,)] of what the simulated machine moves at other times t (n,) s, as the
         cameras log them: the platform last, alone but of a chain."""
         order = np.argsort(t, kind="stable")
-        run = motion_simulation.run_machine(
+        run = motion_simulation.simulate_machine_run(
             self.world.true, self.plan.commands, np.asarray(t)[order], self.world.effects, self.sensors
         )
         back = np.argsort(order)
@@ -66,26 +66,28 @@ class PictureWriter(Protocol):
         ...
 
 
-def stage_poses_of_run(run: motion_simulation.Run) -> list[RigidTransform]:
+def stage_poses_of_run(run: motion_simulation.MachineRun) -> list[RigidTransform]:
     """[Pose T_base_stage (n,)] of each stage of a Run, the platform last."""
     return [*run.stages, run.T_base_platform]
 
 
-def simulate(world: worlds.World, plan: Plan, rng: np.random.Generator, given: Sensors | None = None) -> Simulation:
-    """Simulation of a world under a plan: cubes remounted, temperatures drawn, the machine run.
+def simulate_world(
+    world: worlds.World, plan: Plan, rng: np.random.Generator, known_sensors: Sensors | None = None
+) -> Simulation:
+    """Simulate a World under a plan: cubes remounted, temperatures drawn, the machine run.
 
-    given : Sensors as they truly are and as they are logged, in place of drawn temperatures and the plan's payload, or
+    known_sensors : Sensors as they truly are and as they are logged, in place of drawn temperatures and the plan's payload, or
         None
     """
     world = remount_cubes(world, dict(plan.turned))
-    if given is None:
+    if known_sensors is None:
         true, log = worlds.draw_temperatures(
             plan.commands.t[-1], rng, worlds.strut_count(require_axes(world.true.mechanism))
         )
         sensors, log = sensors_with_payload(plan, true), sensors_with_payload(plan, log)
     else:
-        sensors = log = given
-    run = motion_simulation.run_machine(
+        sensors = log = known_sensors
+    run = motion_simulation.simulate_machine_run(
         world.true,
         plan.commands,
         plan.t,
@@ -138,7 +140,7 @@ def _sight_of(
     return found.take(clear), uv[clear]
 
 
-def _body(simulation: Simulation, stage: int) -> motion_simulation.Run:
+def _body(simulation: Simulation, stage: int) -> motion_simulation.MachineRun:
     """The Run as markers on a stage of a chain have it: that stage's platform in the place of the last; the Run itself
     for stage 0.
     """
@@ -224,7 +226,7 @@ def write_recording(
         t: plan.origin.text(round(t, 6))
         for t in {*plan.commands.t.tolist(), *plan.t.tolist(), *simulation.log.t.tolist()}
     }
-    write_text(out / "rig.toml", rig_toml_with_turns(text, quarter_turns(simulation.world.stated)))
+    write_text(out / "rig.toml", rig_toml_with_turns(text, quarter_turns_of_cubes(simulation.world.stated)))
     write_table(
         out / "commands.csv",
         ("t", *axes),

@@ -2,7 +2,7 @@
 
 Every part is a flat grey, a sheet of paper with a marker's ink on it, or a textured face; brightness comes from the
 lamps by Lambert's law, face by face, so that the renderer need only multiply. Ink is no texture: it is laid exactly,
-see synthetic/printed_pattern.py.
+see synthetic/marker_pattern_drawing.py.
 """
 
 from dataclasses import dataclass
@@ -13,9 +13,9 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.model.design import FACES, Design, Target
-from rig.model.mechanism_kinds import Mechanism, Struts, has_struts
+from rig.model.mechanism_kinds_and_hexapod_properties import Mechanism, Struts, has_struts
 from vision.targets import MarkerMap, face_pose, marker_cells, marker_map
 
 WHITE, BLACK, METAL, DARK = 0.85, 0.06, 0.35, 0.12  # albedo

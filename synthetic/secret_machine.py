@@ -12,16 +12,16 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.place import Place
-from rig.effects.texts.effect_notation import Kinds
+from rig.effects.framework.effect_data_types import Place
+from rig.effects.texts.effect_text_and_dict import Kinds
 from rig.errors import RigError
 from rig.formats import machine_json
 from rig.formats.output_files import write_text
 from rig.model import mechanisms
-from rig.model.cube_remounting import design_with_turned_cubes, quarter_turns
 from rig.model.design import Camera, Design
-from rig.model.mechanism_geometry import Arm, Chain, Hexapod, Planar2
-from rig.model.mechanism_kinds import has_links, has_stages, has_struts
+from rig.model.design_comparison_and_cube_remounting import design_with_turned_cubes, quarter_turns_of_cubes
+from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
+from rig.model.mechanism_kinds_and_hexapod_properties import has_links, has_stages, has_struts
 from rig.model.pose import exp, pose
 from rig.recording.recording_folder import Sensors
 
@@ -158,7 +158,7 @@ def remount_cubes(world: World, quarters: Mapping[str, int]) -> World:
     Raises RigError for a cube that there is not
     """
     stated = design_with_turned_cubes(world.stated, quarters)
-    stands = quarter_turns(stated)
+    stands = quarter_turns_of_cubes(stated)
     if not stands:
         return world
     own = zlib.crc32(

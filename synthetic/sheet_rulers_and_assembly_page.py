@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Polygon, Rectangle
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Floats
-from rig.formats.json_tree import Json
+from rig.array_types import Floats
+from rig.formats.json_type import Json
 from rig.model.design import Design, Target
 
 MARGIN, LEFT, FOOT = (

@@ -11,14 +11,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.effect_data_types import Place
+from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.marker_columns import Markers, replace_columns
-from rig.effects.framework.place import Place
 from rig.errors import RigError
 from rig.model.design import Camera, Design
-from rig.model.mechanism_kinds import require_hexapod
+from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, transform_points
 from rig.recording.recording_tables import Corners

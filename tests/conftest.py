@@ -14,7 +14,7 @@ os.environ.setdefault(
 import numpy as np
 import pytest
 
-from tests.platforms import missing_part
+from tests.missing_system_modules import missing_part
 
 ROOT = Path(__file__).parents[1]
 BENCH = ROOT / "tests" / "data" / "bench"
@@ -69,19 +69,19 @@ def shared():
 def opengl():
     """Skips a test that draws pictures where there is no OpenGL; `rig simulate --images` says there what to install."""
     from rig.errors import MissingLibrary
-    from synthetic import renderer
+    from synthetic import ideal_image_renderer
 
     try:
-        renderer.import_pyrender()
+        ideal_image_renderer.import_pyrender()
     except MissingLibrary as error:
         pytest.skip(str(error))
 
 
 @pytest.fixture(scope="session")
 def rig_text():
-    from rig.planning.layout import hexapod_and_two_strut_layout
+    from rig.planning.layout import hexapod_layout_and_camera_placement
 
-    return hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=3, width=1280, height=1024, cubes=4)
+    return hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=3, width=1280, height=1024, cubes=4)
 
 
 @pytest.fixture(scope="session")
@@ -106,7 +106,7 @@ def make_recording(folder, design, rig_text, seed, count=24, noise=0.04, size=1.
         strokes.mean(axis=1),
         plan.planned_axis_speeds(design),
     )
-    done = recording_simulation.simulate(secret, route, rng)
+    done = recording_simulation.simulate_world(secret, route, rng)
     recording_simulation.write_recording(done, folder, rig_text, rng, noise)
     return secret, done.run.T_base_platform
 
@@ -125,20 +125,20 @@ def limbed(tmp_path_factory):
     folder holds a second recording of the same machine, "again", another day."""
     from rig.formats.rig_toml import design_file
     from rig.planning import plan
-    from rig.planning.layout import hexapod_and_two_strut_layout
+    from rig.planning.layout import hexapod_layout_and_camera_placement
     from rig.recording import recording_folder
     from synthetic import recording_simulation, secret_machine
 
     folder = tmp_path_factory.mktemp("limbs")
-    text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, limbs=6)
+    text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6)
     (folder / "rig.toml").write_text(text)
     design = design_file.load_design(folder / "rig.toml")
     rng = np.random.default_rng(2)
     machine = secret_machine.draw_machine(design, rng)
-    done = recording_simulation.simulate(machine, plan.build_plan(design, "axes:5,sobol:50"), rng)
+    done = recording_simulation.simulate_world(machine, plan.build_plan(design, "axes:5,sobol:50"), rng)
     recording_simulation.write_recording(done, folder / "rec", text, rng, noise=0.04)
     recording_simulation.write_recording(
-        recording_simulation.simulate(machine, plan.build_plan(design, "sobol:40", seed=1), rng),
+        recording_simulation.simulate_world(machine, plan.build_plan(design, "sobol:40", seed=1), rng),
         folder / "again",
         text,
         rng,

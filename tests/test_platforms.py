@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from tests import platforms
+from tests import missing_system_modules
 from tests.conftest import ROOT
 
 POSIX = pytest.mark.skipif(os.name != "posix", reason="of a system that has all")
@@ -15,22 +15,24 @@ POSIX = pytest.mark.skipif(os.name != "posix", reason="of a system that has all"
 @POSIX
 @pytest.mark.parametrize("complaint", ["No module named 'fcntl'", "module 'os' has no attribute 'openpty'"])
 def test_nothing_is_skipped_where_nothing_lacks(complaint):
-    assert platforms.missing_part(complaint) is None
+    assert missing_system_modules.missing_part(complaint) is None
 
 
 def test_what_lacks_is_named_and_other_failures_stay(monkeypatch):
-    monkeypatch.setattr(platforms, "is_absent", lambda *name: True)
-    assert "needs the module fcntl (locks on files and ports)" in platforms.missing_part("E   No module named 'fcntl'")
-    assert "needs os.fork" in platforms.missing_part("module 'os' has no attribute 'fork'")
+    monkeypatch.setattr(missing_system_modules, "is_absent", lambda *name: True)
+    assert "needs the module fcntl (locks on files and ports)" in missing_system_modules.missing_part(
+        "E   No module named 'fcntl'"
+    )
+    assert "needs os.fork" in missing_system_modules.missing_part("module 'os' has no attribute 'fork'")
     for other in ("No module named 'numpy'", "module 'os' has no attribute 'frok'", "assert 1 == 2"):
-        assert platforms.missing_part(other) is None
+        assert missing_system_modules.missing_part(other) is None
 
 
 def test_pictures_are_skipped_off_linux_alone(monkeypatch):
     words = "rendering needs OpenGL through EGL, which cannot be loaded here"
     for platform, skipped in (("linux", False), ("darwin", True), ("win32", True)):
         monkeypatch.setattr(sys, "platform", platform)
-        assert (platforms.missing_part(words) is not None) is skipped
+        assert (missing_system_modules.missing_part(words) is not None) is skipped
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ import synthetic
 import vision
 from rig.cli.command_line import COMMANDS
 from rig.errors import RigError
-from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
+from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording.recording_tables import write_poses
 from tests.cli import run
 
@@ -39,9 +39,9 @@ CALLS = {
     "run": "calib.api.run:plan_run",
     "go": "calib.api.go:plan_pose_move",
     **dict.fromkeys(("home", "jog", "status", "stop"), "rig.driving.driver_session:open_driver"),
-    "lens": "vision.lenses.board_photographs:calibrate_photographs",
+    "lens": "vision.lenses.lens_calibration_from_photographs:calibrate_photographs",
     "doctor": "rig.compute.installation_inventory:installation_inventory",
-    "index": "rig.report.pages.page_index:write_index_page",
+    "index": "rig.report.pages.page_templates_and_page_index:write_index_page",
 }  # module:function that does a command's work
 NO_CALL = {"new", "design", "print", "check-print", "import", "emulate", "view", "effects", "catalogue", "completion"}
 STATEMENTS = 35  # of a command's `run` at the most: arguments, one call, print and write

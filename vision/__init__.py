@@ -6,7 +6,7 @@ every frame with covariance, cameras as adjusted.
 
 from typing import TYPE_CHECKING
 
-from rig.compute.lazy_package_exports import lazy_getattr
+from rig.compute.numba_kernels_and_lazy_exports import lazy_getattr
 
 if TYPE_CHECKING:
     from vision.api import MeasureOptions as MeasureOptions

@@ -4,12 +4,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from rig.recording.recording_folder import Recording
-from vision.bundle.adjustment_validation import crossvalidate_adjustment, determined_combinations
+from vision.bundle.adjustment_validation_and_determinacy import crossvalidate_adjustment, determined_combinations
 from vision.bundle.marker_displacements import compare_stated_and_adjusted_places
-from vision.checks.recording_refusal import Notice, ignore_notice, refuse_spoilt_corners, refuse_spoilt_files
-from vision.hand_mounted_cameras import has_hand_cameras, invert_measured_poses, recording_seen_from_hand
+from vision.checks.recording_refusal import Notice, ignore_notice, make_spoilt_corner_refusal, refuse_spoilt_files
+from vision.hand_camera_frame_exchange import has_hand_cameras, invert_measured_poses, recording_seen_from_hand
 from vision.measurement_result import MeasurementResult
-from vision.reading.marker_identity import find_suspicious_markers
+from vision.reading.marker_identity_mistakes import find_suspicious_markers
 from vision.reading.recording_corners import image_reader
 from vision.recording_measurement import PLACES, measure_recording
 from vision.targets import marker_map
@@ -62,7 +62,7 @@ def measure(
         options.detect,
         progress,
         options.places,
-        refuse_spoilt_corners(recording, options.anyway, notice),
+        make_spoilt_corner_refusal(recording, options.anyway, notice),
     )
     held = crossvalidate_adjustment(measured.used(), measured.adjustment)
     determination = determined_combinations(measured.adjustment)

@@ -7,19 +7,19 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import RigError
-from rig.model.cube_remounting import WORDS
+from rig.model.design_comparison_and_cube_remounting import WORDS
 from rig.model.pose import log
 from rig.recording.combined_recordings import (
     Owners,
-    camera_owners_by_design,
+    camera_owner_recordings,
     channels_not_in_all,
     combined_camera_name,
     is_measured_by_instrument,
     join_recordings,
     require_one_rig,
-    target_owners_by_design,
+    target_owner_recordings,
 )
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_frames import content_hashes, frames_with_known_hashes, hashes_of_frames
@@ -82,7 +82,7 @@ class CombinedRecordings:
                 else f"stands elsewhere, by {m.distance * 1e3:.3g} mm and {m.angle * 1e3:.3g} mrad"
             )
             out.append(f"camera {m.camera} {how} in {parts[m.recording].recording.name}: it is camera {now} here")
-        for k, seats in enumerate(target_owners_by_design([part.recording.design for part in parts])):
+        for k, seats in enumerate(target_owner_recordings([part.recording.design for part in parts])):
             for target in parts[k].recording.design.targets:
                 if target.turned is not None and seats[target.name] == k:
                     out.append(
@@ -100,7 +100,7 @@ def combine_recordings(recordings: Sequence[Recording], progress: Progress | Non
     Raises RigError naming what their rig.toml contradict each other in, and what measuring raises
     """
     require_combinable(recordings)
-    owners = camera_owners_by_design(recordings)
+    owners = camera_owner_recordings(recordings)
     moved = [
         Elsewhere(k, name, np.nan, np.nan)
         for k, own in enumerate(owners)
@@ -115,7 +115,7 @@ def combine_recordings(recordings: Sequence[Recording], progress: Progress | Non
         owners, found = _standing(owners, measured)
         moved += found
         if any(
-            any(own.values()) for own in target_owners_by_design([r.design for r in recordings])
+            any(own.values()) for own in target_owner_recordings([r.design for r in recordings])
         ):  # whose prints are read under one identity, and are two targets
             recordings = [
                 r if r.corners is not None else replace(r, corners=m.corners()) for r, m in zip(recordings, measured)

@@ -13,7 +13,7 @@ from typing import cast
 
 import numpy as np
 
-from rig.arrays import Booleans, Floats, Integers
+from rig.array_types import Booleans, Floats, Integers
 from rig.model.design import Design
 from rig.recording.recording_tables import Corners
 from vision.predict import State
@@ -136,7 +136,7 @@ def inverse_cholesky_factors(covariance: Floats) -> Floats:
     return out
 
 
-def whitener(observations: Observations) -> Whitener:
+def whitener_of_observations(observations: Observations) -> Whitener:
     """The Whitener of Observations: inverse roots of their covariances."""
     o, own = observations, inverse_cholesky_factors(observations.covariance)
     sighting = np.cumsum(
@@ -154,8 +154,8 @@ def whitener(observations: Observations) -> Whitener:
     return Whitener(own, sighting, o.corner, cast(Floats, np.linalg.inv(np.linalg.cholesky(R))))
 
 
-def corner_covariance_rows(covariance: Floats) -> Floats:
-    """(m, 4, 2, 8) rows of correlation of each corner with its marker's corners, from covariances (m, 8, 8)."""
+def corner_correlation_rows(covariance: Floats) -> Floats:
+    """Rows (m, 4, 2, 8) of correlation of each corner with its marker's corners, from covariances (m, 8, 8)."""
     m = len(covariance)
     blocks = np.linalg.inv(
         np.linalg.cholesky(np.stack([covariance[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)], axis=1))

@@ -6,23 +6,26 @@ from functools import cache
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.effects import sketches
 from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.sketches.effect_example import Sketch, effect_example, place_and_values_text, sketch_hexapod
-from rig.effects.sketches.motion_effect_figures import (
+from rig.effects.sketches.motion_effect_sketches import (
     HIGH,
     TIMES,
+    Sketch,
+    effect_example,
     enlargement_factor,
     enlargement_text,
     largest_suitable_unit,
+    place_and_values_text,
+    sketch_hexapod,
 )
 from rig.model.design import Camera, Design, Marker, Target
-from rig.model.motion_simulation import Run
+from rig.model.motion_simulation import MachineRun
 from rig.model.pose import pose
 from rig.recording.recording_folder import Sensors
-from rig.report.pages.image_plane_figures import Arrows, Cells, Quads, image_plane_figure
-from rig.report.pages.plots import Series, plot_panel
+from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, Quads, image_plane_figure
+from rig.report.pages.plots import Series, plot_panel_svg
 from vision.predict import Sightings, State, predict_sightings
 from vision.targets import marker_map
 
@@ -66,7 +69,7 @@ def effect_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
     if np.ptp(size) <= CHANGES * size.max():
         return Sketch(place_and_values_text(way.effect), (picture,))
     scale, unit = largest_suitable_unit(way.t[-1], TIMES)
-    through = plot_panel(
+    through = plot_panel_svg(
         "Through time", (f"time, {unit}", "RMS, px"), [Series(way.t / scale, size, "", "line", 1)], high=HIGH
     )
     return Sketch(place_and_values_text(way.effect), (picture, through))
@@ -111,7 +114,7 @@ def _seen(effects: list[Effect], t: Floats, sensors: Sensors | None) -> Floats:
     design, count = _sketch_targets(), len(t)
     markers = marker_map(design)
     still = RigidTransform.from_matrix(np.broadcast_to(np.eye(4), (count, 4, 4)))
-    moving = Run(still, np.zeros((count, 6)), np.tile([SPEED, 0, 0, 0, 0, 0], (count, 1)), np.zeros((count, 6)))
+    moving = MachineRun(still, np.zeros((count, 6)), np.tile([SPEED, 0, 0, 0, 0, 0], (count, 1)), np.zeros((count, 6)))
     frame, marker = (index.ravel() for index in np.indices((count, len(markers.id))))
     sightings = Sightings(frame, np.zeros(len(frame), int), marker)
     return predict_sightings(sightings, State(design.cameras, still, {}), markers, t, effects, sensors, moving).reshape(

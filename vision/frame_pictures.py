@@ -8,7 +8,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from rig.arrays import Floats, Pixels
+from rig.array_types import Floats, Pixels
 from rig.errors import FileError, RigError
 from rig.formats.output_files import write_bytes
 from rig.model.design import Camera

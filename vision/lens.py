@@ -6,8 +6,8 @@ ahead).
 
 import numpy as np
 
-from rig.arrays import Booleans, Floats, Integers
-from rig.compute.numba_kernels import njit
+from rig.array_types import Booleans, Floats, Integers
+from rig.compute.numba_kernels_and_lazy_exports import njit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -1,4 +1,4 @@
-"""The result of a measurement: poses with covariance, how they hold on frames held out, what to look at, and its
+"""Result of a measurement: poses with covariance, held-out residuals, what to look at, and its
 verdict.
 """
 
@@ -7,18 +7,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rig.formats.input_files import read_text
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import replace_cameras, replace_target_markers
 from rig.model.pose import pose_to_vector, rms_uncertainty
 from rig.recording import recording_tables
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Poses
-from rig.report.pages.html_elements import result_html
-from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge_evidence
-from vision.bundle.adjustment_validation import DeterminedUnknowns, HeldOut, NotHeldOut
+from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.verdict_and_refutations_of_results import AGREES, Evidence, MissingEvidence, Verdict, judge_evidence
+from vision.bundle.adjustment_validation_and_determinacy import DeterminedUnknowns, HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places, adjusted_markers
-from vision.reading.marker_identity import Suspect
+from vision.reading.marker_identity_mistakes import Suspect
 from vision.reading.recording_corners import Collected
 from vision.recording_adjustment import Measurement
 
@@ -126,15 +126,15 @@ def measurement_verdict(result: MeasurementResult) -> Verdict:
     why = f"{len(m.frames)} of {total} frames solved, {size}"
     missing, unexplained = [], []
     if len(m.frames) < total:
-        missing.append(Missing(f"{total - len(m.frames)} frames have no pose"))
+        missing.append(MissingEvidence(f"{total - len(m.frames)} frames have no pose"))
     if result.suspects:
         missing.append(
-            Missing(
+            MissingEvidence(
                 f"{len(result.suspects)} marker{'s are' if len(result.suspects) > 1 else ' is'} not what rig.toml says"
             )
         )
     if isinstance(result.held, NotHeldOut):
-        missing.append(Missing("no frame could be held out to check the uncertainties"))
+        missing.append(MissingEvidence("no frame could be held out to check the uncertainties"))
     elif abs(result.held.ratio - 1) > 2 * result.held.scatter:
         if result.held.ratio > AGREES**2:
             unexplained.append(
@@ -143,7 +143,7 @@ def measurement_verdict(result: MeasurementResult) -> Verdict:
             )
         elif result.held.ratio < 1 / AGREES**2:
             missing.append(
-                Missing(
+                MissingEvidence(
                     f"frames held out miss by {result.held.ratio:.2f} of the squares predicted: the noise of "
                     "corners, and with it every "
                     "uncertainty, is less than stated"

@@ -9,11 +9,11 @@ from typing import Protocol, cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Booleans, Floats, Integers
+from rig.array_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
 from rig.model.design import Camera
-from rig.model.motion_simulation import Run
+from rig.model.motion_simulation import MachineRun
 from rig.model.pose import exp, transform_points
 from rig.recording.recording_folder import Sensors
 from vision import lens
@@ -127,7 +127,7 @@ def predict_sightings(
     t: Floats | None = None,
     effects: Sequence[Effect] = (),
     sensors: Sensors | None = None,
-    run: Run | None = None,
+    run: MachineRun | None = None,
 ) -> Floats:
     """Predicted corners (k, 4, 2) px of sightings, with all effects on markers, cameras and exposure time.
 
@@ -158,8 +158,10 @@ def predict_sightings(
     return uv
 
 
-def visible_marker_counts(cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap) -> Integers:
-    """(F,) counts of the visible markers at poses (F,): whole in an image, occlusion ignored.
+def visible_marker_counts_of_poses(
+    cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap
+) -> Integers:
+    """Counts (F,) of the markers visible at each of poses (F,): whole in an image, occlusion ignored.
 
     What stands in the way is not looked at
     """
@@ -257,7 +259,7 @@ def _delayed(
     state: State,
     frame: Integers,
     on: Booleans,
-    run: Run,
+    run: MachineRun,
     late: Floats,
 ) -> Floats:
     """Corners (k, 4, 3) m in the base, those on the platform where it is `late` (k, 4) s after its frame's exposure."""

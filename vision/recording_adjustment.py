@@ -9,10 +9,10 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Booleans, Floats, Integers
+from rig.array_types import Booleans, Floats, Integers
 from rig.model.design import Camera, Design
 from rig.recording.recording_tables import Corners
-from rig.report.pages.html_elements import result_html
+from rig.report.pages.html_and_svg_elements import result_html
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.bundle.printing_error_estimation import adjust_with_estimated_printing_errors
 from vision.bundle.robust_adjustment import adjust_robustly, inflate_repeated_corner_covariance
@@ -115,7 +115,7 @@ class Measurement:
         )
 
 
-def measure(
+def measure_observations(
     observations: Observations,
     design: Design,
     marker_map: MarkerMap,

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import NotEnoughData
 from rig.model.design import Camera, Design
 from rig.recording.recording_folder import Recording
@@ -13,12 +13,12 @@ from vision import stages_and_remounted_cubes
 from vision.bundle.bundle_adjustment import NoOptimum
 from vision.bundle.marker_displacements import HALVED, are_stated_places_doubtful, marker_displacements
 from vision.corner_observations import Observations, observations_from_corners, observations_of_frames
-from vision.hand_mounted_cameras import has_hand_cameras, invert_measured_poses, recording_seen_from_hand
+from vision.hand_camera_frame_exchange import has_hand_cameras, invert_measured_poses, recording_seen_from_hand
 from vision.initial_lenses import alternative_initial_lenses, are_lenses_plausible
 from vision.reading.corner_refit import ROUNDS, SETTLED, largest_lens_difference, refit_corners
-from vision.reading.marker_identity import LOOKED_AT, no_marker_reason
+from vision.reading.marker_identity_mistakes import LOOKED_AT, no_marker_reason
 from vision.reading.recording_corners import Collected, collect_corners, image_reader, search_missed_markers
-from vision.recording_adjustment import Measurement, measure
+from vision.recording_adjustment import Measurement, measure_observations
 from vision.stages_and_remounted_cubes import is_on_remounted_cube, measure_without_remounted_cubes
 from vision.targets import MarkerMap, marker_map
 
@@ -87,9 +87,11 @@ def _measured(
         observed = observations_from_corners(corners, frames, design, markers, correlation)
         loose = is_on_remounted_cube(observed, design, markers)
         if markers.stage.any():
-            return solve_with_doubted_places(observed.take(~loose), design, markers, free, progress, t, places)
+            return measure_with_stated_or_free_places(observed.take(~loose), design, markers, free, progress, t, places)
         return measure_without_remounted_cubes(
-            observed, loose, lambda held: solve_with_doubted_places(held, design, markers, free, progress, t, places)
+            observed,
+            loose,
+            lambda held: measure_with_stated_or_free_places(held, design, markers, free, progress, t, places),
         )
 
     if recording.corners is not None and not detect_anew:
@@ -117,7 +119,7 @@ def _measured(
     return measured, found
 
 
-def solve_with_doubted_places(
+def measure_with_stated_or_free_places(
     observed: Observations,
     design: Design,
     markers: MarkerMap,
@@ -126,13 +128,13 @@ def solve_with_doubted_places(
     t: Floats,
     places: str,
 ) -> Measurement:
-    """Measurement with marker places stated, or free where requested or where the stated ones are doubted.
+    """Measurement with marker places stated, or free where requested or where the stated ones are doubtful.
     t : (F,) s
     """
     if markers.stage.any():
         stages_and_remounted_cubes.require_stated_marker_places(places)
         return stages_and_remounted_cubes.separate_stage_measurements(
-            measure(
+            measure_observations(
                 stages_and_remounted_cubes.separate_stage_frames(observed, markers),
                 design,
                 markers,
@@ -144,9 +146,9 @@ def solve_with_doubted_places(
         )
     loose, measured = (*free, "markers"), None
     if places == "free":
-        return measure(observed, design, markers, loose, progress, t)
+        return measure_observations(observed, design, markers, loose, progress, t)
     try:
-        measured = measure(observed, design, markers, free, progress, t)
+        measured = measure_observations(observed, design, markers, free, progress, t)
     except (NotEnoughData, NoOptimum):
         begun = _other_lenses(observed, design, markers, free)
         if begun is None and places == "stated":
@@ -154,7 +156,7 @@ def solve_with_doubted_places(
     else:
         begun = _other_lenses(observed, design, markers, free) if _contradicts(measured) else None
     if begun is not None:
-        other = measure(observed, design, markers, free, progress, t, begun)
+        other = measure_observations(observed, design, markers, free, progress, t, begun)
         measured = other if measured is None or other.inliers.sum() > measured.inliers.sum() else measured
     contradicted = measured is None or len(unsolved_frames_with_enough_markers(measured)) > REFUSED * len(
         observed.frames
@@ -163,11 +165,11 @@ def solve_with_doubted_places(
         places == "stated" or not (contradicted or are_stated_places_doubtful(measured, markers))
     ):
         return measured
-    loosened = measure(observed, design, markers, loose, progress, t)
+    loosened = measure_observations(observed, design, markers, loose, progress, t)
     if contradicted and not any(
         move.moved for move in marker_displacements(loosened.adjustment)
     ):  # it was the cameras that were not where they are stated
-        loosened = measure(observed, design, markers, free, progress, t, loosened.design.cameras)
+        loosened = measure_observations(observed, design, markers, free, progress, t, loosened.design.cameras)
     if measured is None or len(loosened.frames) > len(measured.frames) or loosened.noise < HALVED * measured.noise:
         return loosened
     return measured
@@ -197,7 +199,7 @@ def _other_lenses(
 
     def adjusted(cameras: tuple[Camera, ...], free: Sequence[str]) -> Measurement | None:
         try:
-            return measure(few, design, markers, free, cameras=cameras)
+            return measure_observations(few, design, markers, free, cameras=cameras)
         except (NotEnoughData, NoOptimum):  # nothing can be solved from these
             return None
 

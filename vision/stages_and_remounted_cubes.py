@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.arrays import Booleans, Floats
+from rig.array_types import Booleans, Floats
 from rig.errors import RigError
 from rig.model.design import Design
 from vision.corner_observations import Observations
@@ -104,7 +104,7 @@ def is_on_remounted_cube(observations: Observations, design: Design, markers: Ma
 def measure_without_remounted_cubes(
     observations: Observations, on_remounted_cube: Booleans, measure: Callable[[Observations], Measurement]
 ) -> Measurement:
-    """Measurement without the corners on remounted cubes, which are listed as outliers.
+    """Measurement without the corners on remounted cubes, which are only listed as outliers.
 
     on_remounted_cube : (n,) bool, of each corner; measure : of Observations. Raises what it raises
     """

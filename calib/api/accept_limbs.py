@@ -7,20 +7,20 @@ from pathlib import Path
 import numpy as np
 
 from calib.api.learn import LearningResult, learn_from_samples
-from calib.certification import measuring_limb_checks, measuring_limbs
+from calib.certification import measuring_limbs, redundant_measuring_limb_checks
 from calib.certification.measuring_limbs import Agreement
 from calib.files.calibration_from_recording import calibration_provenance
 from calib.online import measuring_limb_poses, measuring_limbs_file
 from calib.online.measuring_limbs_file import Accepted
 from calib.report.online_and_limb_pages import measuring_limbs_verdict, write_measuring_limbs_page
 from calib.samples.recording_samples import Sampled, sample_recording
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.errors import RigError
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_elements import result_html
-from rig.report.pages.page_and_svg_templates import Link
-from rig.report.verdict import Verdict
+from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.pages.page_templates_and_page_index import Link
+from rig.report.verdict_and_refutations_of_results import Verdict
 from vision.api import Progress
 from vision.checks.recording_refusal import Notice
 
@@ -140,17 +140,17 @@ def accept_limbs(
     by_vision = sample_recording(recording, progress=progress)
     sigma, home = stated.length_sigma, measuring_limbs.limb_hexapod(design).home
     chosen = (
-        measuring_limb_checks.best_six_limbs(stated, home, by_vision.samples.T_base_platform)
+        redundant_measuring_limb_checks.best_six_limbs(stated, home, by_vision.samples.T_base_platform)
         if requested is None
         else requested
     )
     nominal = measuring_limbs.limb_hexapod(design, chosen)
-    samples = measuring_limbs.samples_by_limbs(by_vision.samples, frames, every[:, chosen])
+    samples = measuring_limbs.samples_with_limb_readings_as_commands(by_vision.samples, frames, every[:, chosen])
     T, expected = measuring_limbs.held_out_limb_poses(samples, nominal, sigma)
     found = measuring_limbs.limb_agreement(samples.T_base_platform, T, expected, options.tolerance)
     six = replace(measuring_limbs.calibrate_limbs(samples, nominal, sigma)[0], chosen=chosen)
     both = every[np.searchsorted(frames, samples.frame)]
-    limbs = replace(six, checks=measuring_limb_checks.fit_limb_checks(six, stated, both))
+    limbs = replace(six, checks=redundant_measuring_limb_checks.fit_redundant_limb_checks(six, stated, both))
     source = calibration_provenance(recording, options.arguments, 0, by_vision.source == "images")
     accepted = Accepted(limbs, nominal, found, None, source)
     slipped = measuring_limbs.detect_limb_slip(samples, limbs, sigma)
@@ -161,7 +161,7 @@ def accept_limbs(
             "it slipped"
         )
         accepted = measuring_limbs_file.withdraw_acceptance(accepted, str(recording.folder), slipped.frame, reason)
-    error, check_sigma = measuring_limb_checks.held_out_check_errors(limbs, stated, both)
+    error, check_sigma = redundant_measuring_limb_checks.held_out_check_errors(limbs, stated, both)
     return LimbAcceptance(recording, by_vision, accepted, stated.channels, error, check_sigma)
 
 

@@ -1,4 +1,4 @@
-"""Recordings of one rig to its calibration: geometry and corrections, what they leave out, what they are worth."""
+"""Calibration of a rig from recordings, with its options: geometry, corrections, and what they leave out."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -7,15 +7,18 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from calib.api.calibrate_options import SEARCHED, CalibrateOptions
-from calib.api.correction_extension import Extended, ExtendOptions, certify_correction_extension
+from calib.api.correction_extension import ExtendedCorrection, ExtendOptions, certify_correction_extension
+from calib.api.recording_check_and_preparation import prepare_recordings
 from calib.certification import platform_certification
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence import calibration_verdict
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.certification.workspace_claim import Claim
-from calib.checks.recording_preparation import prepare_recordings
-from calib.correction.correction_tables import strut_summands, summand_columns, summand_rows
+from calib.correction.correction_tables_and_pose_space_map_json import (
+    correction_summand_column_names,
+    correction_summand_table_rows,
+    strut_correction_summands,
+)
 from calib.correction.joint_camera_fit import refine_correction_with_cameras
 from calib.correction.physics_compensation import Physics
 from calib.diagnosis import arm_findings_refit, platform_findings_refit
@@ -25,27 +28,90 @@ from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.files.calibration_from_recording import SEED, calibration_with_provenance
 from calib.models.arm import calibration_page as arm_page
 from calib.models.arm import certification as arm_certification
-from calib.models.arm.extended_correction_certification import stated_model_summands
-from calib.models.chain import calibration_page as chain_page
-from calib.models.chain import certification as chain_certification
+from calib.models.arm.extended_correction_certification import joint_correction_summands_of_stated_model
+from calib.models.chain import certification_and_page as chain_certification
+from calib.models.chain import certification_and_page as chain_page
 from calib.models.machine_models import Certified
-from calib.online.limb_pose_source import sample_by_limbs
-from calib.report import calibration_page as platform_page
+from calib.online.measuring_limb_poses import LimbSource, sample_by_limbs
+from calib.report import platform_and_lens_calibration_pages as platform_page
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled, sample_recording
-from rig.arrays import Floats
-from rig.effects.texts.effect_notation import Kinds
-from rig.effects.texts.user_effect_files import catalogue_with_files
+from rig.array_types import Floats
+from rig.effects.texts.effect_text_and_dict import Kinds
+from rig.effects.texts.user_effect_file_loading import Plugin, catalogue_with_files
 from rig.errors import RigError
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.model.design import Design
-from rig.model.mechanism_kinds import require_arm, require_chain, require_hexapod, require_struts
+from rig.model.mechanism_kinds_and_hexapod_properties import require_arm, require_chain, require_hexapod, require_struts
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import write_table
-from rig.report.pages.html_elements import result_html
-from rig.report.pages.page_and_svg_templates import Link
-from rig.report.verdict import Verdict
+from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.pages.page_templates_and_page_index import Link
+from rig.report.verdict_and_refutations_of_results import Verdict
 from vision.checks.recording_refusal import Notice, ignore_notice
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrateOptions:
+    """diagnosis : folder that `rig diagnose` wrote, whose findings are refined with the geometry; find : whether to
+    diagnose the recording first and take in what is found; effects : files of effects besides the catalogue
+    quick : whether not to search for what the geometry leaves out; joint : whether to solve cameras, lenses and
+    geometry once more from all corners together
+    extend : how corrections are extended over a space, None for the geometry and its remainder; limbs : measuring limbs
+    as the source of poses, None for vision or poses.csv
+    anyway : whether to go on though a mistake makes results meaningless; arguments : of a command, for the provenance
+    """
+
+    diagnosis: Path | None = None
+    find: bool = False
+    effects: tuple[Plugin, ...] = ()
+    quick: bool = False
+    joint: bool = False
+    extend: ExtendOptions | None = None
+    limbs: LimbSource | None = None
+    anyway: bool = False
+    arguments: tuple[str, ...] = ()
+
+    @property
+    def with_findings(self) -> bool:
+        """Whether the physics that a diagnosis finds is taken in."""
+        return self.find or self.diagnosis is not None
+
+    def __post_init__(self) -> None:
+        asked = "--find" if self.find else "--diagnosis"
+        if self.with_findings and self.joint:
+            raise RigError(
+                f"{asked} solves cameras, lenses, geometry and physics from all corners together; leave out --joint"
+            )
+        if self.with_findings and self.limbs is not None:
+            raise RigError(f"{asked} looks at what cameras saw of every pose; leave out --limbs")
+        if self.with_findings and self.extend is not None:
+            raise RigError(f"{asked} corrects what it finds by its own models, --extend by none; give one of them")
+        if self.effects and not self.with_findings:
+            raise RigError("--effects adds to what a diagnosis is asked for: give --find or --diagnosis as well")
+        if self.extend is not None and self.joint:
+            raise RigError("--extend is not for --joint: give one of them")
+
+    def refuse_unsuited(self, design: Design) -> None:
+        """Raise RigError for what a design's machine takes none of."""
+        mechanism = design.mechanism
+        if self.with_findings and mechanism.bodies:
+            raise RigError(
+                f"{'--find' if self.find else '--diagnosis'} is for platforms on struts and for arms; a chain is "
+                "corrected by its geometry"
+            )
+        if self.extend is not None:
+            self.extend.refuse_unsuited(design)
+        elif self.joint and mechanism.axes and mechanism.strut_joints is None:
+            raise RigError(
+                f"--joint solves a hexapod's cameras and struts together; "
+                f"a mechanism of kind {mechanism.kind!r} takes none "
+                "of it"
+            )
+
+
+SEARCHED = CalibrateOptions()  # the geometry and its remainder, and what they leave out searched for
+
 
 Known = tuple[Physics, Floats] | None  # physics fitted with the geometry, and the covariance of both, m^2
 
@@ -61,7 +127,7 @@ class CalibrationResult:
     sampled: Sampled
     samples: Samples
     done: Certified
-    extended: Extended | None = None
+    extended: ExtendedCorrection | None = None
 
     @property
     def verdict(self) -> Verdict:
@@ -90,9 +156,9 @@ class CalibrationResult:
     def write_page(self, path: Path, links: Sequence[Link] = ()) -> None:
         """Write the page of it."""
         rest = (path, self.recording, self.calibration, self.samples)
-        if isinstance(self.done, arm_certification.Certified):
+        if isinstance(self.done, arm_certification.CertifiedArm):
             arm_page.write_arm_calibration_page(*rest, self.done, links)
-        elif isinstance(self.done, chain_certification.Certified):
+        elif isinstance(self.done, chain_certification.CertifiedChain):
             chain_page.write_chain_calibration_page(*rest, self.done, links)
         else:
             platform_page.write_calibration_page(*rest, self.done.found, links)
@@ -105,14 +171,16 @@ class CalibrationResult:
         if nominal.link_rows is not None:
             if samples.measured in arm_certification.UNPLACED:
                 raise RigError(arm_certification.UNPLACED[samples.measured])
-            found = stated_model_summands(samples, nominal)
+            found = joint_correction_summands_of_stated_model(samples, nominal)
         else:
-            found = strut_summands(samples, nominal)
-        write_table(path, summand_columns(len(nominal.axes)), summand_rows(samples, found))
+            found = strut_correction_summands(samples, nominal)
+        write_table(
+            path, correction_summand_column_names(len(nominal.axes)), correction_summand_table_rows(samples, found)
+        )
 
 
-def has_summands(design: Design) -> bool:
-    """Whether a calibration of a design's machine has correction values axis by axis (ksf.csv)."""
+def has_axis_correction_summands(design: Design) -> bool:
+    """Whether a design's machine has correction summands, one per axis (ksf.csv)."""
     return not design.mechanism.bodies
 
 
@@ -204,7 +272,7 @@ def _fitted_platform(
     if joint:
         progress("solving cameras and geometry together", 0, 1)
         correction, found = refine_correction_with_cameras(sampled, recording.design, done.correction, done.found)
-        done = platform_certification.with_refitted_correction(done, correction, found)
+        done = platform_certification.certified_with_refitted_correction(done, correction, found)
     if refit is not None:
         done = refit.drawn(done, rng)
     claim = platform_certification.platform_workspace_claim(samples, done, rng)

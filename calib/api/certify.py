@@ -1,4 +1,4 @@
-"""A calibration and recordings held out of it to a certificate: what is promised of all poses in a volume."""
+"""Certification of a calibration by held-out recordings: certificate of what is promised in a volume."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +10,7 @@ from calib.certificate import certificate_json, certificate_page, certificate_pd
 from calib.certificate.certificate import Certificate, calibration_certificate, certificate_verdict
 from calib.certificate.certificate_contents import CertifyOptions
 from calib.certificate.digital_certificate_xml import Issuer
-from calib.certification.calibration import Calibration, refutation_sentence
+from calib.certification.calibration_and_claim_sentences import Calibration, refutation_sentence
 from calib.certification.calibration_evidence import (
     AgainstClaim,
     calibration_evidence,
@@ -24,13 +24,12 @@ from calib.files.calibration_from_recording import SEED
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.recording_samples import Sampled, sample_recording
 from rig.errors import RigError
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.formats.output_files import write_text
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_frames import content_hashes, frames_with_known_hashes, hashes_of_frames
-from rig.report.pages.page_and_svg_templates import Link
-from rig.report.refutations import Refutation
-from rig.report.verdict import Evidence, Verdict
+from rig.report.pages.page_templates_and_page_index import Link
+from rig.report.verdict_and_refutations_of_results import Evidence, Refutation, Verdict
 
 UNSTATED, STANDARD = Issuer(), CertifyOptions()  # nobody is named; 95 % of poses with 95 %
 KINDS = (".json", ".html", ".pdf", ".xml")

@@ -6,24 +6,24 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification import measuring_limb_checks, measuring_limbs
-from calib.certification.calibration import Calibration
+from calib.certification import measuring_limbs, redundant_measuring_limb_checks
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.online.measuring_limbs_file import Accepted
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.errors import RigError
-from rig.formats.json_tree import Json
-from rig.model.mechanism_kinds import require_hexapod
+from rig.formats.json_type import Json
+from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
 from rig.model.mechanisms.redundant_legs import (
-    Closures,
-    Legs,
+    LegClosures,
+    RedundantLegs,
     best_six_legs,
-    combine_legs,
+    combine_leg_sets,
     leg_closures,
     leg_length_jacobians,
 )
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import write_table
-from rig.report.pages.html_elements import result_html
+from rig.report.pages.html_and_svg_elements import result_html
 
 EXACT = 1e-7  # m, of a commanded length: controllers resolve steps, and a calibration's scatter may be none
 STRANGE = 5.0  # standard deviations, RMS over the poses, beyond which a closure is not what is expected
@@ -46,8 +46,8 @@ class LoopClosureResult:
     legs that give it; requested : whether these were named
     """
 
-    legs: Legs
-    closures: Closures
+    legs: RedundantLegs
+    closures: LegClosures
     frames: Integers
     chosen: Integers
     requested: bool
@@ -134,7 +134,7 @@ def close_loops(recording: Recording, options: LoopClosureOptions = LoopClosureO
     return LoopClosureResult(legs, leg_closures(legs, lengths, chosen), frames, chosen, options.use is not None)
 
 
-def _legs(recording: Recording, options: LoopClosureOptions) -> tuple[Legs, Integers, Floats]:
+def _legs(recording: Recording, options: LoopClosureOptions) -> tuple[RedundantLegs, Integers, Floats]:
     """(Legs of struts and limbs, frames (n,), lengths (n, legs) m as commanded and read)."""
     machine, stated = require_hexapod(recording.design.mechanism), measuring_limbs.stated_limbs(recording.design)
     frames, lengths = measuring_limbs.limb_readings(recording)
@@ -150,11 +150,11 @@ def _legs(recording: Recording, options: LoopClosureOptions) -> tuple[Legs, Inte
         struts = ("l", fitted, np.hypot(calibration.scatter, EXACT), calibration.covariance)
         commanded = commanded - calibration.correction.rho(commanded)
     if options.limbs is not None:
-        limbs = ("m", *measuring_limb_checks.all_limbs_with_covariance(options.limbs.limbs, stated))
-    return combine_legs([struts, limbs], machine.home), frames, np.hstack([commanded, lengths])
+        limbs = ("m", *redundant_measuring_limb_checks.limbs_sigmas_and_covariance(options.limbs.limbs, stated))
+    return combine_leg_sets([struts, limbs], machine.home), frames, np.hstack([commanded, lengths])
 
 
-def _leg_numbers(names: Sequence[str], legs: Legs) -> Integers:
+def _leg_numbers(names: Sequence[str], legs: RedundantLegs) -> Integers:
     """(6,) indices of legs by their names. Raises RigError for anything but six of them, each once"""
     plain = [name.strip() for name in names]
     if set(plain) - set(legs.names) or len(set(plain)) != 6 or len(plain) != 6:

@@ -1,4 +1,4 @@
-"""Wanted poses to the commands that give them through a calibration."""
+"""Correction of wanted poses: the commands that give them through a calibration."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,21 +6,21 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.correction.correction import require_reachable
 from calib.correction.physics_compensation import require_sensor_coverage
-from calib.correction.pose_route import HOLDING
+from calib.correction.pose_route_and_pose_space_map import HOLDING
 from calib.models.arm import certification as arm_certification
 from calib.models.arm.correction import ArmCorrection
-from calib.models.wanted_pose_commands import Commanded, commands_along_route, route_pace
-from rig.arrays import Floats, Integers
+from calib.models.wanted_pose_commands import RouteCommands, commands_along_route, pace_with_hold_times
+from rig.array_types import Floats, Integers
 from rig.errors import RigError, Unreachable
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.model import mechanisms
 from rig.model.pose import pose_difference
-from rig.recording.recording_folder import Sensors, Wanted
+from rig.recording.recording_folder import Sensors, WantedPoses
 from rig.recording.recording_tables import Poses, write_table
-from rig.report.pages.html_elements import result_html
+from rig.report.pages.html_and_svg_elements import result_html
 
 APPROACHES = ("auto", "always", "never")
 
@@ -55,9 +55,9 @@ class CorrectionResult:
     """
 
     calibration: Calibration
-    wanted: Wanted
+    wanted: WantedPoses
     index: Integers
-    commanded: Commanded
+    commanded: RouteCommands
     out_of_reach: tuple[tuple[int, str], ...] = ()
     single_step: bool = False
     uncorrected: bool = False
@@ -161,7 +161,7 @@ class CorrectionResult:
 
 
 def correct(
-    calibration: Calibration, wanted: Wanted | RigidTransform, options: CorrectOptions = CorrectOptions()
+    calibration: Calibration, wanted: WantedPoses | RigidTransform, options: CorrectOptions = CorrectOptions()
 ) -> CorrectionResult:
     """CorrectionResult for wanted poses T_base_platform in their order, all that the calibration knows undone.
 
@@ -171,7 +171,7 @@ def correct(
     """
     if isinstance(wanted, RigidTransform):
         T = RigidTransform.from_matrix(wanted.as_matrix().reshape(-1, 4, 4))
-        wanted = Wanted(Poses(np.arange(len(T)), T, None))
+        wanted = WantedPoses(Poses(np.arange(len(T)), T, None))
     if options.single_step and calibration.physics is not None and not options.uncorrected:
         raise RigError(
             "--single-step is of corrections that depend on the configuration alone; this calibration knows "
@@ -192,16 +192,16 @@ def correct(
             ]
             keep = np.delete(keep, error.index)
     if refused and (not options.skip_unreachable or not len(keep)):
-        raise unreachable(refused, count)
+        raise unreachable_poses_error(refused, count)
     return CorrectionResult(calibration, wanted, keep, done, tuple(refused), options.single_step, options.uncorrected)
 
 
-def unreachable(refused: list[tuple[int, str]], count: int) -> Unreachable:
-    """The error that lists poses out of reach. refused : (frame, why) of each; count : of all poses wanted"""
+def unreachable_poses_error(unreachable_frames: list[tuple[int, str]], count: int) -> Unreachable:
+    """Error (Unreachable) that lists the wanted poses out of reach, of `count` in all."""
     return Unreachable(
-        f"{len(refused)} of {count} wanted poses cannot be reached:",
-        [frame for frame, _ in refused],
-        [f"frame {frame}: {line}" for frame, line in sorted(refused)],
+        f"{len(unreachable_frames)} of {count} wanted poses cannot be reached:",
+        [frame for frame, _ in unreachable_frames],
+        [f"frame {frame}: {line}" for frame, line in sorted(unreachable_frames)],
     )
 
 
@@ -215,11 +215,11 @@ def covariance_sizes(covariance: Floats) -> tuple[tuple[float, float], tuple[flo
 
 
 def _commanded(
-    calibration: Calibration, wanted: Wanted, keep: Integers, start: Floats, options: CorrectOptions
-) -> Commanded:
+    calibration: Calibration, wanted: WantedPoses, keep: Integers, start: Floats, options: CorrectOptions
+) -> RouteCommands:
     """Commanded for the wanted poses to keep. Raises Unreachable for those that cannot be."""
     T, correction = wanted.poses.T_base_platform[keep], calibration.correction
-    pace = None if wanted.t is None else route_pace(calibration, wanted.t[keep], options.sensors)
+    pace = None if wanted.t is None else pace_with_hold_times(calibration, wanted.t[keep], options.sensors)
     plain = None
     if options.uncorrected:
         plain = correction.uncorrected(T)
@@ -230,7 +230,7 @@ def _commanded(
     return done
 
 
-def _require_log(sensors: Sensors | None, wanted: Wanted) -> None:
+def _require_log(sensors: Sensors | None, wanted: WantedPoses) -> None:
     """Raise RigError for a log in time where the poses have no times, or that does not cover them."""
     if sensors is None:
         return

@@ -1,15 +1,23 @@
-"""Recordings of one rig to the physics that its model leaves out: where, which, how large, and the proof."""
+"""Diagnosis of a rig's recordings: physics that the model leaves out, and questions for an experiment.
+
+imported.
+
+Poses of an instrument are as sure as its others; of cameras, as their images will tell, with what cameras and lenses
+add to all alike.
+
+Geometry and the sizes of all that is admitted are as sure as the recordings so far leave them; a lag's or a
+friction's own shape is taken as found.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from calib.api.experiment_options import ExperimentOptions
-from calib.api.next_experiment import NextExperiment, next_experiment
-from calib.certification.calibration import Calibration
+from calib.api.next_experiment import ExperimentOptions, NextExperiment, next_experiment
+from calib.api.recording_check_and_preparation import prepare_recordings
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence import OfCalibrations
 from calib.certification.platform_certification import Progress, silent_progress
-from calib.checks.recording_preparation import prepare_recordings
 from calib.diagnosis import recording_diagnosis
 from calib.diagnosis.calibration_left_out_physics import (
     Refutation,
@@ -19,22 +27,36 @@ from calib.diagnosis.calibration_left_out_physics import (
 from calib.diagnosis.engine.selection_inputs import StatedTerms
 from calib.diagnosis.recording_diagnosis import Diagnosis, DiagnosisOptions
 from calib.diagnosis.report.diagnosis_json import UNKNOWN
-from calib.diagnosis.report.diagnosis_page import diagnosis_page, machine_view
+from calib.diagnosis.report.diagnosis_page import arm_or_platform_page_view, diagnosis_page
 from calib.diagnosis.report.diagnosis_report import Report, diagnosis_verdict
-from calib.diagnosis.report.report_entries import diagnosis_report, write_diagnosis
-from calib.experiment.diagnosis_questions import diagnosis_questions
+from calib.diagnosis.report.report_entries import diagnosis_report, write_diagnosis_folder
+from calib.experiment.experiment_questions_and_information import Question
 from calib.files import calibration_from_recording
 from calib.samples.recording_samples import Sampled, sample_recording
-from rig.effects.texts.effect_notation import Kinds, parse_effect_and_place, require_known_effect
-from rig.effects.texts.user_effect_files import Plugin, catalogue_with_files
+from rig.effects.texts.effect_text_and_dict import Kinds, parse_effect_and_place, require_known_effect
+from rig.effects.texts.user_effect_file_loading import Plugin, catalogue_with_files
 from rig.errors import RigError
 from rig.formats import structured_files
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_frames import content_hashes
-from rig.report.pages.html_elements import result_html
-from rig.report.pages.page_and_svg_templates import Link
-from rig.report.verdict import State, Verdict
-from vision.checks.recording_refusal import Notice, ignore_notice, sample_corners
+from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.pages.page_templates_and_page_index import Link
+from rig.report.verdict_and_refutations_of_results import State, Verdict
+from vision.checks.recording_refusal import Notice, ignore_notice, recorded_or_sampled_corners
+
+
+def diagnosis_questions(d: Diagnosis) -> Sequence[Question[object]]:
+    """Questions of what a Diagnosis cannot tell apart, none where it can. Raises RigError for a machine of which no
+    plan can be foretold.
+    """
+    if d.evidence.family == "joints":
+        from calib.experiment.arm_questions import arm_questions
+
+        return arm_questions(d)
+    from calib.experiment.platform_questions import platform_questions
+
+    return platform_questions(d)
+
 
 AN_HOUR = ExperimentOptions()
 
@@ -110,11 +132,11 @@ class DiagnosisResult:
 
     def write(self, folder: Path) -> None:
         """Write diagnosis.json and what it takes to draw the recording anew."""
-        write_diagnosis(folder, self.found, self.recording, self.report)
+        write_diagnosis_folder(folder, self.found, self.recording, self.report)
 
     def write_page(self, path: Path, links: Sequence[Link] = ()) -> None:
         """Write the page of it."""
-        diagnosis_page(path, self.report, machine_view(self.found, self.recording, self.report), links)
+        diagnosis_page(path, self.report, arm_or_platform_page_view(self.found, self.recording, self.report), links)
 
     def next_experiment(
         self, options: ExperimentOptions = AN_HOUR, progress: Progress = silent_progress
@@ -137,7 +159,7 @@ def diagnose(
     """
     prepared = prepare_recordings(recordings, options.anyway, notice, progress)
     recording = prepared.recording
-    corners = recording.corners if prepared.joined else sample_corners(recording)
+    corners = recording.corners if prepared.joined else recorded_or_sampled_corners(recording)
     if corners is not None:
         prepared.look(corners)
     kinds = catalogue_with_files(options.effects)

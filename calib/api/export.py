@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.correction.correction_tables import axis_correction_tables, grid_correction_table
+from calib.correction.correction_tables_and_pose_space_map_json import axis_correction_tables, grid_correction_table
 from calib.files import calibration_file
 from rig.errors import RigError
 from rig.formats.exporters import geometry_and_camera_files, recording_as_rerun_tum_parquet, urdf_and_sdf
 from rig.formats.output_files import write_bytes, write_text
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms
-from rig.model.mechanism_geometry import Arm, Hexapod
-from rig.model.mechanism_kinds import Mechanism, require_arm, require_hexapod
+from rig.model.mechanism_geometry_classes import Arm, Hexapod
+from rig.model.mechanism_kinds_and_hexapod_properties import Mechanism, require_arm, require_hexapod
 from rig.recording.recording_folder import load_recording
 
 TABLES = ("linuxcnc-comp", "grid")  # of corrections, not of the geometry

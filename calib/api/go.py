@@ -6,17 +6,17 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.correction.correction import require_reachable
 from calib.models.wanted_pose_commands import commands_along_route
-from rig.arrays import Floats
-from rig.driving.driver_reports_and_advice import Status
+from rig.array_types import Floats
+from rig.driving.controller_status_and_operator_advice import ControllerStatus
 from rig.driving.strut_driver import Driver
 from rig.errors import RigError
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_kinds import require_hexapod
+from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
 from rig.model.pose import pose_to_vector
 
 
@@ -31,7 +31,7 @@ class PoseMove:
     wanted: RigidTransform
     lengths: Floats
     uncorrected: bool = False
-    status: Status | None = None
+    status: ControllerStatus | None = None
 
     @property
     def off_nominal(self) -> Floats:

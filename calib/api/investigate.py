@@ -1,39 +1,120 @@
-"""A rig finds out by itself: plan, recording, diagnosis, the experiment that tells most, and again, up to a
+"""Investigation of a rig: plan, record, diagnose, experiment, again and again; at its end a certificate.
+
+these suffice.
+
 certificate.
 """
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from calib.experiment.first_plans import FIRST, LOADED, STANDING
-from calib.experiment.investigation_certificate import certify_investigation
-from calib.experiment.investigation_folder import (
-    Look,
+from calib.experiment.investigation_folder_and_report import (
+    InvestigationRound,
     diagnosis_path,
+    investigation_verdict,
+    notebook_text,
     plan_minutes,
     plan_path,
-    read_looks,
+    read_investigation_rounds,
+    recording_minutes_spent,
     recording_path,
-)
-from calib.experiment.investigation_machine import Command, InvestigatedRig, InvestigateOptions, Waiting
-from calib.experiment.investigation_report import (
-    investigation_verdict,
-    minutes_spent,
-    notebook_text,
     write_investigation_page,
 )
+from calib.experiment.investigation_machine import Command, InvestigatedRig, InvestigateOptions, Waiting
+from calib.files import calibration_file
+from calib.models.arm import error_model_and_observations
 from rig.errors import RigError
 from rig.formats import structured_files
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.formats.output_files import write_bytes, write_text
 from rig.formats.rig_toml import design_file
+from rig.model import mechanisms
 from rig.model.design import Design
-from rig.planning.plan import build_plan
+from rig.model.mechanism_kinds_and_hexapod_properties import require_arm
+from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.plan import axis_strokes, build_plan
 from rig.planning.plan_construction_and_table import write_plan_table
-from rig.report.pages.html_elements import result_html
-from rig.report.verdict import Verdict
+from rig.recording.recording_tables import Poses, write_poses
+from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.verdict_and_refutations_of_results import Verdict
+
+REACH = 0.7  # of the strokes, over which new poses lie: what is corrected has to be reached as well
+VERIFYING = 1000  # added to the seed for the new poses
+
+
+def certify_investigation(out: Path, rig: InvestigatedRig, rounds: Sequence[InvestigationRound]) -> tuple[str, ...]:
+    """Calibrate, correct, verify on new poses and certify; what was done and what could not be, in lines. Raises
+    Waiting as `InvestigatedRig.record` does
+
+    Where a command refuses, what follows from it is left out, and that is a line
+    """
+    said = []
+    recordings = [str(recording_path(out, look.number)) for look in rounds]
+    calibration, number = out / "calibration.json", len(rounds)
+    poses, commands, plan, again = (
+        out / f"verify{number}{suffix}" for suffix in ("-poses.csv", "-commands.csv", ".csv", "")
+    )
+    done = plan.exists()
+    try:
+        if not done:
+            rig.call(
+                "calibrate", *recordings, "--diagnosis", str(diagnosis_path(out, number)), "--out", str(calibration)
+            )
+    except RigError as error:
+        return (f"not calibrated: {error}",)
+    found = ", ".join(rounds[-1].findings) or "no physics"
+    said.append(f"{calibration.name}: of {len(recordings)} recording{'s' * (len(recordings) > 1)}, with {found}")
+    try:
+        if not done:
+            _wanted(poses, rig, calibration)
+            rig.call(
+                "correct",
+                str(calibration),
+                "--poses",
+                str(poses),
+                "--out",
+                str(commands),
+                "--skip-unreachable",
+                "--force",
+            )
+            stands = build_plan(
+                rig.design, f"commands:{plan_path(out, number)}"
+            ).turned  # cubes stay as they were put back
+            write_plan_table(
+                plan, replace(build_plan(rig.design, f"commands:{commands}"), turned=stands), rig.design.mechanism.axes
+            )
+        rig.record(plan, again, rig.options.seed + VERIFYING)
+        rig.call("verify", str(calibration), str(again))
+        said.append(f"verified on new poses, commanded through the correction: {again.name}")
+    except RigError as error:
+        return (*said, f"not verified: {error}")
+    try:
+        rig.call("certify", str(calibration), str(again), "--out", str(out / "certificate"))
+        said.append("certificate")
+    except RigError as error:
+        said.append(f"no certificate: {error}")
+    return tuple(said)
+
+
+def _wanted(path: Path, rig: InvestigatedRig, calibration: Path) -> None:
+    """Write new poses all over what the axes reach; of an arm as its calibration has it, in the instrument's own
+    frame.
+    """
+    m = rig.design.mechanism
+    lengths = sobol_configurations(axis_strokes(rig.design), rig.options.verify, REACH, rig.options.seed + VERIFYING)
+    if m.kind == "arm":
+        T = error_model_and_observations.predicted_target_poses(
+            lengths, require_arm(calibration_file.load(calibration).correction.fitted)
+        )
+    else:
+        T = mechanisms.kinematics_of(m).forward(lengths, m)
+    write_poses(path, Poses(np.arange(len(lengths)), T, None))
+
 
 MOST = 8  # looks
 STATE = "investigation.json"
@@ -46,7 +127,7 @@ class InvestigationResult:
     made at the end, in lines; waiting : for whom and what, None where for nobody
     """
 
-    looks: tuple[Look, ...]
+    looks: tuple[InvestigationRound, ...]
     ended: str
     after: tuple[str, ...] = ()
     waiting: str | None = None
@@ -93,13 +174,13 @@ def investigate(
     rig = InvestigatedRig(path, design, options, command)
     _begin(folder, rig)
     try:
-        before = read_looks(folder)
+        before = read_investigation_rounds(folder)
         if (
             before and before[-1].questions and not before[-1].proposed
         ):  # there was no time, or something was not allowed: it is asked again
             _diagnose(folder, rig, before[-1].number, before[:-1])
         while True:
-            so_far = read_looks(folder)
+            so_far = read_investigation_rounds(folder)
             _write_notebook(folder, rig, so_far, "")
             ended = _ended(options, so_far)
             if ended:
@@ -108,7 +189,7 @@ def investigate(
         _write_notebook(folder, rig, so_far, ended)
         after = certify_investigation(folder, rig, so_far)
     except Waiting as waiting:
-        return InvestigationResult(tuple(read_looks(folder)), "", (), str(waiting))
+        return InvestigationResult(tuple(read_investigation_rounds(folder)), "", (), str(waiting))
     _write_notebook(folder, rig, so_far, ended, after)
     return InvestigationResult(tuple(so_far), ended, after)
 
@@ -160,15 +241,15 @@ def _first(rig: InvestigatedRig) -> str:
     return f"{FIRST},{LOADED}" if "payload" in rig.design.experiment.may else FIRST
 
 
-def _look(out: Path, rig: InvestigatedRig, number: int, so_far: Sequence[Look]) -> None:
+def _look(out: Path, rig: InvestigatedRig, number: int, so_far: Sequence[InvestigationRound]) -> None:
     """Record the plan of a look, and diagnose all recordings together."""
     rig.record(plan_path(out, number), recording_path(out, number), rig.options.seed + number)
     _diagnose(out, rig, number, so_far)
 
 
-def _diagnose(out: Path, rig: InvestigatedRig, number: int, so_far: Sequence[Look]) -> None:
+def _diagnose(out: Path, rig: InvestigatedRig, number: int, so_far: Sequence[InvestigationRound]) -> None:
     """Diagnose the recordings up to a number together; the next plan is written with it. so_far : the looks before"""
-    taken = minutes_spent(so_far) + plan_minutes(plan_path(out, number))
+    taken = recording_minutes_spent(so_far) + plan_minutes(plan_path(out, number))
     left = max(rig.options.budget - taken, 0.1)
     words = [
         "diagnose",
@@ -185,7 +266,7 @@ def _diagnose(out: Path, rig: InvestigatedRig, number: int, so_far: Sequence[Loo
     rig.call(*words)
 
 
-def _ended(options: InvestigateOptions, so_far: Sequence[Look]) -> str:
+def _ended(options: InvestigateOptions, so_far: Sequence[InvestigationRound]) -> str:
     """Why the investigation ends, "" while it goes on."""
     if not so_far:
         return ""
@@ -197,7 +278,7 @@ def _ended(options: InvestigateOptions, so_far: Sequence[Look]) -> str:
             else ("what is there has no name" if last.unknown else "nothing is left out")
         )
     if not last.proposed:
-        late = minutes_spent(so_far) > options.budget / 2
+        late = recording_minutes_spent(so_far) > options.budget / 2
         return (
             f"the budget of {options.budget:.0f} min leaves no time for an experiment that would tell more"
             if late
@@ -207,7 +288,7 @@ def _ended(options: InvestigateOptions, so_far: Sequence[Look]) -> str:
 
 
 def _write_notebook(
-    out: Path, rig: InvestigatedRig, so_far: Sequence[Look], ended: str, after: tuple[str, ...] = ()
+    out: Path, rig: InvestigatedRig, so_far: Sequence[InvestigationRound], ended: str, after: tuple[str, ...] = ()
 ) -> None:
     """Write the notebook and its page as they are now."""
     if so_far:

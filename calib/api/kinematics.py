@@ -8,16 +8,16 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.files import calibration_file
 from calib.models.arm.correction import ArmCorrection
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.errors import RigError
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.model import mechanisms
-from rig.model.mechanism_geometry import Arm
-from rig.model.mechanism_kinds import require_arm
+from rig.model.mechanism_geometry_classes import Arm
+from rig.model.mechanism_kinds_and_hexapod_properties import require_arm
 from rig.model.mechanisms import arm as mechanism
-from rig.model.mechanisms import arm_kinematics_steps, numerical_arm_inverse, six_joint_inverse
-from rig.model.mechanisms.arm_kinematics_steps import Step
-from rig.model.mechanisms.six_joint_inverse import SixR
+from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics, closed_form_and_numerical_arm_inverse
+from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import KinematicsStep
+from rig.model.mechanisms.closed_form_and_numerical_arm_inverse import SixJointArm
 from rig.model.pose import pose_to_vector
 from rig.planning.layout import shipped_arm_layout
 
@@ -53,7 +53,14 @@ class ArmKinematics:
             }
             if correction is not None:
                 entry["corrected"] = pose_to_vector(correction.predict(q[i])).tolist()
-            out.append(entry | ({"steps": _steps(arm_kinematics_steps.forward_steps(q[i], arm))} if steps else {}))
+            out.append(
+                entry
+                | (
+                    {"steps": _steps(arm_dynamics_and_step_by_step_kinematics.forward_steps(q[i], arm))}
+                    if steps
+                    else {}
+                )
+            )
         return {"schema": "kinematics/1", "units": list(mechanisms.axis_units(arm)), "frames": out}
 
     def inverse(self, frames: Integers, T_base_platform: RigidTransform, steps: bool = False) -> Json:
@@ -61,7 +68,7 @@ class ArmKinematics:
         arm, correction = self.arm, self.correction
         form, why_none = None, ""
         try:
-            form = six_joint_inverse.six_joint_arm(arm)
+            form = closed_form_and_numerical_arm_inverse.six_joint_arm(arm)
         except RigError as error:
             why_none = str(error)
         out = []
@@ -104,17 +111,17 @@ def _near_singular(q: Floats, arm: Arm) -> float:
     lead in at all.
     """
     values = np.linalg.svd(mechanism.jacobian(q, arm), compute_uv=False)
-    return float(values[sum(numerical_arm_inverse.reachable_direction_counts(arm)) - 1] / values[0])
+    return float(values[sum(closed_form_and_numerical_arm_inverse.hand_motion_direction_counts(arm)) - 1] / values[0])
 
 
-def _closed(T: RigidTransform, form: SixR, steps: bool) -> tuple[str, list[Json]]:
+def _closed(T: RigidTransform, form: SixJointArm, steps: bool) -> tuple[str, list[Json]]:
     """(state of a pose in words, its branches), in closed form."""
-    found = six_joint_inverse.inverse(T, form)
+    found = closed_form_and_numerical_arm_inverse.closed_form_inverse(T, form)
     return found.why(0), [
         {
             "q": q.tolist(),
             "singular": _singular(flags),
-            **({"steps": _steps(arm_kinematics_steps.inverse_steps(T, form, q))} if steps else {}),
+            **({"steps": _steps(arm_dynamics_and_step_by_step_kinematics.inverse_steps(T, form, q))} if steps else {}),
         }
         for q, flags in zip(found.q[found.there], found.singular[found.there].tolist())
     ]
@@ -124,7 +131,7 @@ def _numeric(T: RigidTransform, arm: Arm, steps: bool) -> tuple[str, list[Json]]
     """(state of a pose in words, the solutions that many starts lead to, named as found so); rest : what few joints
     leave of it.
     """
-    found = numerical_arm_inverse.inverse_solutions(T, arm)
+    found = closed_form_and_numerical_arm_inverse.numerical_inverse_solutions(T, arm)
     if not len(found.q):
         return f"out of reach: the arm comes no nearer than {found.missed[0]:.3g} m and {found.missed[1]:.3g} rad", []
     entries = [
@@ -133,7 +140,15 @@ def _numeric(T: RigidTransform, arm: Arm, steps: bool) -> tuple[str, list[Json]]
             "singular": "singular" if _near_singular(q, arm) < SINGULAR else "",
             "rest": rest.tolist(),
             "found": "numerically",
-            **({"steps": _steps(arm_kinematics_steps.inverse_steps_of_numerical_solution(T, arm, q))} if steps else {}),
+            **(
+                {
+                    "steps": _steps(
+                        arm_dynamics_and_step_by_step_kinematics.inverse_steps_of_numerical_solution(T, arm, q)
+                    )
+                }
+                if steps
+                else {}
+            ),
         }
         for q, rest in zip(found.q, found.rest)
     ]
@@ -155,10 +170,10 @@ def _finished(T: RigidTransform, q: list[float], correction: ArmCorrection) -> l
 
 
 def _singular(flags: int) -> str:
-    return ", ".join(name for bit, name in six_joint_inverse.SINGULAR.items() if flags & bit)
+    return ", ".join(name for bit, name in closed_form_and_numerical_arm_inverse.SINGULAR.items() if flags & bit)
 
 
-def _steps(steps: list[Step]) -> list[Json]:
+def _steps(steps: list[KinematicsStep]) -> list[Json]:
     return [
         {
             "joint": s.joint,

@@ -5,27 +5,26 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from calib.certification.calibration import Calibration
+from calib.api.recording_check_and_preparation import refuse_unfit_recording
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence import OfCalibrations, calibration_evidence
-from calib.checks.recording_preparation import prepare_recording
 from calib.diagnosis.calibration_left_out_physics import unexplained_and_refuted_calibrations
 from calib.online.information_filter import Online
 from calib.online.learners import save_learner
-from calib.online.limb_pose_source import LimbSource, sample_by_limbs
+from calib.online.measuring_limb_poses import LimbSource, sample_by_limbs
 from calib.online.recording_learning import FILTER, Learning, learn_by_filter, learn_by_simple_learner, simple_learner
 from calib.report.online_and_limb_pages import OnlineResult, online_verdict, write_online_page
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.recording_samples import Sampled, sample_recording
 from rig.errors import RigError
-from rig.formats.input_files import neighbouring_json_files
-from rig.formats.json_tree import Json
-from rig.model.mechanism_kinds import require_hexapod
+from rig.formats.input_files import json_files_in_same_folders
+from rig.formats.json_type import Json
+from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_frames import content_hashes
-from rig.report.pages.html_elements import result_html
-from rig.report.pages.page_and_svg_templates import Link
-from rig.report.refutations import Refutation
-from rig.report.verdict import Verdict
+from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.pages.page_templates_and_page_index import Link
+from rig.report.verdict_and_refutations_of_results import Refutation, Verdict
 from vision.api import Progress
 from vision.checks.recording_refusal import Notice, ignore_notice
 
@@ -118,7 +117,7 @@ def learn(
     progress : called with (label, done, of); notice : with what is found on the way, in words
     Raises RigError for other mechanisms than hexapods, for a state of another learner, and where no pose is left
     """
-    look = prepare_recording(recording, options.anyway, notice)
+    look = refuse_unfit_recording(recording, options.anyway, notice)
     mechanism = require_hexapod(
         recording.design.mechanism, "on-line learning is for hexapods, not for a mechanism of kind {kind!r}"
     )
@@ -172,7 +171,7 @@ def _calibration_evidence(
     leaves unexplained.
     """
     beside = unexplained_and_refuted_calibrations(
-        content_hashes(recording), neighbouring_json_files(recording.folder), True
+        content_hashes(recording), json_files_in_same_folders(recording.folder), True
     )
     if calibration is None:
         return beside

@@ -1,21 +1,232 @@
-"""The next experiment of a diagnosis: what is alike, the plan that would best tell it apart, and the chance that it
+"""Next experiment of a diagnosis: its options, and the choice of the plan that answers open questions best.
+
 does.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 
-from calib.api.experiment_options import ExperimentOptions
+import numpy as np
+
 from calib.certification.platform_certification import Progress
-from calib.experiment.experiment_choice import Experiment, available_plans, choose_experiment
-from calib.experiment.experiment_information import camera_information_shares
-from calib.experiment.experiment_question import Question
-from rig.formats.json_tree import Json
-from rig.model.cube_remounting import quarter_turns
-from rig.model.design import Design
+from calib.experiment.experiment_questions_and_information import (
+    NAME,
+    Information,
+    Question,
+    camera_information_shares,
+    discriminating_configurations,
+    experiment_information,
+)
+from calib.experiment.investigation_folder_and_report import SETTING_UP
+from rig.array_types import Floats
+from rig.errors import RigError
+from rig.formats.json_type import Json
+from rig.model.design import PERMITTED, TURN, Design, Permission
+from rig.model.design_comparison_and_cube_remounting import (
+    parse_cube_turn_permission,
+    quarter_turns_of_cubes,
+    turning_instructions,
+)
 from rig.planning import plan_construction_and_table
-from rig.report.pages.html_elements import result_html
+from rig.planning.plan import build_plan
+from rig.planning.plan_construction_and_table import Plan
+from rig.report.pages.html_and_svg_elements import result_html
+
+LONGEST = 6000.0  # min
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentOptions:
+    """minutes : that the experiment may take; may : what may be asked of an operator ("payload", "wait", "turn cube
+    NAME"), None for what rig.toml says; standing : whether the struts must stand to be exposed; seed : of the plan
+    """
+
+    minutes: float = 60.0
+    may: tuple[str, ...] | None = None
+    standing: bool = False
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        if not 0 < self.minutes <= LONGEST:
+            raise RigError(f"--minutes takes a time above 0 and up to {LONGEST:g} min, not {self.minutes:g}")
+        for word in self.may or ():
+            if word not in PERMITTED and not word.startswith(TURN):
+                raise RigError(f"--may takes {', '.join(PERMITTED)} or '{TURN}NAME', not {word!r}")
+
+    def interventions(self, design: Design) -> tuple[str, ...]:
+        """What an experiment may ask of an operator, cubes by their names. Raises RigError for a cube that the design
+        does not have
+        """
+        out = []
+        for word in self.may or design.experiment.may:
+            may, problem = parse_cube_turn_permission(word, design.targets)
+            if problem:
+                raise RigError(f"--may {word!r}: {problem}")
+            out.append(may)
+        return tuple(out)
+
+
+PARTS = ("sobol:12", "ladder:1", "axes:3", "repeat:12", "sobol:30", "sobol:90")  # at whose exposures the struts stand
+CHOSEN = (8, 16, 32, 64)  # configurations where the likeliest names come apart, see `discriminating_configurations`
+MOVING = ("moving:16", "zigzag:16", "zigzag:40")
+WAITING = ("dwell:20", "sobol:8,wait:20,sobol:8", "sobol:8,wait:60,sobol:8")  # where waiting is allowed
+LOADED = ("payload:6", "payload:14")  # where a payload is allowed
+TURNED = ("sobol:12", "sobol:30", "sobol:90")  # with a cube put back turned, where that is allowed
+PLAN_TURN = "turn:"  # part of a plan
+TURNING = 3.0  # min that an operator takes for it
+PAIRED = 3  # of the best that are tried two by two
+DAYS = (-1.0, 0.0, 1.0)  # K by which the room may be warmer than it was: nobody heats or cools it for an experiment
+HOPELESS = 0.02  # chance to settle; of plans with less than this counts what they tell per minute
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Experiment:
+    """text : of the plan, in which apart:N stands for configurations chosen for these questions; seed : of it; plan;
+    minutes : it takes
+    bits : expected over all questions; settles : chance that all of them are settled; asks : what an operator has to do
+        besides, in words"""
+
+    text: str
+    seed: int
+    plan: Plan
+    minutes: float
+    bits: float
+    settles: float
+    asks: tuple[str, ...] = ()
+
+    @property
+    def rate(self) -> float:
+        """Bits per minute."""
+        return self.bits / self.minutes
+
+
+def available_plans(
+    allowed_actions: Sequence[str], must_stand_still: bool, turned_cubes: Sequence[str] = ()
+) -> list[str]:
+    """Texts of the available plans. allowed_actions : what an owner allows besides moving
+    allowed_actions : what an owner allows ("payload", "wait", "turn cube NAME"); must_stand_still : whether the struts
+        must stand to be
+    exposed; turned_cubes : cubes that were turned already
+    """
+    out = [*PARTS, *(f"{NAME}:{count}" for count in CHOSEN), *(() if must_stand_still else MOVING)]
+    if "wait" in allowed_actions:
+        out += WAITING[1:] if must_stand_still else WAITING
+    out += [
+        f"{PLAN_TURN}{name},{text}"
+        for name in Permission(tuple(allowed_actions)).cubes
+        if name not in turned_cubes
+        for text in TURNED
+    ]
+    return out + [text for text in LOADED if "payload" in allowed_actions and not must_stand_still]
+
+
+def choose_experiment(
+    open_questions: Sequence[Question[object]],
+    design: Design,
+    plan_texts: Sequence[str],
+    seed: int,
+    minutes_limit: float = np.inf,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[list[Experiment], dict[str, str]]:
+    """([Experiment], the best first; {plan's text: why it is excluded}).
+
+    plan_texts : plans to choose from, alone and two by two; seed : of them; most_minutes : minutes that one may take;
+        progress : called with (done, of)
+    """
+    out: list[Experiment] = []
+    refused: dict[str, str] = {}
+    own: dict[str, Floats] = {}
+    try:
+        own = _plan_configurations(open_questions, design, plan_texts, seed)
+    except RigError as error:
+        refused = {text: str(error) for text in plan_texts if text.startswith(NAME)}
+
+    def tried(text: str) -> None:
+        if progress:
+            progress(len(out) + len(refused), len(plan_texts) + PAIRED)
+        try:
+            found = evaluate_experiment(open_questions, design, text, seed, own)
+        except RigError as error:
+            refused[text] = str(error)
+            return
+        if found.minutes > minutes_limit:
+            refused[text] = f"it takes {found.minutes:.0f} min, of {minutes_limit:.0f} that are left"
+        else:
+            out.append(found)
+
+    for text in plan_texts:
+        if text not in refused:
+            tried(text)
+    leading = sorted(out, key=lambda e: -e.rate)[:PAIRED]
+    for a, b in combinations(leading, 2):
+        first, then = (b.text, a.text) if PLAN_TURN in b.text else (a.text, b.text)  # a cube is turned before all else
+        if PLAN_TURN not in then:
+            tried(f"{first},{then}")
+    return rank_experiments(out), refused
+
+
+def rank_experiments(experiments: Sequence[Experiment]) -> list[Experiment]:
+    """Experiments ranked, the best first: by time to settle all questions, then by information per minute."""
+    return sorted(experiments, key=lambda e: (e.minutes / e.settles if e.settles >= HOPELESS else np.inf, -e.rate))
+
+
+def _plan_configurations(
+    open_questions: Sequence[Question[object]], design: Design, texts: Sequence[str], seed: int
+) -> dict[str, Floats]:
+    """{apart:N: configurations (N, axes)} of those plans' texts that ask for them, the first of one choice. Raises
+    RigError where the rig cannot visit what is to be chosen from, and where no question has two names to come apart"""
+    counts = sorted(int(text.partition(":")[2]) for text in texts if text.startswith(f"{NAME}:"))
+    if not counts:
+        return {}
+    found = discriminating_configurations(open_questions, design, counts[-1], seed)
+    return {f"{NAME}:{count}": found[:count] for count in counts}
+
+
+def evaluate_experiment(
+    open_questions: Sequence[Question[object]],
+    design: Design,
+    plan_text: str,
+    seed: int,
+    chosen_configurations: Mapping[str, Floats] | None = None,
+) -> Experiment:
+    """Experiment of one plan, evaluated. Raises RigError for a plan that the rig cannot follow.
+    chosen_configurations : {apart:N: (N, axes)} of `_plan_configurations`. Raises RigError for one that the rig cannot
+        follow.
+    """
+    plan, stands = (
+        build_plan(design, plan_text, seed, additional_parts=chosen_configurations),
+        quarter_turns_of_cubes(design),
+    )
+    todo = turning_instructions(dict(plan.turned), stands)
+    plan = replace(plan, turned=tuple({**stands, **dict(plan.turned)}.items()))
+    found = [_worth(question, plan) for question in open_questions]
+    minutes = float(plan.commands.t[-1]) / 60 + SETTING_UP + TURNING * len(todo)
+    changes = [(t, mass) for (_, before), (t, mass) in zip(plan.payload[:-1], plan.payload[1:]) if mass != before]
+    asks = (
+        *(f"before it begins: {text}" for text in todo),
+        *(f"at t = {t:.0f} s: {f'load {mass:.3g} kg' if mass else 'take the load off'}" for t, mass in changes),
+    )
+    settles = float(
+        np.prod([0.0 if question.not_asked else one.settles for question, one in zip(open_questions, found)])
+    )
+    return Experiment(plan_text, seed, plan, minutes, sum(one.bits for one in found), settles, asks)
+
+
+def _worth(question: Question[object], plan: Plan) -> Information:
+    """Information of a plan for one question; where a hypothesis follows a temperature, over days as warm as the first
+    recording's and others.
+    """
+    odds, behind = (np.array([getattr(h, name) for h in question.hypotheses]) for name in ("odds", "data_log_odds"))
+    found = [
+        experiment_information(odds, question.predict_outcomes(plan, warmer), behind)
+        for warmer in (DAYS if question.follows_temperature else (0.0,))
+    ]
+    return Information(
+        *(float(np.mean([getattr(one, name) for one in found])) for name in ("bits", "settles", "right"))
+    )
+
 
 SHOWN = 4  # plans that are compared in words
 TELLING = 0.01  # bits; a plan that tells less tells nothing
@@ -95,7 +306,7 @@ def next_experiment(
     """NextExperiment that tells best what a diagnosis leaves alike; progress : called with (label, done, of)."""
     if not questions:
         return NextExperiment((), (), {}, {}, design.mechanism.axes)
-    texts = available_plans(options.interventions(design), options.standing, tuple(quarter_turns(design)))
+    texts = available_plans(options.interventions(design), options.standing, tuple(quarter_turns_of_cubes(design)))
     experiments, refused = choose_experiment(
         questions,
         design,

@@ -1,11 +1,14 @@
-"""Which configurations to visit so that what is asked becomes visible: parameters, a promise, one effect or another."""
+"""Plan of configurations for a purpose: to determine parameters best, keep a promise, or separate effects."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
-from calib.api.parameter_plan import plan_for_parameters
-from calib.api.plan_result import (
+from calib.api.plan_options_and_result import (
     FOR_PARAMETERS,
     LEAST,
     MOVES,
@@ -16,19 +19,221 @@ from calib.api.plan_result import (
     geometry_and_excluded_configurations,
 )
 from calib.certification.platform_certification import Progress, silent_progress
+from calib.correction.correction import indices_and_poses_of_solvable_commands
 from calib.diagnosis.effect_signal import Separation, effect_separation
-from calib.models.platform.optimal_configurations import fewest_configurations
+from calib.models.machine_models import independent_geometric_parameters
+from calib.models.platform.optimal_configurations import (
+    choose_d_optimal_configurations,
+    exchange_configurations,
+    fewest_configurations,
+    total_information,
+)
+from calib.models.platform.parameter_accuracy import PLAUSIBLE, parameter_combinations, standard_error_along
 from calib.samples.confounded_conditions import confounds_of_configurations
 from rig import api
+from rig.array_types import Floats, Integers
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_notation import parse_effect, require_existing_place
+from rig.effects.texts.effect_text_and_dict import parse_effect, require_existing_place
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import quantity_text
+from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_kinds import has_plates
+from rig.model.mechanism_geometry_classes import Arm, Chain, Planar2
+from rig.model.mechanism_kinds_and_hexapod_properties import has_axes, has_plates
+from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan, sensors_with_payload
 from rig.planning.plan_construction_and_table import Plan
+from rig.planning.visiting_order_and_approach_balance import time_balanced_order
 from rig.recording.recording_folder import Sensors
+from vision.predict import visible_marker_counts_of_poses
+from vision.targets import marker_map
+
+CANDIDATES = 1500
+FILL = 0.95  # of the travels
+TOLD = 4.0  # information, that of the prior being 1, from which a combination of parameters is told
+FEWEST = 2  # markers of what moves that a configuration must show
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InformativeConfigurations:
+    """values : (n, axes) m or rad, chosen, ordered so that neither time nor direction is a function of place
+    names, units : of the parameters asked for, "m" or "rad"; sigma, even : (p,) their standard errors by
+    these, and by as many spread evenly, along what these tell at all; undetermined : how many combinations keep half of
+    what they may be off by or more
+    seen : share of all configurations tried in which the machine is seen"""
+
+    values: Floats
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    sigma: Floats
+    even: Floats
+    undetermined: int
+    seen: float
+
+
+def informative_configurations(
+    mechanism: Arm | Chain | Planar2,
+    count: int,
+    sigmas: tuple[float, float],
+    visible_marker_count: Callable[[RigidTransform], Integers] | None = None,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> InformativeConfigurations:
+    """Informative configurations, `count` of them. sigmas : (m, rad) standard deviations of a measured pose, per axis
+
+    visible_marker_count : how many markers of what moves are seen at poses (n,), or None where an instrument sees it
+        anywhere;
+        progress : called with (done, of)
+    Raises RigError for too few configurations to hold the parameters, or where too few candidates close on a pose or
+        are seen
+    """
+    kinematics = mechanisms.kinematics_of(mechanism)
+    values = sobol_configurations(kinematics.travel(mechanism), CANDIDATES, FILL, seed)
+    index, T = indices_and_poses_of_solvable_commands(values, lambda some: kinematics.forward(some, mechanism))
+    values = values[index]
+    seen = np.ones(len(values), bool) if visible_marker_count is None else visible_marker_count(T) >= FEWEST
+    asked = independent_geometric_parameters(mechanism)
+    size = asked.size
+    if not seen.any():
+        raise RigError(
+            f"in none of {len(values)} configurations all over the limits {FEWEST} markers are seen whole: "
+            "turn the cameras"
+        )
+    rows = asked.jacobian(values[seen]) / np.repeat(sigmas, 3)[:, None] * size
+    told = int(rows.any(axis=2).any(axis=0).sum())  # numbers of a pose that the parameters move at all
+    if told * count <= len(size):
+        raise RigError(
+            f"{count} configurations cannot determine {len(size)} parameters; it takes {len(size) // told + 1}, better "
+            f"{3 * len(size) // told}"
+        )
+    if seen.sum() < 2 * count:
+        raise RigError(
+            f"in {seen.sum()} of {len(values)} configurations all over the limits {FEWEST} markers are seen "
+            f"whole; choosing {count} takes "
+            "more: narrow the limits, or turn the cameras"
+        )
+    start = np.eye(len(size)) if asked.alike else np.zeros((len(size), len(size)))
+    picked = exchange_configurations(rows, start, count, "determinant", progress)
+    even = np.linspace(0, len(rows) - 1, count).astype(int)
+    told_by, vectors = np.linalg.eigh(np.eye(len(size)) + total_information(rows, picked))
+    sharp = vectors[:, told_by > TOLD]
+    sigma, plain = (
+        size
+        * np.sqrt(
+            np.einsum(
+                "pi,ij,pj->p",
+                sharp,
+                sharp.T @ np.linalg.inv(np.eye(len(size)) + total_information(rows, chosen)) @ sharp,
+                sharp,
+            )
+        )
+        for chosen in (picked, even)
+    )
+    chosen = values[seen][picked]
+    order = time_balanced_order(chosen, np.random.default_rng(seed), kinematics.travel(mechanism).mean(axis=1))
+    return InformativeConfigurations(
+        chosen[order], asked.names, asked.units, sigma, plain, len(size) - sharp.shape[1], float(seen.mean())
+    )
+
+
+def plan_for_parameters(design: Design, options: PlanOptions, progress: Progress) -> PlanResult:
+    """PlanResult of the configurations that determine a machine's parameters best. progress : called with (label, done,
+    of)
+
+    Raises RigError for a body that nothing commands, and for options that are of hexapods alone
+    """
+    mechanism = design.mechanism
+    if not has_axes(mechanism):
+        raise RigError(
+            f"plans for parameters are for what is commanded, not for a mechanism of kind {mechanism.kind!r}"
+        )
+    if not has_plates(mechanism):
+        return _plan_of_any(design, mechanism, options, progress)
+    mechanism, avoided = geometry_and_excluded_configurations(options, mechanism)
+    chosen = choose_d_optimal_configurations(
+        mechanism,
+        options.count,
+        options.sigma,
+        options.criterion,
+        options.given,
+        SEED,
+        lambda done, of: progress("choosing", done, of),
+        avoided,
+    )
+    (before, _), (after, seen), (_, even) = (
+        parameter_combinations(root, mechanism) for root in (chosen.before, chosen.root, chosen.even)
+    )
+    visited = 0 if options.given is None else len(options.given)
+    said = [
+        f"{options.count} configurations beside {visited} given: condition number of the 42 parameters "
+        f"{seen.condition:.0f}, "
+        f"with as many evenly spread {even.condition:.0f}",
+        f"worst determined combination {after[0].sigma * 1e6:.2f} um, evenly spread "
+        f"{PLAUSIBLE / even.singular[-1] * 1e6:.2f} um; "
+        f"all 42 together {(seen.singular.prod() / even.singular.prod()) ** (1 / 42):.2f} times as precise "
+        "as evenly spread",
+    ]
+    hidden = [part for part in before if not part.determined]
+    if visited and not hidden:
+        said.append("what was given determines all 42 already; the worst, before and after:")
+    elif visited:
+        said.append(
+            f"{len(hidden)} combinations that what was given does not tell from {PLAUSIBLE * 1e3:g} mm "
+            "become visible; the worst:"
+        )
+    else:
+        said.append("the worst determined combinations:")
+    said += [
+        f"  {_sigma(part.sigma)} -> {_sigma(standard_error_along(chosen.root, part.direction))}  {part.name}"
+        if visited
+        else f"  {_sigma(part.sigma)}  {part.name}"
+        for part in (before if visited else after)[:SHOWN]
+    ]
+    unseen = sum(not part.determined for part in after)
+    why = said[0] + (f"; {unseen} combinations stay unseen" if unseen else "")
+    return PlanResult(design, chosen.commands, not unseen, why, said)
+
+
+def _plan_of_any(
+    design: Design, mechanism: Arm | Chain | Planar2, options: PlanOptions, progress: Progress
+) -> PlanResult:
+    """PlanResult of the configurations that determine a machine's parameters best, of those in which cameras see it."""
+    if options.calibration is not None or options.given is not None or options.criterion != "determinant":
+        raise RigError("--calibration, --given and --criterion noise are for hexapods")
+    looked = (
+        partial(visible_marker_counts_of_poses, design.cameras, markers=marker_map(design.without_stages()))
+        if design.cameras and design.targets
+        else None
+    )
+    found = informative_configurations(
+        mechanism, options.count, options.sigma, looked, SEED, lambda done, of: progress("choosing", done, of)
+    )
+    said = []
+    if looked is not None:
+        said.append(
+            f"{FEWEST} markers or more are seen in {found.seen:.0%} of the configurations all over the "
+            "limits; chosen among these"
+        )
+    if found.undetermined:
+        said.append(
+            f"{found.undetermined} combinations of them no pose tells: they stay as stated, and are left aside here"
+        )
+    said.append(
+        f"{options.count} configurations for {len(found.names)} parameters; standard errors, and by as "
+        "many spread evenly, the least "
+        "gain first:"
+    )
+    worst = (found.sigma / found.even).argsort()[::-1]
+    said += [
+        f"  {found.sigma[k] * 1e6:9.2f} {found.even[k] * 1e6:9.2f} u{found.units[k]}  {found.names[k]}"
+        for k in worst[:SHOWN]
+    ]
+    why = f"{options.count} configurations for {len(found.names)} parameters"
+    return PlanResult(design, found.values, True, why, ["", *said])
+
+
+def _sigma(value: float) -> str:
+    return f"{value * 1e6:9.2f} um" if value < 1e-2 else "   unseen   "
 
 
 def plan(design: Design, options: PlanOptions = FOR_PARAMETERS, progress: Progress = silent_progress) -> PlanResult:

@@ -9,31 +9,37 @@ from threading import Thread
 
 import numpy as np
 
-from calib.online.run_observation import Display, RunObserver, Stopping
+from calib.online.run_observation import RunDisplay, RunObserver, RunStop
 from calib.online.run_preparation import RunOptions as RunOptions
-from calib.online.run_preparation import open_bench, open_cameras, run_observer, set_exposures, warm_up
-from rig.arrays import Floats
+from calib.online.run_preparation import (
+    compile_kernels_for_run,
+    open_cameras,
+    open_run_equipment,
+    run_observer,
+    set_exposures,
+)
+from rig.array_types import Floats
 from rig.driving import straight_move_profile
 from rig.driving.cameras.grab_and_settling import Settling, parse_settling
 from rig.driving.clock import Clock, SystemClock
-from rig.driving.driver_reports_and_advice import TRUST, Status
+from rig.driving.controller_status_and_operator_advice import TRUST, ControllerStatus
 from rig.driving.driver_session import open_driver, settled_status
 from rig.driving.emulators.emulator_opening import home_lengths
-from rig.driving.move_and_record_loop import Operator
+from rig.driving.move_and_record_loop import RunOperator
 from rig.driving.run_journal import Began, Journal
 from rig.driving.run_steps_and_progress import Step, check_steps, step_distances, steps_of_plan
 from rig.driving.strut_driver import Driver
 from rig.errors import PositionLost, RigError
 from rig.formats.input_files import read_bytes
 from rig.formats.output_files import write_bytes
-from rig.model.cube_remounting import quarter_turns, turning_instructions
 from rig.model.design import Design
-from rig.model.mechanism_kinds import require_struts
+from rig.model.design_comparison_and_cube_remounting import quarter_turns_of_cubes, turning_instructions
+from rig.model.mechanism_kinds_and_hexapod_properties import require_struts
 from rig.planning.plan import build_plan
 from vision.checks.recording_refusal import Notice, ignore_notice
 
 STANDARD = RunOptions()
-Displays = Callable[[RunObserver], AbstractContextManager[list[Display]]]
+Displays = Callable[[RunObserver], AbstractContextManager[list[RunDisplay]]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,13 +90,13 @@ class PlannedRun:
             stack.callback(shutter.close)
             listeners: list[Callable[[str], None]] = [notice]  # of what the driver reports: later the journal too
             if options.measure:
-                Thread(target=warm_up, args=(self.design,), daemon=True).start()
+                Thread(target=compile_kernels_for_run, args=(self.design,), daemon=True).start()
             driver = stack.enter_context(
                 open_driver(self.design, options.trace, lambda text: _report(listeners, text), clock)
             )
             homes, status = self._home(driver, settled_status(driver, clock), fresh, notice)
             check_steps(self.steps, status.lengths, move_checker(self.design))
-            bench = open_bench(self.design, driver, shutter, self.settling, clock)
+            bench = open_run_equipment(self.design, driver, shutter, self.settling, clock)
             exposure = options.exposure
             for line in set_exposures(shutter, self.design, exposure) if not isinstance(exposure, str) else ():
                 notice(line)
@@ -99,10 +105,10 @@ class PlannedRun:
                 began = clock.now(), len(self.steps), _hash(self.steps), tuple(map(float, status.lengths))
                 journal.append(Began(0.0, *began))
             origin = _origin(journal, clock, notice)
-            stopping = Stopping(options.stop_on, driver.stop)
+            stopping = RunStop(options.stop_on, driver.stop)
             observer = run_observer(self.design, self.steps, status.lengths, clock, stopping, options, out)
             observer.displays += stack.enter_context(displays(observer))
-            operator = Operator(bench, self.steps, journal, self.design.mechanism.axes, origin, observer)
+            operator = RunOperator(bench, self.steps, journal, self.design.mechanism.axes, origin, observer)
             observer.note = operator.remark
             listeners[:] = [operator.remark, lambda text: observer.update(phase=text)]
             try:
@@ -113,7 +119,9 @@ class PlannedRun:
                 observer.finish()
         return observer.view.frames
 
-    def _home(self, driver: Driver, status: Status, fresh: bool, notice: Notice) -> tuple[bool, Status]:
+    def _home(
+        self, driver: Driver, status: ControllerStatus, fresh: bool, notice: Notice
+    ) -> tuple[bool, ControllerStatus]:
         """(whether the struts were homed, Status from which the run begins). fresh : whether nothing was recorded yet
 
         Raises PositionLost where nobody knows where they stand
@@ -145,7 +153,7 @@ def plan_run(design: Design, path: Path, plan: str, options: RunOptions = STANDA
     """
     found = build_plan(design, plan, options.seed)
     steps = steps_of_plan(found)
-    todo = turning_instructions(dict(found.turned), quarter_turns(design))
+    todo = turning_instructions(dict(found.turned), quarter_turns_of_cubes(design))
     if todo:
         raise RigError(
             f"the plan is for a cube put back turned; {'; '.join(todo)}, and say so in {path} under [turned]"

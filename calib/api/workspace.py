@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.files import calibration_file
-from calib.models.corrected_pose_covariance import calibration_with_workspace
+from calib.models.machine_models import calibration_with_workspace
 from calib.workspace import workspace_page
-from calib.workspace.workspace_cells import (
+from calib.workspace.workspace_cells_and_reachable_poses import (
     COLUMNS,
     Workspace,
     axis_margin_description,
@@ -18,18 +18,18 @@ from calib.workspace.workspace_cells import (
     workspace_dict,
     workspace_rows,
 )
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import FileError, RigError
 from rig.formats import structured_files
 from rig.formats.checked_entries import Entries
 from rig.formats.input_files import read_bytes
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.formats.output_files import write_text
 from rig.model import mechanisms
 from rig.recording.recording_tables import write_table
-from rig.report.pages.html_elements import result_html
-from rig.report.pages.page_and_svg_templates import Link
-from rig.report.verdict import Verdict
+from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.pages.page_templates_and_page_index import Link
+from rig.report.verdict_and_refutations_of_results import Verdict
 from vision.checks.recording_refusal import Notice, ignore_notice
 
 
@@ -59,7 +59,7 @@ class WorkspaceResult:
         """What is known of it, in words, after the verdict."""
         lines, correction = workspace_page.workspace_lines(self.workspace, self.unit), self.calibration.correction
         if self.certified is not None:
-            lines.append(workspace_page.certified_cells_line(self.certified))
+            lines.append(workspace_page.certified_cell_promises_line(self.certified))
         if correction.extension is not None or any(correction.remainder):
             lines.append(
                 "beyond the recorded configurations what is corrected on top of the geometry is extrapolated; "

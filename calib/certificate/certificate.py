@@ -11,36 +11,39 @@ import numpy as np
 
 from calib.certificate import certificate_sentences
 from calib.certificate.certificate_contents import CertifyOptions, Contents, measured_volume, measuring_conditions
-from calib.certification import promise_and_conformity, tolerance_limits
-from calib.certification.calibration import Calibration
+from calib.certification import noise_free_errors_and_tolerance_limits, pose_error_promise_and_conformity
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence import confound_sentences
 from calib.certification.held_out_errors import error_statistics, errors_before_and_after_correction
-from calib.certification.held_out_poses import HeldPoses, held_out_poses, pose_repeatability
-from calib.certification.iso230_axis_errors import iso230_axis_tests
-from calib.certification.iso9283 import iso9283_accuracy_and_repeatability, test_duty
-from calib.certification.promise_and_conformity import (
+from calib.certification.held_out_poses_and_distinct_configurations import HeldPoses, held_out_poses, pose_repeatability
+from calib.certification.iso230_and_iso9283_tests import (
+    iso230_axis_tests,
+    iso9283_accuracy_and_repeatability,
+    test_duty,
+)
+from calib.certification.pose_error_promise_and_conformity import (
     CONFORMS,
     FAILS,
     POSITION,
     ROTATION,
     Conformity,
     Unit,
-    pose_error_depth_bound,
+    greatest_scaled_error_bound,
     pose_error_promise,
     promise_by_cell,
 )
 from calib.certification.uncertainty_budget import rms_length_uncertainty, thermometer_covariance, uncertainty_budget
 from calib.files import calibration_from_recording
-from calib.models.corrected_pose_covariance import corrected_pose_covariance
+from calib.models.machine_models import corrected_pose_covariance
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.recording_samples import Sampled
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import NotEnoughData
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_frames import content_hashes, hashes_of_frames
-from rig.report.pages.html_elements import result_html
-from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
+from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,19 +150,28 @@ def _judged(poses: HeldPoses, asked: CertifyOptions, rng: np.random.Generator) -
     if not poses.rotations and any(quantity == "rotation" for quantity, _ in asked.tolerances):
         raise NotEnoughData("no rotation was measured, so none can be held against a tolerance")
     units = tuple(Unit(POSITION if quantity == "position" else ROTATION, size) for quantity, size in asked.tolerances)
-    enough = len(poses.first) >= tolerance_limits.least_sample_size(asked.coverage, promise_and_conformity.GUARD)
+    enough = len(poses.first) >= noise_free_errors_and_tolerance_limits.least_sample_size(
+        asked.coverage, pose_error_promise_and_conformity.GUARD
+    )
     depth = (
-        pose_error_depth_bound(
-            poses, poses.first, units, (asked.coverage, promise_and_conformity.GUARD), asked.scale or 0.0, rng
+        greatest_scaled_error_bound(
+            poses,
+            poses.first,
+            units,
+            (asked.coverage, pose_error_promise_and_conformity.GUARD),
+            asked.scale or 0.0,
+            rng,
         )
         if enough
         else None
     )
     beyond = [int((np.linalg.norm(poses.errors[poses.first][:, unit.of], axis=1) > unit.size).sum()) for unit in units]
-    return promise_and_conformity.tolerance_conformity(asked.tolerances, depth, asked.scale is not None, beyond)
+    return pose_error_promise_and_conformity.tolerance_conformity(
+        asked.tolerances, depth, asked.scale is not None, beyond
+    )
 
 
-SCALE = Missing(
+SCALE = MissingEvidence(
     "nobody certified the scale of the lengths",
     "Have the base targets' scale certified and state it: `--scale-uncertainty 20e-6 --scale-source TEXT`",
 )
@@ -181,7 +193,7 @@ def certificate_verdict(certificate: Certificate) -> Verdict:
     )
     missing = [*known.missing, *([SCALE] if certificate.asked.scale is None else [])]
     if verdicts - {CONFORMS, FAILS}:
-        missing.append(Missing("whether all tolerances are kept cannot be said from these poses"))
+        missing.append(MissingEvidence("whether all tolerances are kept cannot be said from these poses"))
     confounds = (
         [f"these recordings: {text}" for text in confound_sentences(certificate.confounds)]
         if certificate.known is None

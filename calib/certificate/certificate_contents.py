@@ -7,17 +7,16 @@ import numpy as np
 
 from calib.certification.calibration_evidence import AgainstClaim
 from calib.certification.held_out_errors import Figures
-from calib.certification.held_out_poses import REST, HeldPoses, Repeatability
-from calib.certification.iso230_axis_errors import AxisTest
-from calib.certification.iso9283 import Iso9283
-from calib.certification.promise_and_conformity import Cell, Conformity, Promise
+from calib.certification.held_out_poses_and_distinct_configurations import REST, HeldPoses, Repeatability
+from calib.certification.iso230_and_iso9283_tests import AxisTest, Iso9283
+from calib.certification.pose_error_promise_and_conformity import Cell, Conformity, Promise
 from calib.certification.uncertainty_budget import Budget
 from calib.samples.confounded_conditions import Confounds
-from rig.arrays import Floats
-from rig.formats.json_tree import Json
-from rig.model.mechanism_geometry import Arm, Hexapod
+from rig.array_types import Floats
+from rig.formats.json_type import Json
+from rig.model.mechanism_geometry_classes import Arm, Hexapod
 from rig.recording.recording_folder import LIMB, PAYLOAD, Recording
-from rig.report.verdict import Evidence
+from rig.report.verdict_and_refutations_of_results import Evidence
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,9 +8,9 @@ from calib.certificate import certificate_sentences
 from calib.certificate.certificate import Certificate, certificate_verdict
 from calib.certification.calibration_evidence import AgainstClaim
 from calib.certification.held_out_errors import Figures
-from calib.certification.promise_and_conformity import Promise
+from calib.certification.pose_error_promise_and_conformity import Promise
 from calib.certification.uncertainty_budget import COVERAGE, Budget
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.formats.structured_files import nan_to_null
 
 SCHEMA = "certificate/1"

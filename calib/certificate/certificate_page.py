@@ -8,12 +8,22 @@ import numpy as np
 from calib.certificate import certificate_sentences
 from calib.certificate.certificate import Certificate, certificate_verdict
 from calib.certificate.certificate_sentences import micrometre_text
-from calib.certification.iso9283 import FEWEST
-from calib.report.calibration_page import flattened_rows
-from rig.arrays import Floats
-from rig.report.pages.html_elements import folding_section, heading, note, paragraph, table
-from rig.report.pages.page_and_svg_templates import Link, Page, write_page
-from rig.report.pages.svg_elements import round_ticks, svg_figure, svg_text, text_within, tooltip
+from calib.certification.iso230_and_iso9283_tests import FEWEST
+from calib.report.platform_and_lens_calibration_pages import flattened_rows
+from rig.array_types import Floats
+from rig.report.pages.html_and_svg_elements import (
+    folding_section_html,
+    heading_html,
+    note_html,
+    paragraph_html,
+    round_ticks,
+    svg_figure,
+    svg_text,
+    svg_text_within_box,
+    svg_tooltip,
+    table_html,
+)
+from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
 
 
 def _error_distribution_figure(certificate: Certificate) -> str:
@@ -77,9 +87,9 @@ def _cell_bound_figures(certificate: Certificate) -> str:
             parts.append(
                 f'<rect class="cell" fill-opacity="{0.1 + 0.5 * bound / worst:.2f}" x="{at:.1f}" '
                 f'y="{up:.1f}" width="{wide:.1f}" '
-                f'height="{tall:.1f}">{tooltip(f"{bound * 1e6:.1f} um")}</rect>'
+                f'height="{tall:.1f}">{svg_tooltip(f"{bound * 1e6:.1f} um")}</rect>'
             )
-            parts.append(text_within((at, up, wide, tall), f"{bound * 1e6:.0f}"))
+            parts.append(svg_text_within_box((at, up, wide, tall), f"{bound * 1e6:.0f}"))
         parts += [
             svg_text(left, height + 14, f"{'xyz'[b]} up, {low[1] * 1e3:.0f} to {high[1] * 1e3:.0f} mm"),
             svg_text(left, base + 16, f"{'xyz'[a]} to the right, {low[0] * 1e3:.0f} to {high[0] * 1e3:.0f} mm"),
@@ -121,7 +131,7 @@ def _budget_figure(certificate: Certificate) -> str:
         parts += [
             svg_text(92, 16 + 22 * k, row.name, "end"),
             f'<rect class="{style}" x="98" y="{5 + 22 * k}" width="{wide:.1f}" height="14">'
-            f"{tooltip(f'{row.name}, {row.of}: {size}')}</rect>",
+            f"{svg_tooltip(f'{row.name}, {row.of}: {size}')}</rect>",
             svg_text(102 + wide, 16 + 22 * k, size),
         ]
     return svg_figure(10 + 22 * len(rows), "contributions to a position's uncertainty, coverage 95 %", parts)
@@ -163,16 +173,16 @@ def _promise(c: Certificate) -> list[str]:
         certificate_sentences.measured_volume_line(c),
         *certificate_sentences.basis_lines(c),
     )
-    return [*map(paragraph, lines), _error_distribution_figure(c)]
+    return [*map(paragraph_html, lines), _error_distribution_figure(c)]
 
 
 def _against(c: Certificate) -> list[str]:
     if not c.conformity:
         return []
     return [
-        heading("Against the tolerance"),
-        *map(paragraph, certificate_sentences.conformity_lines(c)),
-        note(
+        heading_html("Against the tolerance"),
+        *map(paragraph_html, certificate_sentences.conformity_lines(c)),
+        note_html(
             "One decision is made of all tolerances, from limits of 97.5 % confidence (guard bands, JCGM "
             "106): it is wrong in 2.5 % of "
             "cases at the most. A position is accepted only where the scale is certified."
@@ -193,12 +203,12 @@ def _cells(c: Certificate) -> list[str]:
         for cell in c.cells
     ]
     return [
-        heading("Part by part"),
+        heading_html("Part by part"),
         _cell_bound_figures(c),
-        note(
+        note_html(
             "The same promise for boxes of the volume, each by its own poses and with the stated confidence by itself."
         ),
-        table(("x, mm", "y, mm", "z, mm", "position, um", "rotation, urad", "N"), rows),
+        table_html(("x, mm", "y, mm", "z, mm", "position, um", "rotation, urad", "N"), rows),
     ]
 
 
@@ -214,16 +224,16 @@ def _floor(c: Certificate) -> list[str]:
         for name, f in (("owner's model", c.before), ("calibrated", c.after))
     ]
     return [
-        heading("Before and after"),
-        paragraph(f"The same {c.after.n} held-out poses, as measured."),
-        table(("", "RMS, um", "95 %, um", "max, um", "RMS, urad", "95 %, urad", "max, urad"), rows),
+        heading_html("Before and after"),
+        paragraph_html(f"The same {c.after.n} held-out poses, as measured."),
+        table_html(("", "RMS, um", "95 %, um", "max, um", "RMS, urad", "95 %, urad", "max, urad"), rows),
     ]
 
 
 def _standards(c: Certificate) -> list[str]:
     parts = [
-        heading("ISO 9283: pose accuracy AP and repeatability RP"),
-        paragraph(certificate_sentences.iso9283_line(c)),
+        heading_html("ISO 9283: pose accuracy AP and repeatability RP"),
+        paragraph_html(certificate_sentences.iso9283_line(c)),
     ]
     if c.iso9283.repeated:
         rows = [
@@ -241,7 +251,7 @@ def _standards(c: Certificate) -> list[str]:
             for row in c.iso9283.repeated
         ]
         parts.append(
-            table(
+            table_html(
                 (
                     "pose at, mm",
                     "visits",
@@ -255,15 +265,15 @@ def _standards(c: Certificate) -> list[str]:
             )
         )
         parts.append(
-            note(
+            note_html(
                 f"Poses visited {FEWEST} times or more; where they were come to from several sides, reversal is in RP."
             )
         )
-    parts.append(heading("ISO 230-2: each axis by itself"))
+    parts.append(heading_html("ISO 230-2: each axis by itself"))
     if not c.iso230:
         return [
             *parts,
-            paragraph("No axis was moved alone to one position from both sides: a plan with ladder does that."),
+            paragraph_html("No axis was moved alone to one position from both sides: a plan with ladder does that."),
         ]
     unit = "um" if c.iso230[0].unit == "m" else "urad"
     rows = [
@@ -283,8 +293,10 @@ def _standards(c: Certificate) -> list[str]:
     names = [name for name, _ in certificate_sentences.iso230_symbol_values(c.iso230[0])]
     return [
         *parts,
-        table(("axis", *names, "u of one reading", "positions", "cycles", "as many as the standard requires"), rows),
-        note(
+        table_html(
+            ("axis", *names, "u of one reading", "positions", "cycles", "as many as the standard requires"), rows
+        ),
+        note_html(
             f"In {unit}. B reversal, M range of the mean deviations, E systematic deviation, R "
             "repeatability, A accuracy; with an arrow, of "
             "positions come to in that direction alone."
@@ -310,11 +322,11 @@ def _budget(c: Certificate) -> list[str]:
         f"a measured one: {certificate_sentences.expanded_uncertainty_text(c.budget.measuring)}",
     ]
     return [
-        heading("Where it comes from (U, coverage 95 %)"),
-        paragraph("; ".join(said) + ". What is not known is in neither."),
+        heading_html("Where it comes from (U, coverage 95 %)"),
+        paragraph_html("; ".join(said) + ". What is not known is in neither."),
         _budget_figure(c),
-        table(("contribution", "to", "position, um", "rotation, urad", "k", "kind", "how"), rows),
-        note(
+        table_html(("contribution", "to", "position, um", "rotation, urad", "k", "kind", "how"), rows),
+        note_html(
             "95 % of the error's lengths lie within U = k u, with u their RMS. k depends on the directions "
             "of the error: 1.61 where three are "
             "alike, 1.96 where there is one."
@@ -344,11 +356,13 @@ def _conditions(c: Certificate) -> list[str]:
     ]
     if not any("temperature" in name for name, _, _ in k.channels):
         rows.append(("temperature", "not logged"))
-    return [heading("Conditions"), table(("what", "value"), rows)]
+    return [heading_html("Conditions"), table_html(("what", "value"), rows)]
 
 
 def _origin(c: Certificate) -> list[str]:
     return [
-        heading("Where this came from"),
-        folding_section("Hashes, versions, arguments", table(("what", "value"), flattened_rows(c.provenance))),
+        heading_html("Where this came from"),
+        folding_section_html(
+            "Hashes, versions, arguments", table_html(("what", "value"), flattened_rows(c.provenance))
+        ),
     ]

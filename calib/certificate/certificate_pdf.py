@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from calib.certificate import certificate_sentences
 from calib.certificate.certificate import Certificate
-from calib.report.calibration_page import flattened_rows
+from calib.report.platform_and_lens_calibration_pages import flattened_rows
 from rig.formats.output_files import write_bytes
 
 SIZE = (8.27, 11.69)  # inches, A4

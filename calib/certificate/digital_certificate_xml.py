@@ -27,7 +27,7 @@ from calib.certificate.digital_si_values import (
     si_element,
 )
 from calib.certification import uncertainty_budget
-from calib.certification.promise_and_conformity import CONFORMS, OPEN, Promise
+from calib.certification.pose_error_promise_and_conformity import CONFORMS, OPEN, Promise
 from calib.certification.uncertainty_budget import COVERAGE
 
 VERSION = "3.3.0"

@@ -7,15 +7,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.certification.calibration import WHERE, Calibration, claim_lines, refutation_sentence
+from calib.certification.calibration_and_claim_sentences import WHERE, Calibration, claim_lines, refutation_sentence
 from calib.certification.claim_verification import Part, Verification, verify_claim
-from calib.certification.distinct_configurations import axis_ranges, configuration_numbers
 from calib.certification.held_out_errors import HeldOut, pose_errors
+from calib.certification.held_out_poses_and_distinct_configurations import axis_ranges, configuration_numbers
 from calib.certification.workspace_claim import Claim
 from calib.samples.confounded_conditions import Confounds
 from calib.samples.pose_samples import Samples
-from rig.report.refutations import Refutation
-from rig.report.verdict import LOOK, Evidence, Missing, State, Verdict, judge_evidence
+from rig.report.verdict_and_refutations_of_results import (
+    LOOK,
+    Evidence,
+    MissingEvidence,
+    Refutation,
+    State,
+    Verdict,
+    judge_evidence,
+)
 
 MORE = (
     "Record more distinct configurations: `rig plan RIG.toml --for parameters --out plan.csv` chooses those that "
@@ -66,7 +73,7 @@ def calibration_evidence(
         if claim.ratio[2] < 1:
             refuted.append("the owner's own model does better")
         elif claim.ratio[1] <= 1:
-            missing.append(Missing("it is not shown to be better than the owner's own model", MORE))
+            missing.append(MissingEvidence("it is not shown to be better than the owner's own model", MORE))
     unexplained = () if claim is None else claim.unexplained
     if calibration.physics is not None:
         nameless = [u.place for u in calibration.physics.unknown if not u.corrected]
@@ -96,7 +103,7 @@ def evidence_with_verification(
     if verification is None:
         return evidence
     if verification.offset is not None and verification.offset.kept:
-        moved = Missing(
+        moved = MissingEvidence(
             f"the {WHERE[verification.offset.of]} stands elsewhere",
             "Seat targets and instrument anew, or state where they stand in rig.toml",
         )
@@ -163,12 +170,12 @@ def confound_sentences(confounds: Confounds | None) -> tuple[str, ...]:
     return (confounds.line().split("; record the same")[0],) if confounds is not None and confounds.serious else ()
 
 
-def _missing(calibration: Calibration) -> list[Missing]:
+def _missing(calibration: Calibration) -> list[MissingEvidence]:
     claim = calibration.claim
     if claim is None:
-        return [Missing("nothing is claimed", MORE)]
+        return [MissingEvidence("nothing is claimed", MORE)]
     if claim.ratio is None:
-        return [Missing("it is not known how the correction does at other configurations", MORE)]
+        return [MissingEvidence("it is not known how the correction does at other configurations", MORE)]
     return []
 
 

@@ -20,9 +20,9 @@ from scipy.spatial.transform import RigidTransform
 from calib.certification.held_out_errors import pose_errors
 from calib.certification.workspace_claim import Claim
 from calib.samples.pose_samples import Samples
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.model.pose import adjoint, exp
-from rig.report.verdict import REFUTES
+from rig.report.verdict_and_refutations_of_results import REFUTES
 
 LEVEL = 0.995  # of each part's quantile: one claim in a hundred that is kept is taken for one that is not
 DRAWS, FEWEST_DRAWS, MOST = 2000, 400, 200_000  # of squares: as many as times the poses make MOST

@@ -1,18 +1,26 @@
-"""Held-out pose errors: their figures before and after correction, and the significance of the gain."""
+"""Held-out pose errors before and after correction, their statistics, and the significance of the gain.
 
-from dataclasses import dataclass
+Nothing is assumed of where the errors come from, so that what no model has (friction, play, sag, gears) is in it. Few
+configurations tell a mean square badly, and badly told it is more often too small: draws are of the mean square over
+chi-square, its degrees of freedom those that the squares themselves scatter by (Satterthwaite), never more than
+INDEPENDENT a configuration. docs/mathematics.md (21)
+Source: Satterthwaite, An approximate distribution of estimates of variance components, Biometrics 1946
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.distinct_configurations import LEAST
+from calib.certification.held_out_poses_and_distinct_configurations import LEAST
 from calib.correction.correction import AnyCorrection
 from calib.samples.pose_samples import Samples
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.model import mechanisms
 from rig.model.pose import pose_difference, rms_uncertainty
 
-DRAWS = 1000  # of the bootstrap
+BOOTSTRAP_DRAWS = 1000  # of the bootstrap
 GAIN = 2.0  # standard errors by which a correction must pay on held-out poses to be kept
 
 
@@ -82,7 +90,7 @@ def compare_errors(
     turned = bool(np.isnan(errors_after[:, :3]).any())
     part = slice(3, 6) if turned else slice(0, 3)
     squares = [np.bincount(label, weights=(e[:, part] ** 2).sum(axis=1)) for e in (errors_before, errors_after)]
-    picks = rng.integers(count, size=(DRAWS, count))
+    picks = rng.integers(count, size=(BOOTSTRAP_DRAWS, count))
     draws = np.sqrt(squares[0][picks].sum(axis=1) / np.maximum(squares[1][picks].sum(axis=1), 1e-300))
     low, high = np.quantile(draws, [0.025, 0.975]) if count >= LEAST else (np.nan, np.nan)
     sizes = [(one.rotation if turned else one.position)[0] for one in (before, after)]
@@ -128,3 +136,165 @@ def autocorrelation_factor(series: Floats) -> float:
             break
         factor += 2 * c
     return factor
+
+
+INDEPENDENT = (
+    1.5  # degrees of freedom that a configuration is worth at the most: the three of a position would be of noise alone
+)
+TRUSTED = 20  # degrees of freedom that the stated covariance of measured poses is worth
+LEAST_FREEDOM = 3.0
+# share of a combination's information in the samples held out, from which the others count as telling nearly nothing of
+# it
+ALL_OWN = 0.99
+# by which the logarithm of errors' mean square elsewhere may differ: what a model lacks goes by the place, of which few
+# are known
+ELSEWHERE = 0.5
+DRAWS = 1000
+PARTS = (slice(0, 3), slice(3, 6))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldErrors:
+    """Of c configurations held out: squares (c, 2) m^2 and rad^2, mean over each one's visits, NaN where none was
+    measured; noise (c, 2), what measuring adds to these; stated : m^2, mean square by which the correction itself said
+    that these positions may be off, 0 where it said nothing
+    scale : by which what it says was multiplied since; fitted : m^2, what it leaves at the poses it was fitted to
+    parameters : (2,) m^2 and rad^2, mean square that comes of fitted parameters.
+
+    Rows in order of their first visit."""
+
+    squares: Floats
+    noise: Floats
+    stated: float = 0.0
+    scale: float = 1.0
+    fitted: float = 0.0
+    parameters: Floats = field(default_factory=lambda: np.zeros(2))
+
+    def elsewhere(self, stated: float, count: int, rng: np.random.Generator) -> Floats:
+        """(count, 1) draws of the errors' mean square where the correction says that positions may be off by `stated`
+        (m^2), over that of those held out.
+
+        What depends on the place grows as that does; what is left where it was fitted as well, as friction, does not.
+        """
+        share, beyond = 1.0, float(self.beyond()[0])
+        if self.stated and self.scale:
+            own = 1 - min(1.0, self.fitted / beyond) if beyond else 1.0
+            share = 1 - own + own * stated / (self.stated * self.scale**2)
+        return np.asarray(share * np.exp(ELSEWHERE * rng.normal(size=(count, 1))))
+
+    def draws(self, count: int, rng: np.random.Generator) -> Floats:
+        """(count, 2) m^2 and rad^2, draws of the true errors' mean square; 0 for what was not measured."""
+        out = np.zeros((count, 2))
+        for k in range(2):
+            squares, noise = self.squares[:, k], float(self.noise[:, k].mean())
+            if np.isnan(squares).any() or not squares.any():
+                continue
+            freedom = _degrees_of_freedom(squares)
+            seen = squares.mean() * freedom / rng.chisquare(freedom, count)
+            out[:, k] = np.maximum(seen - noise * TRUSTED / rng.chisquare(TRUSTED, count), 0.0)
+        return out
+
+    def own_draws(self, stated: float, count: int, rng: np.random.Generator) -> Floats:
+        """(count, 2) m^2 and rad^2, draws of the mean square that no model corrects, where the correction says that
+        positions may be off by `stated` (m^2): beyond what comes of the parameters."""
+        return np.maximum(self.draws(count, rng) - self.parameters, 0.0) * self.elsewhere(stated, count, rng)
+
+    def own(self, stated: float, rng: np.random.Generator) -> Floats:
+        """(2,) m^2 and rad^2, the mean of these draws."""
+        return np.asarray(self.own_draws(stated, DRAWS, rng).mean(axis=0))
+
+    def shown(self, rng: np.random.Generator) -> Floats:
+        """(2,) m^2 and rad^2, the mean of these draws where three of four show anything at all, else nothing."""
+        draws = self.own_draws(0.0, DRAWS, rng)
+        return np.asarray(np.where(np.quantile(draws, 0.25, axis=0) > 0, draws.mean(axis=0), 0.0))
+
+    def unnoticed(self) -> float:
+        """m^2, mean square of position errors that so many poses held out do not tell from the noise of measuring
+        them.
+        """
+        return float(self.noise[:, 0].mean() * np.sqrt(2 / _degrees_of_freedom(self.squares[:, 0])))
+
+    def beyond(self) -> Floats:
+        """(2,) m^2 and rad^2, mean square of the true errors as estimated; 0 for what was not measured."""
+        return np.nan_to_num(np.maximum(self.squares.mean(axis=0) - self.noise.mean(axis=0), 0.0))
+
+
+def held_out_error_statistics(
+    errors: Floats, samples: Samples, label: Integers, stated: float = 0.0, parameters: Floats | None = None
+) -> HeldErrors:
+    """Held-out error statistics (HeldErrors) of errors (n, 6) m and rad, NaN where not measured.
+    samples : Samples that they are of; label : (n,) configuration of each
+    stated, parameters : as there, nothing by default
+    """
+    label = np.unique(label, return_inverse=True)[1]
+    size = np.bincount(label)
+    variances = np.einsum("nii->ni", samples.covariance)
+
+    def means(values: Floats) -> Floats:
+        each = np.stack([values[:, part].sum(axis=1) for part in PARTS], axis=1)
+        return np.stack([np.bincount(label, weights=column) for column in each.T], axis=1) / size[:, None]
+
+    first = np.argsort(np.unique(label, return_index=True)[1])
+    return HeldErrors(
+        means(errors**2)[first],
+        means(np.where(np.isinf(variances), np.nan, variances))[first],
+        stated,
+        parameters=np.zeros(2) if parameters is None else parameters,
+    )
+
+
+def standardised_residuals(
+    residuals: Floats, jacobian: Floats, covariance: Floats, noise: Floats, label: Integers
+) -> Floats:
+    """Standardised residuals (n, 6) of a linear fit: corrected for the noise that the fit absorbed, m and rad.
+
+    residuals : (n, 6); label : (n,) configuration of each sample; the rest as `held_out_parameter_error_squares`
+    Source: Cook and Weisberg, Residuals and Influence in Regression, 1982, section 2.1, by blocks
+    """
+    out = np.empty_like(residuals)
+    for own, L, U, share in _leverages(jacobian, covariance, noise, label):
+        left = np.linalg.solve(L, residuals[own, :, None]).ravel()
+        out[own] = (L @ (U / np.sqrt(1 - share) @ (U.T @ left)).reshape(-1, 6, 1))[..., 0]
+    return out
+
+
+def held_out_parameter_error_squares(jacobian: Floats, covariance: Floats, noise: Floats, part: Integers) -> Floats:
+    """Mean squares (2,) of held-out pose errors by parameters fitted without the samples of the same part.
+
+    jacobian : (n, 6, p) of poses with the parameters; covariance : (p, p) of the parameters of a fit of all samples;
+        noise : (n, 6, 6) by which that
+    fit weighed them; part : (n,) which are held out together
+    Source: Cook and Weisberg, Residuals and Influence in Regression, 1982, section 2.2, by blocks
+    """
+    out = np.empty(jacobian.shape[:2])
+    for own, L, U, share in _leverages(jacobian, covariance, noise, part):
+        out[own] = ((L @ (U * np.sqrt(share / (1 - share))).reshape(len(L), 6, -1)) ** 2).sum(axis=2)
+    return np.asarray(out.mean(axis=0).reshape(2, 3).sum(axis=1))
+
+
+def _leverages(
+    jacobian: Floats, covariance: Floats, noise: Floats, part: Integers
+) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
+    """Of each part (its samples (n,) bool, roots of their noise (m, 6, 6), directions (6 m, 6 m) of their whitened
+    poses, and of each direction the share, 0 to ALL_OWN, of what is known of it that these samples tell themselves)."""
+    for each in np.unique(part):
+        own = part == each
+        L = np.linalg.cholesky(noise[own])
+        white = np.linalg.solve(L, jacobian[own]).reshape(-1, jacobian.shape[2])
+        share, U = np.linalg.eigh(white @ covariance @ white.T)
+        yield own, L, U, share.clip(0, ALL_OWN)
+
+
+def _degrees_of_freedom(squares: Floats) -> float:
+    """Degrees of freedom of the mean of squares (c,), in order of time, as they scatter and as neighbours say the
+    same.
+    """
+    variance = squares.var(ddof=1) / len(squares) * autocorrelation_factor(squares)
+    most = INDEPENDENT * len(squares)
+    return float(np.clip(2 * squares.mean() ** 2 / max(variance, 1e-300), LEAST_FREEDOM, most))
+
+
+def draw_common_error_squares(samples: Samples, count: int, rng: np.random.Generator) -> Floats:
+    """Draws (count, 2) of the mean square of the samples' common pose errors, m^2 and rad^2."""
+    drawn = np.einsum("nik,kd->dni", samples.common, rng.normal(size=(samples.common.shape[2], count)))
+    return np.stack([(drawn[..., part] ** 2).sum(axis=2).mean(axis=1) for part in PARTS], axis=1)

@@ -16,15 +16,15 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification import measuring_limb_checks
-from calib.certification.measuring_limb_checks import Limbs
+from calib.certification import redundant_measuring_limb_checks
+from calib.certification.redundant_measuring_limb_checks import Limbs
 from calib.models.platform.identification import PRIOR, Identified, identify_platform
 from calib.samples.pose_samples import Samples, time_block_folds
-from rig.arrays import Booleans, Floats, Integers
+from rig.array_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Design, MeasuringLimbs
-from rig.model.mechanism_geometry import Hexapod
-from rig.model.mechanism_kinds import require_hexapod
+from rig.model.mechanism_geometry_classes import Hexapod
+from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
 from rig.model.mechanisms import hexapod as mechanism
 from rig.model.mechanisms import redundant_legs
 from rig.model.pose import pose_difference, pose_to_vector
@@ -84,7 +84,7 @@ def limb_hexapod(design: Design, limb_numbers: Integers | None = None) -> Hexapo
     hexapod = require_hexapod(
         design.mechanism, "measuring limbs are for hexapods, not for a mechanism of kind {kind!r}"
     )
-    return measuring_limb_checks.stated_limb_legs(limbs, hexapod.home).six(
+    return redundant_measuring_limb_checks.stated_limb_legs(limbs, hexapod.home).six(
         np.arange(6) if limb_numbers is None else limb_numbers
     )
 
@@ -115,8 +115,8 @@ def limb_readings(recording: Recording) -> tuple[Integers, Floats]:
     return frames[good], np.stack([np.interp(t[good], sensors.t, sensors.channels[name]) for name in channels], axis=1)
 
 
-def samples_by_limbs(samples: Samples, frames: Integers, lengths: Floats) -> Samples:
-    """Samples by limbs: the same poses with limb readings as their commands.
+def samples_with_limb_readings_as_commands(samples: Samples, frames: Integers, lengths: Floats) -> Samples:
+    """Samples with the measuring limbs' readings as commands, the poses those of vision.
     samples : Samples by vision; frames (f,), lengths (f, 6) m : as `limb_readings` gives them, of six.
 
     Raises NotEnoughData where no frame has both
@@ -193,13 +193,20 @@ def limb_agreement(
 
 
 def vision_agrees_with_limbs(
-    T_vision: RigidTransform, covariance: Floats, T_limbs: RigidTransform, own: Floats, common: Floats
+    T_vision: RigidTransform,
+    covariance: Floats,
+    T_limbs: RigidTransform,
+    limb_covariance: Floats,
+    common_error_columns: Floats,
 ) -> bool:
     """Whether vision (pose (), covariance (6, 6)) still agrees with the limbs (own (6, 6), common (6, k)), as an
     occasional check.
     """
     d = pose_difference(T_vision, T_limbs)
-    return bool(d @ np.linalg.solve(covariance + own + common @ common.T, d) < scipy.special.chdtri(6, TRUST))
+    return bool(
+        d @ np.linalg.solve(covariance + limb_covariance + common_error_columns @ common_error_columns.T, d)
+        < scipy.special.chdtri(6, TRUST)
+    )
 
 
 RARE = 1e-4  # share of sessions without a step in which one is found, all limbs and onsets together
@@ -224,7 +231,9 @@ def detect_limb_slip(samples: Samples, limbs: Limbs, sigma: float) -> Slip | Non
     """
     n, of = (
         len(samples),
-        redundant_legs.combine_legs([("m", limbs.hexapod, np.full(6, sigma), np.zeros((42, 42)))], limbs.hexapod.home),
+        redundant_legs.combine_leg_sets(
+            [("m", limbs.hexapod, np.full(6, sigma), np.zeros((42, 42)))], limbs.hexapod.home
+        ),
     )
     if n < 2 * LEAST:
         return None

@@ -6,23 +6,28 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.calibration import Calibration
-from calib.certification.distinct_configurations import (
+from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.held_out_errors import (
+    HeldErrors,
+    HeldOut,
+    compare_errors,
+    errors_before_and_after_correction,
+    is_significant_gain,
+)
+from calib.certification.held_out_poses_and_distinct_configurations import (
     LEAST,
     axis_ranges,
     configuration_folds,
     configuration_numbers,
     mean_sample_per_configuration,
 )
-from calib.certification.held_out_error_statistics import HeldErrors
-from calib.certification.held_out_errors import (
-    HeldOut,
-    compare_errors,
-    errors_before_and_after_correction,
-    is_significant_gain,
+from calib.certification.possible_machine_draws import (
+    COUNT,
+    StrutDeviationSizes,
+    draw_possible_machines,
+    draw_strut_deviation_sizes,
 )
-from calib.certification.machine_draws import COUNT, Sizes, draw_possible_machines, strut_deviation_sizes
-from calib.certification.possible_machines import Machines
+from calib.certification.strut_deviation_sizes_and_possible_machines import Machines
 from calib.certification.workspace_claim import Claim, draw_fit_variance_ratio, sample_workspace, workspace_claim
 from calib.correction.correction import AnyCorrection, Correction, calibrate_correction, identify_geometry
 from calib.correction.interpolation.gaussian_process import Radial
@@ -34,11 +39,11 @@ from calib.models.platform.identification import (
     loop_closure_jacobian,
     pose_parameter_jacobian,
 )
-from calib.models.platform.parameter_accuracy import stated_geometry_accuracy
+from calib.models.platform.parameter_accuracy import estimate_tolerance_of_stated_geometry
 from calib.samples.pose_samples import Samples, inverse_covariance
-from rig.arrays import Floats, Integers
-from rig.compute.parallel_map import parallel_map
-from rig.model.mechanism_kinds import Struts
+from rig.array_types import Floats, Integers
+from rig.compute.parallel_map_and_dask_cluster import parallel_map
+from rig.model.mechanism_kinds_and_hexapod_properties import Struts
 
 Progress = Callable[[str, int, int], None]  # called with (label, done, of) as work goes on
 
@@ -103,7 +108,9 @@ def certify_platform(
         said("fitting the geometry", 1, 1)
         return first
     sizes = strut_deviation_sizes_of_samples(samples, first, rng)
-    correction, found = calibrate_correction(samples, nominal, geometry=alone, only=sizes.of_place() > SURELY)
+    correction, found = calibrate_correction(
+        samples, nominal, geometry=alone, axes_with_remainder=sizes.of_place() > SURELY
+    )
     said("fitting the geometry", 1, 1)
     like, good = correction.remainder, sizes.inliers
     covariance = samples.total_covariance()[good]
@@ -122,7 +129,7 @@ def certify_platform(
         loss = [np.einsum("ni,nij,nj->n", e, weight, e) for e in (np.nan_to_num(after), np.nan_to_num(more[0]))]
         if is_significant_gain(loss[0] - loss[1]):
             done = Certified(correction, found, label, compare_errors(before, more[0], covariance, rng, label[good]))
-    return with_drawn_machines(samples, done, sizes, rng)
+    return certified_with_drawn_machines(samples, done, sizes, rng)
 
 
 def uncertified_geometry(nominal: Struts, identified: Identified, label: Integers) -> Certified:
@@ -161,12 +168,14 @@ def held_out_errors_by_fold(
     return out
 
 
-def strut_deviation_sizes_of_samples(samples: Samples, geometry: Certified, rng: np.random.Generator) -> Sizes:
+def strut_deviation_sizes_of_samples(
+    samples: Samples, geometry: Certified, rng: np.random.Generator
+) -> StrutDeviationSizes:
     """Sizes of strut deviations of samples beyond a geometry alone, each visit a sample."""
     nominal = geometry.correction.nominal
-    return strut_deviation_sizes(
+    return draw_strut_deviation_sizes(
         geometry.found,
-        stated_geometry_accuracy(_each_configuration(samples, geometry)[1], nominal),
+        estimate_tolerance_of_stated_geometry(_each_configuration(samples, geometry)[1], nominal),
         samples,
         geometry.label,
         nominal,
@@ -174,11 +183,13 @@ def strut_deviation_sizes_of_samples(samples: Samples, geometry: Certified, rng:
     )
 
 
-def with_drawn_machines(samples: Samples, certified: Certified, sizes: Sizes, rng: np.random.Generator) -> Certified:
-    """Certified with machines drawn from its samples and added."""
+def certified_with_drawn_machines(
+    samples: Samples, certified: Certified, sizes: StrutDeviationSizes, rng: np.random.Generator
+) -> Certified:
+    """Certified platform with possible machines drawn from its samples and added."""
     correction, found = certified.correction, _each_configuration(samples, certified)[1]
     noise = draw_fit_variance_ratio(found, correction.nominal, COUNT, rng)
-    known = stated_geometry_accuracy(found, correction.nominal)
+    known = estimate_tolerance_of_stated_geometry(found, correction.nominal)
     return add_machine_draws(
         certified,
         draw_possible_machines(
@@ -196,10 +207,10 @@ def add_machine_draws(certified: Certified, machines: Machines) -> Certified:
     return replace(certified, machines=machines, covariance=covariance, strut_covariance=struts)
 
 
-def with_refitted_correction(
+def certified_with_refitted_correction(
     certified: Certified, correction: Correction[Struts, Radial], identified: Identified
 ) -> Certified:
-    """Certified with a refitted correction and its Identified, of the same samples."""
+    """Certified platform with a refitted correction and its geometry, of the same samples."""
     moved = replace(certified, correction=correction, found=identified)
     if certified.machines is None:
         return moved
@@ -225,7 +236,7 @@ def platform_workspace_claim(samples: Samples, certified: Certified, rng: np.ran
     each, found = _each_configuration(samples, certified)
     return workspace_claim(
         found,
-        stated_geometry_accuracy(found, certified.correction.nominal),
+        estimate_tolerance_of_stated_geometry(found, certified.correction.nominal),
         certified.correction,
         each,
         rng,

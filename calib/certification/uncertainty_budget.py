@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
-from calib.certification.calibration import Calibration
-from calib.certification.held_out_poses import HeldPoses, Repeatability
+from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.held_out_poses_and_distinct_configurations import HeldPoses, Repeatability
 from calib.samples.pose_samples import Samples
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Recording, Sensors
 from vision.recording_adjustment import Measurement
@@ -126,14 +126,14 @@ def uncertainty_budget(
     repeat: Repeatability,
     measured: Sequence[tuple[Samples, Measurement | None]],
     scale: float | None,
-    warmth: Floats | None,
+    thermometer_covariances: Floats | None,
 ) -> Budget:
     """Uncertainty budget of held-out poses.
 
     model : (n, 6, 6) covariance that the calibration's parameters give each pose; repeat : Repeatability
     measured : (Samples, Measurement or None) of each recording
     scale : relative standard uncertainty of the targets' scale, None where nobody states one
-    warmth : (n, 6, 6) as `thermometer_covariance` has it
+    thermometer_covariances : (n, 6, 6) as `thermometer_covariance` has it
     """
     shared = np.sum([c @ np.swapaxes(c, 1, 2) for c in poses.common], axis=0)
     noise = rms_length_uncertainty(poses.own)
@@ -180,10 +180,10 @@ def uncertainty_budget(
         _row(
             "thermometer",
             "machine",
-            warmth,
+            thermometer_covariances,
             "A",
             "noise of the logged temperatures, through what is corrected by them"
-            if warmth is not None
+            if thermometer_covariances is not None
             else "nothing is corrected by a logged temperature, so no thermometer adds to a pose",
         ),
         _row("geometry", "machine", model, "A", "covariance of the fitted parameters, at the held-out poses"),
@@ -207,7 +207,9 @@ def uncertainty_budget(
     machine = model + physics + sum(part for part in (returns, datum) if part is not None)
     one = poses.own + shared
     totals = [
-        expanded_uncertainty(machine if warmth is None else machine + warmth.mean(axis=0)),
+        expanded_uncertainty(
+            machine if thermometer_covariances is None else machine + thermometer_covariances.mean(axis=0)
+        ),
         expanded_uncertainty(one if datum is None else one + datum),
     ]
     if not poses.rotations:
@@ -228,13 +230,13 @@ def _alike(errors: Floats, sizes: Sequence[float]) -> Floats:
     return out
 
 
-def thermometer_covariance(calibration: Calibration, held: Sequence[tuple[Recording, Samples]]) -> Floats | None:
+def thermometer_covariance(calibration: Calibration, poses: Sequence[tuple[Recording, Samples]]) -> Floats | None:
     """Covariance (n, 6, 6) of poses by thermometer noise through compensated physics; None where there is none.
 
     The noise is what a log shows against the straight line through a row's neighbours.
     """
     physics, found, followed = calibration.physics, [], False
-    for recording, samples in held:
+    for recording, samples in poses:
         sensors = recording.sensors
         added = np.zeros((len(samples), 6, 6))
         if physics is not None and sensors is not None and len(sensors.t) > 2:

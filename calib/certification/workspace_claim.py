@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.distinct_configurations import LEAST
-from calib.certification.held_out_error_statistics import HeldErrors
-from calib.certification.possible_machines import Machines
-from calib.correction.correction import AnyCorrection, Correction, commands_with_pose
+from calib.certification.held_out_errors import HeldErrors
+from calib.certification.held_out_poses_and_distinct_configurations import LEAST
+from calib.certification.strut_deviation_sizes_and_possible_machines import Machines
+from calib.correction.correction import AnyCorrection, Correction, solvable_commands_and_poses
 from calib.correction.interpolation.gaussian_process import Radial
 from calib.models.platform.identification import (
     PRIOR,
@@ -27,9 +27,9 @@ from calib.models.platform.identification import (
 )
 from calib.models.platform.parameter_accuracy import Tolerance, expand_parameter_widths
 from calib.samples.pose_samples import Samples
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.model import mechanisms
-from rig.model.mechanism_kinds import Struts
+from rig.model.mechanism_kinds_and_hexapod_properties import Struts
 from rig.model.pose import pose_difference
 from rig.planning.configuration_sets import FILL, sobol_configurations
 
@@ -169,8 +169,8 @@ def _both(squares: Floats) -> tuple[tuple[float, ...], ...]:
     return tuple(_three(np.sqrt(column)) for column in squares.T)
 
 
-def claim_of_too_few_configurations(information: ConfigurationInformation, workspace: str) -> Claim:
-    """Empty Claim of too few distinct configurations, with the reason."""
+def empty_claim_of_too_few_configurations(information: ConfigurationInformation, workspace: str) -> Claim:
+    """Empty claim, with its reason, where too few distinct configurations were recorded."""
     return Claim(
         *information,
         workspace,
@@ -201,7 +201,7 @@ def workspace_claim(
     samples: Samples,
     rng: np.random.Generator,
     machines: Machines | None = None,
-    left: HeldErrors | None = None,
+    held_out_errors: HeldErrors | None = None,
 ) -> Claim:
     """Claim of a calibration of a machine on struts.
 
@@ -219,7 +219,7 @@ def workspace_claim(
     middle = f"the middle {FILL * 100:.0f} % of every stroke, all struts free of each other"
     told = ConfigurationInformation(distinct, determined, better, len(identified.prior), _tolerance_in_words(tolerance))
     if distinct < LEAST:
-        return claim_of_too_few_configurations(told, middle)
+        return empty_claim_of_too_few_configurations(told, middle)
     commands, T = sample_workspace(correction)
     offset = pose_difference(T, mechanisms.kinematics_of(nominal).forward(commands, nominal))
     back, J = inverse_strut_length_jacobian(T, fitted), pose_parameter_jacobian(T, fitted)
@@ -230,10 +230,10 @@ def workspace_claim(
         corrected = tuple(part is not None for part in correction.remainder)
         return replace(claim, unexplained=machines.unexplained(corrected, mechanisms.kinematics_of(nominal).AXIS))
     stated = extension_error_squares(correction, commands, back)
-    if left is None:
+    if held_out_errors is None:
         own = _scatters(identified, rng) @ (back**2).mean(axis=0).reshape(2, 3, -1).sum(axis=1).T + stated
     else:
-        own = left.own_draws(float(stated[0]), DRAWS, rng)
+        own = held_out_errors.own_draws(float(stated[0]), DRAWS, rng)
     draws = _machines(identified, tolerance, nominal, rng) - (
         geometric_parameters(fitted) - geometric_parameters(nominal)
     )
@@ -242,7 +242,7 @@ def workspace_claim(
 
 def sample_workspace(correction: AnyCorrection) -> tuple[Floats, RigidTransform]:
     """Samples of the workspace: (commands (m, axes) m, poses (m,) of the corrected machine)."""
-    return commands_with_pose(sobol_configurations(correction.nominal.strut_range, PLACES, FILL), correction)
+    return solvable_commands_and_poses(sobol_configurations(correction.nominal.strut_range, PLACES, FILL), correction)
 
 
 def draw_fit_variance_ratio(identified: Identified, nominal: Struts, count: int, rng: np.random.Generator) -> Floats:
@@ -250,10 +250,10 @@ def draw_fit_variance_ratio(identified: Identified, nominal: Struts, count: int,
     return draw_variance_ratio(identified.cost, len(nominal.axes) * int(identified.inliers.sum()), count, rng)
 
 
-def extension_error_squares(correction: AnyCorrection, commands: Floats, back: Floats) -> Floats:
+def extension_error_squares(correction: AnyCorrection, commands: Floats, inverse_jacobian: Floats) -> Floats:
     """Mean squares (2,) of pose errors by a correction's extension at commands (m, axes), m^2 and rad^2.
 
-    back : (m, 6, axes) change of the pose with the axes there
+    inverse_jacobian : (m, 6, axes) change of the pose with the axes there
     """
     square = (
         np.zeros((len(commands), 6))
@@ -261,7 +261,7 @@ def extension_error_squares(correction: AnyCorrection, commands: Floats, back: F
         else correction.posed_error(correction.predict(commands)) ** 2
     )
     if correction.extension is not None:
-        square = square + (back**2 @ (correction.extension.error(commands) ** 2)[..., None])[..., 0]
+        square = square + (inverse_jacobian**2 @ (correction.extension.error(commands) ** 2)[..., None])[..., 0]
     return np.asarray(square.mean(axis=0).reshape(2, 3).sum(axis=1))
 
 

@@ -15,11 +15,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.correction.interpolation import gaussian_process
-from calib.correction.interpolation.field import Field
-from calib.correction.interpolation.field_combinations import RestrictedMap
+from calib.correction.interpolation.field_and_combinations import Field, RestrictedMap
 from calib.correction.interpolation.gaussian_process import Radial
 from calib.correction.interpolation.grid import Simplex
-from calib.correction.pose_space_map import PoseMap
+from calib.correction.pose_route_and_pose_space_map import PoseMap
 from calib.models.platform.identification import (
     Identified,
     identify_platform,
@@ -27,15 +26,15 @@ from calib.models.platform.identification import (
     pose_parameter_jacobian,
     strut_length_jacobian,
 )
-from calib.models.platform.parameter_accuracy import stated_geometry_accuracy
+from calib.models.platform.parameter_accuracy import estimate_tolerance_of_stated_geometry
 from calib.samples.pose_samples import Samples
-from rig.arrays import Booleans, Floats, Integers
-from rig.compute.parallel_map import parallel_map
-from rig.effects.framework.diagnosis_interface import PLOT_UNITS
+from rig.array_types import Booleans, Floats, Integers
+from rig.compute.parallel_map_and_dask_cluster import parallel_map
+from rig.effects.framework.effect_data_types import PLOT_UNITS
 from rig.errors import NotConverged, RigError, Unreachable
 from rig.model import mechanisms
-from rig.model.mechanism_geometry import Arm, Chain, Hexapod, Planar2
-from rig.model.mechanism_kinds import Struts, require_struts
+from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
+from rig.model.mechanism_kinds_and_hexapod_properties import Struts, require_struts
 
 ITERATIONS = 100
 TOLERANCE = 1e-12  # m
@@ -254,16 +253,16 @@ class Correction(Generic[M, R]):
 AnyCorrection = Correction[Any, Any]  # of any kind of machine: which one is known only once a file is read
 
 
-def commands_with_pose(commands: Floats, correction: AnyCorrection) -> tuple[Floats, RigidTransform]:
-    """Commands (m, axes) that close on a pose, and these poses (k,). Raises NotConverged where none does."""
-    index, T = filter_closed_commands(commands, correction.predict)
+def solvable_commands_and_poses(commands: Floats, correction: AnyCorrection) -> tuple[Floats, RigidTransform]:
+    """Commands whose forward kinematics has a solution, and these poses (k,). Raises NotConverged where none has."""
+    index, T = indices_and_poses_of_solvable_commands(commands, correction.predict)
     return commands[index], T
 
 
-def filter_closed_commands(
+def indices_and_poses_of_solvable_commands(
     commands: Floats, predict: Callable[[Floats], RigidTransform]
 ) -> tuple[Integers, RigidTransform]:
-    """(indices (k,) of the commands that close on a pose, these poses (k,)), by a prediction of poses.
+    """Indices (k,) of commands whose forward kinematics has a solution, and these poses (k,).
 
     Raises NotConverged where none does
     """
@@ -299,14 +298,16 @@ def require_reachable(commands: Floats, mechanism: Struts | Arm | Chain, labels:
     raise Unreachable(f"{len(bad)} of {len(commands)} wanted poses cannot be reached:", bad, lines)
 
 
-def identify_geometry(samples: Samples, nominal: Struts, near: Identified | None = None) -> Identified:
+def identify_geometry(samples: Samples, nominal: Struts, similar_fit: Identified | None = None) -> Identified:
     """Identified geometry of samples alone, no remainder taken off. near : Identified of most of the same samples,
     whose prior is taken over, or None: how good the owner's figures are is told by these samples. Raises NotEnoughData
     as `identify`"""
-    if near is None:
+    if similar_fit is None:
         first = identify_platform(samples, nominal)
-        return identify_platform(samples, nominal, prior=stated_geometry_accuracy(first, nominal).prior, near=first)
-    return identify_platform(samples, nominal, prior=near.prior, near=near)
+        return identify_platform(
+            samples, nominal, prior=estimate_tolerance_of_stated_geometry(first, nominal).prior, similar_fit=first
+        )
+    return identify_platform(samples, nominal, prior=similar_fit.prior, similar_fit=similar_fit)
 
 
 def calibrate_correction(
@@ -314,7 +315,7 @@ def calibrate_correction(
     nominal: Struts,
     remainder: str | tuple[Radial | None, ...] = "find",
     geometry: Identified | None = None,
-    only: Booleans | None = None,
+    axes_with_remainder: Booleans | None = None,
 ) -> tuple[Correction[Struts, Radial], Identified]:
     """(Correction, Identified) calibrated on samples: geometry fitted, then its remainder extended.
 
@@ -322,7 +323,7 @@ def calibrate_correction(
     remainder : "find" keeps a strut's where it stands out of the noise; "none" fits the geometry alone; a tuple of
     Radial or None takes over size and smoothness from there; geometry : `identify_geometry` of the same, where it is
     known already
-    only : (axes,) bool, the struts that may have one where it is to be found; all by default
+    axes_with_remainder : (axes,) bool, the struts that may have one where it is to be found; all by default
     Raises RigError for a machine without struts, NotEnoughData as `identify`
     """
     nominal = require_struts(nominal)
@@ -335,7 +336,7 @@ def calibrate_correction(
         or (like is remainder and not any(like))
     ):
         return Correction(nominal, found.mechanism, parts), found
-    may = np.ones(len(nominal.axes), bool) if only is None else only
+    may = np.ones(len(nominal.axes), bool) if axes_with_remainder is None else axes_with_remainder
     for _ in range(ROUNDS):
         parts = _remainder(samples, found, nominal, parts, like, may)
         found = identify_platform(

@@ -21,11 +21,11 @@ from calib.models.platform.identification import (
 )
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import RigError
 from rig.model.design import Camera, Design
-from rig.model.mechanism_geometry import Hexapod
-from rig.model.mechanism_kinds import Struts, require_hexapod
+from rig.model.mechanism_geometry_classes import Hexapod
+from rig.model.mechanism_kinds_and_hexapod_properties import Struts, require_hexapod
 from rig.model.mechanisms import hexapod as mechanism
 from rig.model.pose import exp, skew
 from vision import lens
@@ -153,7 +153,7 @@ def _camera(camera: Camera, q: Floats) -> Camera:
 
 
 def refine_correction_with_cameras(
-    sampled: Sampled, design: Design, correction: Correction[Struts, Radial], found: Identified
+    sampled: Sampled, design: Design, correction: Correction[Struts, Radial], identified: Identified
 ) -> tuple[Correction[Struts, Radial], Identified]:
     """(Correction, Identified) refined with cameras, by the joint fit of a recording's corners.
 
@@ -163,21 +163,21 @@ def refine_correction_with_cameras(
     """
     if sampled.measurement is None:
         raise RigError(f"a joint solve takes corners or images; these poses came from {sampled.source}")
-    if found.scatter.any():
-        i = int(np.argmax(found.scatter))
+    if identified.scatter.any():
+        i = int(np.argmax(identified.scatter))
         raise RigError(
             f"a joint solve takes struts that do as commanded; strut {i + 1} scatters by "
-            f"{found.scatter[i] * 1e6:.1f} um beyond the poses"
+            f"{identified.scatter[i] * 1e6:.1f} um beyond the poses"
         )
-    corners, commanded, state = joint_fit_inputs(sampled.measurement, sampled.samples.take(found.inliers))
+    corners, commanded, state = joint_fit_inputs(sampled.measurement, sampled.samples.take(identified.inliers))
     done = fit_cameras_and_geometry(
         corners,
         commanded - correction.rho(commanded),
         state,
         design.cameras,
         require_hexapod(correction.nominal),
-        require_hexapod(found.mechanism),
+        require_hexapod(identified.mechanism),
     )
     return replace(correction, fitted=done.mechanism), replace(
-        found, mechanism=done.mechanism, covariance=done.covariance, root=done.root
+        identified, mechanism=done.mechanism, covariance=done.covariance, root=done.root
     )

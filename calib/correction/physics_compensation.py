@@ -12,17 +12,17 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.correction.correction import AnyCorrection
-from calib.correction.pose_route import Route
+from calib.correction.pose_route_and_pose_space_map import Route
 from calib.samples.pose_samples import Samples
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms, motion_simulation
 from rig.model import motion_simulation as machine
 from rig.model.design import Actuator, Design, Platform
-from rig.model.mechanism_geometry import Arm, Chain
-from rig.model.mechanism_kinds import Struts, has_struts
+from rig.model.mechanism_geometry_classes import Arm, Chain
+from rig.model.mechanism_kinds_and_hexapod_properties import Struts, has_struts
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Sensors
 
@@ -43,7 +43,7 @@ class Unknown:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Physics:
-    """effects : Effects found; own : (c, c) covariance of their coordinates (rig.effects.framework.fit_coordinates), in
+    """effects : Effects found; own : (c, c) covariance of their coordinates (rig.effects.framework.effect_checks_and_fit_coordinates), in
     order; cross : (p, c) of the geometry's p parameters with these; gravity, actuator, platform : of the machine as its
     owner states them, which effects look at
     channels : {sensor channel: (median, standard deviation)} while all this was learnt; unknown : what has no name."""

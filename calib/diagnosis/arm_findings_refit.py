@@ -7,18 +7,17 @@ from threadpoolctl import threadpool_limits
 
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.correction.physics_compensation import Physics
-from calib.diagnosis.platform_findings_refit import Findings, sensor_medians_and_deviations
+from calib.diagnosis.platform_findings_refit import Findings, sensor_medians_and_standard_deviations
 from calib.diagnosis.problems.temperature_smoothing import smooth_temperatures
-from calib.models.arm.certification import UNPLACED, Certified, start_arm
-from calib.models.arm.error_model import parameter_names
-from calib.models.arm.geometry_and_joint_effects_fit import History, JointFit, Prior, fit_geometry_and_effects
-from calib.models.arm.instrument_observations import sample_observations
+from calib.models.arm.certification import UNPLACED, CertifiedArm, start_arm
+from calib.models.arm.error_model_and_observations import parameter_names, sample_observations
+from calib.models.arm.joint_effects_fit_and_held_out_scatter import History, JointFit, Prior, fit_geometry_and_effects
 from calib.samples.recording_samples import Sampled
-from rig.arrays import Floats
-from rig.effects.framework.fit_coordinates import coordinates_of_effects
+from rig.array_types import Floats
+from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.mechanism_kinds import require_arm
+from rig.model.mechanism_kinds_and_hexapod_properties import require_arm
 from rig.recording.recording_folder import Recording
 
 
@@ -29,7 +28,7 @@ class ArmRefit:
     together: JointFit
     physics: Physics
 
-    def with_geometry(self, done: Certified) -> tuple[Physics, Floats]:
+    def with_geometry(self, done: CertifiedArm) -> tuple[Physics, Floats]:
         """(Physics, (p, p) covariance of the geometry, m and rad), of a geometry certified on these samples and the
         physics together.
         """
@@ -76,7 +75,7 @@ def refit_arm_with_findings(
         design.gravity,
         design.actuator,
         design.platform,
-        sensor_medians_and_deviations(recording, samples.t),
+        sensor_medians_and_standard_deviations(recording, samples.t),
         findings.unknown,
     )
     return ArmRefit(found, physics)

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import gammaincinv
 
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence import OfCalibrations, calibration_evidence, verify_claim_on_samples
 from calib.certification.held_out_errors import pose_errors
 from calib.certification.workspace_claim import Claim
@@ -24,19 +24,18 @@ from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.diagnosis.report import report_sentences
 from calib.diagnosis.report.diagnosis_json import UNKNOWN
-from calib.diagnosis.report.diagnosis_report import Report, doubts, unexplained_sentences
+from calib.diagnosis.report.diagnosis_report import Report, doubts_of_report, unexplained_sentences
 from calib.diagnosis.report.report_entries import diagnosis_report
 from calib.files import calibration_file
 from calib.files.calibration_from_recording import SEED
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import NotEnoughData
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_frames import Marks, frames_with_known_hashes
-from rig.report.refutations import refutations_of_file
-from rig.report.verdict import State
+from rig.report.verdict_and_refutations_of_results import State, refutations_of_file
 
 LARGEST = 50_000_000  # bytes of a file that is looked into
 NOT_SEARCHED = "nobody looked for what it leaves out"
@@ -81,7 +80,7 @@ def _add_left_out_physics(calibration: Calibration, report: Report, samples: Sam
     """
     if _refutes_calibration(report, calibration, samples):
         calibration = replace(calibration, claim=_widened_claim(calibration, samples))
-    return _with(calibration, (*unexplained_sentences(report), *(one.text for one in doubts(report))))
+    return _with(calibration, (*unexplained_sentences(report), *(one.text for one in doubts_of_report(report))))
 
 
 def _refutes_calibration(report: Report, calibration: Calibration, samples: Samples) -> bool:
@@ -170,11 +169,11 @@ def refuted_calibrations(
 
 
 def unexplained_and_refuted_calibrations(
-    marks: Marks, paths: Iterable[Path], later_refutations: bool
+    marks: Marks, paths: Iterable[Path], include_later_refutations: bool
 ) -> OfCalibrations:
-    """OfCalibrations of a recording by its marks: what they leave unexplained, which are refuted.
+    """What calibrations of a recording leave unexplained, and which of them are refuted, by its marks.
 
-    later_refutations : whether what other recordings found against them counts, as for what is learnt from the
+    include_later_refutations : whether what other recordings found against them counts, as for what is learnt from the
         recording itself
     """
     refuted: list[str] = []
@@ -183,9 +182,9 @@ def unexplained_and_refuted_calibrations(
         if any(tree.get(key) for key in BEYOND):
             continue
         known = calibration_evidence(
-            calibration_file.load(path), refutations_of_file(path) if later_refutations else ()
+            calibration_file.load(path), refutations_of_file(path) if include_later_refutations else ()
         )
-        refuted += [f"{path.name} {text}" for text in known.refuted] if later_refutations else []
+        refuted += [f"{path.name} {text}" for text in known.refuted] if include_later_refutations else []
         left += known.unexplained
     return OfCalibrations(tuple(dict.fromkeys(refuted)), tuple(dict.fromkeys(left)))
 

@@ -7,17 +7,17 @@ import numpy as np
 
 from calib.diagnosis.problems.platform.linearised_residuals import linearise
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint, group_sightings
-from calib.models.arm import error_model
-from calib.models.arm.identification import independent_arm_parameters
-from calib.models.geometric_parameters import geometric_parameters
+from calib.models.arm import error_model_and_observations
+from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters
+from calib.models.machine_models import independent_geometric_parameters
 from calib.models.platform.identification import PRIOR, loop_closure_jacobian
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Design
-from rig.model.mechanism_geometry import Arm
-from rig.model.mechanism_kinds import has_plates
+from rig.model.mechanism_geometry_classes import Arm
+from rig.model.mechanism_kinds_and_hexapod_properties import has_plates
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Recording, Sensors
@@ -51,7 +51,7 @@ def effect_separation(
         nobody commands, and what the machine raises
     """
     poses = [
-        motion_simulation.run_machine(design, commands, t, acting, sensors).T_base_platform
+        motion_simulation.simulate_machine_run(design, commands, t, acting, sensors).T_base_platform
         for acting in ((), *((effect,) for effect in effects))
     ]
     still, moved, m = poses[0], poses[1:], design.mechanism
@@ -62,7 +62,7 @@ def effect_separation(
         parts = [W @ (hexapod.inverse(T, m) - hexapod.inverse(still, m))[..., None] for T in moved]
         rows, prior = W @ loop_closure_jacobian(still, m), np.full(42, PRIOR)
     else:
-        asked, white = geometric_parameters(m), 1 / np.repeat(sigma, 3)
+        asked, white = independent_geometric_parameters(m), 1 / np.repeat(sigma, 3)
         parts = [pose_difference(still, T) * white for T in moved]
         rows, prior = asked.jacobian(commands.at(t)) * white[:, None], asked.size
     a, b = (part.ravel() for part in parts)
@@ -103,7 +103,7 @@ def platform_effect_signal_to_noise(
     observations = replace(observations, covariance=np.broadcast_to(noise**2 * np.eye(2), (len(observations), 2, 2)))
 
     def world(acting: Iterable[Effect]) -> OperatingPoint:
-        T = motion_simulation.run_machine(
+        T = motion_simulation.simulate_machine_run(
             true_design, commands, t, [e for e in acting if e.stage != "view"], sensors
         ).T_base_platform
         point = OperatingPoint(true_design, stated, frames, t, T, {}, None, commands, sensors, None, tuple(acting))
@@ -130,17 +130,17 @@ def arm_effect_signal_to_noise(
         as they truly were
     sigma : (2,) m and rad, or (1,) m where positions alone are measured. Raises RigError for what is no arm
     """
-    whole = motion_simulation.run_machine(true_design, commands, t, effects, sensors).T_base_platform
+    whole = motion_simulation.simulate_machine_run(true_design, commands, t, effects, sensors).T_base_platform
     arm, k = true_design.mechanism, 3 * len(sigma)
     if not isinstance(arm, Arm):
         raise RigError(f"this takes an arm, not a mechanism of kind {arm.kind!r}")
     q = motion_simulation.motion_of_commands(true_design, commands, t, effects, sensors).lengths
     free = independent_arm_parameters(arm, "pose" if k == 6 else "position")
-    J = error_model.parameter_jacobian(q, arm)[:, :k][..., free] / np.repeat(sigma, 3)[:, None]
+    J = error_model_and_observations.parameter_jacobian(q, arm)[:, :k][..., free] / np.repeat(sigma, 3)[:, None]
     Q = np.linalg.qr(J.reshape(len(t) * k, -1))[0]
     out = []
     for i in range(len(effects)):
-        bare = motion_simulation.run_machine(
+        bare = motion_simulation.simulate_machine_run(
             true_design, commands, t, [e for j, e in enumerate(effects) if j != i], sensors
         ).T_base_platform
         moved = (pose_difference(bare, whole)[:, :k] / np.repeat(sigma, 3)).ravel()

@@ -15,23 +15,23 @@ from calib.diagnosis.engine.lack_of_fit import LackOfFit
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.misplaced_markers_and_frames import correct_marker_swaps
 from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording, without_distant_corners
-from calib.diagnosis.problems.platform.simultaneous_refinement import Refined, refine
+from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement, refine_operating_point
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report.diagnosis_json import SCHEMA, UNKNOWN
 from calib.models.platform.identification import Loops, geometric_parameters
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled, samples_within_freedoms
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of_effects
-from rig.effects.framework.place import Place
-from rig.effects.texts.effect_notation import Kinds
+from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
+from rig.effects.framework.effect_data_types import Place
+from rig.effects.texts.effect_text_and_dict import Kinds
 from rig.errors import FileError
 from rig.formats import machine_json, structured_files
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files.folder_manifest import load_manifest as manifest
-from rig.model.mechanism_kinds import require_struts
+from rig.model.mechanism_kinds_and_hexapod_properties import require_struts
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_frames import content_hashes, frames_with_known_hashes
 
@@ -55,7 +55,7 @@ class PlatformRefit:
 
     samples: Samples
     physics: Physics
-    refined: Refined
+    refined: Refinement
 
     def with_geometry(self, done: Certified) -> tuple[Physics, Floats]:
         """(Physics, (p, p) m^2 covariance of the geometry), of a geometry certified on these samples and the physics
@@ -109,9 +109,9 @@ def findings_of_diagnosis(diagnosis: Diagnosis) -> Findings:
     return Findings(diagnosis.machine_effects, None, unexplained_findings(diagnosis.left))
 
 
-def unexplained_findings(left: Iterable[LackOfFit]) -> tuple[Unknown, ...]:
+def unexplained_findings(lacks_of_fit: Iterable[LackOfFit]) -> tuple[Unknown, ...]:
     """Findings that stay unexplained: what is left over and has no name."""
-    return tuple(Unknown(u.place, u.magnitude, u.unit, tuple(u.depends_on), False) for u in left)
+    return tuple(Unknown(u.place, u.magnitude, u.unit, tuple(u.depends_on), False) for u in lacks_of_fit)
 
 
 def load_findings(folder: Path, recording: Recording, kinds: Kinds = BY_NAME) -> Findings:
@@ -180,7 +180,9 @@ def refit_platform_with_findings(
     said("refining physics and geometry together", 0, 1)
     point, _, _ = operating_point_of_recording(recording, progress, sampled=sampled)
     point = without_distant_corners(correct_marker_swaps(point, [e for e in findings.effects if e.discrete]))
-    refined = refine(point.with_effects(e for e in findings.effects if not e.discrete), Sensitivities(point))
+    refined = refine_operating_point(
+        point.with_effects(e for e in findings.effects if not e.discrete), Sensitivities(point)
+    )
     effects, own = _combined(refined, findings)
     said("refining physics and geometry together", 1, 1)
     k, samples = refined.point.with_effects(_motion(effects)), sampled.samples
@@ -195,13 +197,13 @@ def refit_platform_with_findings(
         design.gravity,
         design.actuator,
         design.platform,
-        sensor_medians_and_deviations(recording, samples.t),
+        sensor_medians_and_standard_deviations(recording, samples.t),
         findings.unknown,
     )
     return PlatformRefit(replace(samples, known=known), physics, refined)
 
 
-def _combined(refined: Refined, findings: Findings) -> tuple[tuple[Effect, ...], Floats]:
+def _combined(refined: Refinement, findings: Findings) -> tuple[tuple[Effect, ...], Floats]:
     """(effects, (c, c) covariance of their coordinates) as refined, and where another recording told them, by both
     together.
     """
@@ -221,8 +223,8 @@ def _motion(effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
     return tuple(e for e in effects if e.stage in MOTION_STAGES)
 
 
-def sensor_medians_and_deviations(recording: Recording, t: Floats) -> dict[str, tuple[float, float]]:
-    """{channel: (median, standard deviation)} of a recording's sensors at times t (n,) s."""
+def sensor_medians_and_standard_deviations(recording: Recording, t: Floats) -> dict[str, tuple[float, float]]:
+    """Median and standard deviation of each sensor channel at times t (n,) s: {channel: (median, deviation)}."""
     if recording.sensors is None:
         return {}
     values = {name: recording.sensors.at(t, name) for name in recording.sensors.channels}

@@ -1,4 +1,4 @@
-"""A recording -> its Diagnosis, whatever the machine and the instrument: which effect sits where, how large, how sure,
+"""Diagnosis of a recording of any machine: which effect sits where, how large, how sure,
 what nobody can name.
 """
 
@@ -8,15 +8,14 @@ from typing import Any, NamedTuple
 
 from threadpoolctl import threadpool_limits
 
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.diagnosis.engine.cross_validation import CrossValidation
 from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Fit, Progress
 from calib.diagnosis.engine.selection_inputs import NO_STATED_TERMS, C, NotAsked, Outliers, StatedTerms
 from calib.diagnosis.engine.term_selection import Selection, remove_unsupported_findings, select_terms
-from calib.diagnosis.problems.formula_suggestion import Suggestion
-from calib.diagnosis.problems.measured_evidence import (
+from calib.diagnosis.problems.evidence_interface import (
     Evidence,
     HeldOutPoses,
     IntervalWidening,
@@ -32,15 +31,16 @@ from calib.diagnosis.problems.measured_evidence import (
     Tolerable,
     ToleratedFindings,
 )
+from calib.diagnosis.problems.formula_suggestion import Suggestion
 from calib.diagnosis.problems.requested_effects import RequestedEffects
 from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
 from calib.samples.recording_samples import Sampled
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.user_effect_files import Plugin
+from rig.effects.texts.user_effect_file_loading import Plugin
 from rig.model.design import Design
-from rig.recording.recording_folder import Part, Recording
-from rig.recording.time_origin import Origin
+from rig.recording.recording_folder import Recording, RecordingPart
+from rig.recording.time_origin import TimeOrigin
 
 ROUNDS = 3  # of explaining anew without what turned out to be wild
 
@@ -96,8 +96,8 @@ class Diagnosis:
     suggestions: tuple[Suggestion, ...]
     outliers: Outliers
     options: DiagnosisOptions = DiagnosisOptions()
-    origin: Origin = Origin()
-    parts: tuple[Part, ...] = ()
+    origin: TimeOrigin = TimeOrigin()
+    parts: tuple[RecordingPart, ...] = ()
     confounds: Confounds | None = None
 
     @property
@@ -158,10 +158,10 @@ def _measured_evidence(recording: Recording) -> Callable[..., Evidence[Any, Any]
     """The function that makes Evidence of a recording of its kind of machine: only what that takes is imported."""
     mechanism = recording.design.mechanism
     if mechanism.axes and mechanism.strut_joints is None:
-        from calib.diagnosis.problems.arm.arm_evidence import arm_evidence
+        from calib.diagnosis.problems.arm.arm_recording_evidence import arm_evidence
 
         return arm_evidence
-    from calib.diagnosis.problems.platform.platform_evidence import platform_evidence
+    from calib.diagnosis.problems.platform.platform_recording_evidence import platform_evidence
 
     return platform_evidence
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.drift.change_evidence import ALARM, SOMETHING, Suspect, Verdict
-from calib.drift.first_visit_reference import Reference
+from calib.drift.visit_equations_and_reference import Reference
 
 SHOWN = 3  # suspects that are listed
 LEAST = 0.01  # odds below which none but the first is
@@ -40,10 +40,10 @@ REMEASURE = {
 
 
 def change_verdict_lines(
-    verdict: Verdict, name: str, names: Sequence[str], reference: Reference, scale: float, allowed: bool = False
+    verdict: Verdict, name: str, names: Sequence[str], reference: Reference, scale: float, within_claim: bool = False
 ) -> list[str]:
     """Lines on a visit's change verdict. names : of the visits in order; scale : see History.scale
-    allowed : whether what a first visit disagrees by is within the calibration's claim.
+    within_claim : whether what a first visit disagrees by is within the calibration's claim.
     """
     agree = np.sqrt(verdict.square / verdict.count / scale)
     against = "the visits before" if verdict.chance is None else "the calibration"
@@ -59,7 +59,7 @@ def change_verdict_lines(
         ]
     first, named = verdict.suspects[0], verdict.named
     since = "since the calibration" if first.since == 0 else f"since {names[first.since]}"
-    if allowed:
+    if within_claim:
         what = "without a name" if named is None else f"likeliest {_said(named, reference)}"
         out.append(
             f"  THE CALIBRATION LEAVES SOMETHING OUT, there from the beginning or since, {what}; its claim "

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.certification.calibration import Calibration
-from calib.drift.visit_equations import (
+from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.drift.visit_equations_and_reference import (
     AT_ORIGIN,
     GAP,
     OWN,
@@ -21,8 +21,8 @@ from calib.drift.visit_equations import (
 )
 from calib.models.platform.identification import pose_parameter_jacobian
 from calib.models.platform.optimal_configurations import allowed_configurations
-from calib.workspace.reachable_poses import is_pose_lost
-from rig.arrays import Floats, Integers
+from calib.workspace.workspace_cells_and_reachable_poses import is_pose_lost
+from rig.array_types import Floats, Integers
 from rig.errors import RigError
 from rig.model.design import Actuator, Design
 from rig.planning import configuration_sets

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.drift.change_evidence import (
     Verdict,
     change_hypotheses,
@@ -15,8 +15,7 @@ from calib.drift.change_evidence import (
     prior_information,
     unexplained_squares,
 )
-from calib.drift.first_visit_reference import Reference
-from calib.drift.visit_equations import GEOMETRY, OWN, Equations, visit_equations
+from calib.drift.visit_equations_and_reference import GEOMETRY, OWN, Equations, Reference, visit_equations
 from rig.errors import FileError, RigError
 from rig.formats import structured_files
 from rig.formats.checked_entries import Entries

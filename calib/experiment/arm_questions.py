@@ -19,9 +19,9 @@ from calib.diagnosis.problems.arm.linearised_poses import Arms, Geometry, linear
 from calib.diagnosis.problems.arm.nonlinear_parameters import has_continuous_parameters, optimise_nonlinear_parameters
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
 from calib.diagnosis.problems.arm.whitened_columns import Columns, Part
-from calib.diagnosis.problems.platform.temperature_alternatives import WARM
+from calib.diagnosis.problems.platform.temperature_effects_as_alternatives import WARM
 from calib.diagnosis.recording_diagnosis import Diagnosis
-from calib.experiment.experiment_question import (
+from calib.experiment.experiment_questions_and_information import (
     PerFrame,
     Prediction,
     Question,
@@ -32,9 +32,9 @@ from calib.experiment.experiment_question import (
     rival_hypotheses,
 )
 from calib.experiment.predicted_recording import predicted_sensor_log
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.errors import RigError
-from rig.model.mechanism_geometry import Arm
+from rig.model.mechanism_geometry_classes import Arm
 from rig.planning.plan_construction_and_table import Plan
 
 WEAK = 1e-10  # of the greatest singular value; directions below are none

@@ -1,4 +1,4 @@
-"""Who carries out the plans of an investigation: a simulated machine, the driver, or somebody by hand."""
+"""Machine that carries out an investigation's plans: simulated, by the driver, or somebody by hand."""
 
 import hashlib
 import json
@@ -11,8 +11,8 @@ from rig.driving.run_journal import Ended, read_journal
 from rig.driving.run_steps_and_progress import steps_of_plan
 from rig.errors import RigError
 from rig.formats.rig_toml import design_file
-from rig.model.cube_remounting import quarter_turns, turning_instructions
 from rig.model.design import Design
+from rig.model.design_comparison_and_cube_remounting import quarter_turns_of_cubes, turning_instructions
 from rig.planning.plan import build_plan
 from rig.planning.plan_construction_and_table import Plan
 
@@ -113,7 +113,7 @@ class InvestigatedRig:
         if begun and _done(out / "journal.jsonl"):
             return
         cubes = dict(build_plan(self.design, f"commands:{plan}").turned)
-        todo = turning_instructions(cubes, quarter_turns(self.design))
+        todo = turning_instructions(cubes, quarter_turns_of_cubes(self.design))
         if todo:
             then = f"  then say so in {self.path}, {_said(cubes)}, and give the same command with --resume"
             raise Waiting("\n".join(["to do, before the struts move:", *(f"  {text}" for text in todo), then]))
@@ -139,7 +139,7 @@ class InvestigatedRig:
         """Raise RigError where a recording by hand does not say that cubes stood as its plan has them."""
         wanted, told = (
             dict(build_plan(self.design, f"commands:{plan}").turned),
-            quarter_turns(design_file.load_design(out / "rig.toml")),
+            quarter_turns_of_cubes(design_file.load_design(out / "rig.toml")),
         )
         if told != wanted:
             raise RigError(

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.diagnosis.problems.platform.operating_point import OperatingPoint, cube_seats, group_sightings
-from calib.diagnosis.problems.platform.simultaneous_refinement import Refined
+from calib.diagnosis.problems.platform.operating_point import OperatingPoint, group_sightings, remounted_cube_seats
+from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Design
@@ -58,22 +58,22 @@ def predicted_sensor_log(log: Sensors | None, plan: Plan, temperature_rise: floa
     return sensors_with_payload(plan, Sensors(log.t[:end], first))
 
 
-def fitted_design(fit: Refined, design: Design) -> Design:
+def fitted_design(fit: Refinement, design: Design) -> Design:
     """Design with the geometry and the cameras as fitted."""
     cameras = {c.name: c for c in fit.point.design.cameras}
     return replace(design, mechanism=fit.point.design.mechanism, cameras=tuple(cameras[c.name] for c in design.cameras))
 
 
-def predicted_poses(fit: Refined, design: Design, plan: Plan, sensors: Sensors | None) -> RigidTransform:
+def predicted_poses(fit: Refinement, design: Design, plan: Plan, sensors: Sensors | None) -> RigidTransform:
     """Predicted poses T_base_platform (F,) at a plan's exposures, by a fit."""
     moving = [e for e in fit.point.effects if e.stage != "view"]
-    return motion_simulation.run_machine(
+    return motion_simulation.simulate_machine_run(
         fitted_design(fit, design), plan.commands, plan.t, moving, sensors
     ).T_base_platform
 
 
 def predicted_operating_point(
-    point: OperatingPoint, fit: Refined, plan: Plan, sensors: Sensors | None, T: RigidTransform
+    point: OperatingPoint, fit: Refinement, plan: Plan, sensors: Sensors | None, T: RigidTransform
 ) -> OperatingPoint:
     """OperatingPoint predicted for a plan's recording by one fit, with noise as large as before.
 
@@ -94,7 +94,7 @@ def predicted_operating_point(
         None,
         fit.point.effects,
         standing=point.standing,
-        seats=cube_seats(design, fit.point.seats),
+        seats=remounted_cube_seats(design, fit.point.seats),
     )
     if point.seen is None:
         own = point.own if point.own is not None else np.zeros((1, 6, 6))

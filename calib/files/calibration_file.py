@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.certification.held_out_errors import Figures, HeldOut
 from calib.certification.workspace_claim import Claim
-from calib.correction.interpolation.interpolation_methods import field_from_entries, field_to_dict
-from calib.correction.pose_space_map_json import pose_map_dict
+from calib.correction.correction_tables_and_pose_space_map_json import pose_map_dict
+from calib.correction.interpolation_methods_and_summand_extension import field_from_entries, field_to_dict
 from calib.files.calibration_file_entries import (
     mechanism_dict,
     mechanism_from_entries,
@@ -24,13 +24,13 @@ from calib.files.calibration_file_entries import (
 from calib.models.arm.correction import ArmCorrection
 from calib.models.machine_models import model_of
 from calib.samples.confounded_conditions import confounds_from_entries
-from calib.workspace.workspace_cells import workspace_dict, workspace_from_entries
-from rig.arrays import Floats
+from calib.workspace.workspace_cells_and_reachable_poses import workspace_dict, workspace_from_entries
+from rig.array_types import Floats
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.texts.effect_notation import Kinds
+from rig.effects.texts.effect_text_and_dict import Kinds
 from rig.formats import structured_files
 from rig.formats.checked_entries import Entries
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.formats.output_files import write_text
 
 SCHEMA = "calibration/1"

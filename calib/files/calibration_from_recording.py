@@ -9,19 +9,19 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.certification.platform_certification import Certified
 from calib.certification.workspace_claim import Claim
 from calib.correction.physics_compensation import Physics
-from calib.models.arm.certification import Certified as ArmCertified
-from calib.models.chain.certification import Certified as ChainCertified
-from calib.models.corrected_pose_covariance import calibration_with_workspace
+from calib.models.arm.certification import CertifiedArm as ArmCertified
+from calib.models.chain.certification_and_page import CertifiedChain as ChainCertified
+from calib.models.machine_models import calibration_with_workspace
 from calib.samples.confounded_conditions import confounds_of_samples
 from calib.samples.recording_samples import Sampled
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.formats import remote_folders
 from rig.formats.input_files import read_bytes
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.recording.exposures_and_images import LARGEST_IMAGE_FILE
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_frames import content_hashes, frames_with_known_hashes, hashes_of_frames

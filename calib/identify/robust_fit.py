@@ -14,7 +14,7 @@ import scipy
 from scipy.spatial import cKDTree
 from scipy.special import chdtri
 
-from rig.arrays import Booleans, Floats
+from rig.array_types import Booleans, Floats
 
 CONSISTENT = 1.4826  # times the median of absolute residuals: the standard deviation of normal ones
 HUBER, TUKEY = 1.5, 6.0  # standard deviations: of the weights at first, and from which a row counts for nothing
@@ -72,8 +72,8 @@ def _left(residual: Floats, columns: Floats, weight: Floats) -> Floats:
     return residual - (flat @ np.linalg.solve(gram, weighted.T @ y)).reshape(residual.shape)
 
 
-def outlier_rows(scaled_residuals: Floats, t: Floats, q: Floats, gate: float) -> Booleans:
-    """Whether rows (n,) are outliers: a residual beyond the gate that no neighbour shares.
+def isolated_outlier_rows(scaled_residuals: Floats, t: Floats, q: Floats, gate: float) -> Booleans:
+    """Whether rows (n,) are isolated outliers: beyond the gate while no neighbour is.
 
     scaled_residuals : (n, k) residuals over their scatter; t : (n,) s; q : (n, axes) where rows stand
     gate : where what is left is normal; where its tail is longer, as what is left out of a model has it, by as much
@@ -104,8 +104,8 @@ def tail_length_ratio(scaled_residuals: Floats, gate: float) -> float:
     return max(1.0, float(np.quantile(near, TAIL) / usual)) if len(near) else 1.0
 
 
-def has_many_deviations(scaled_residuals: Floats, gate: float) -> Booleans:
-    """Whether rows (n,) have many deviations: more than one number far off, as a wrong pose has.
+def has_several_deviating_numbers(scaled_residuals: Floats, gate: float) -> Booleans:
+    """Whether a row (n,) has several numbers that deviate, as a wrong pose has, or one grossly.
     lace.
 
     scaled_residuals : (n, k) residuals over their scatter; gate : of the greatest; half of it counts as far off in the

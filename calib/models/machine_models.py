@@ -1,32 +1,50 @@
-"""What calibration asks of a machine of any kind: names of its parameters, its certification, how its file is read."""
+"""Machine models by kind: geometric parameters, certification, covariance of corrected poses, file entries.
 
-from dataclasses import dataclass
+measured pose.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification import platform_certification
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.certification.platform_certification import Progress
 from calib.certification.workspace_claim import Claim
 from calib.correction.correction import AnyCorrection, Correction
-from calib.correction.interpolation.field import Field
-from calib.correction.interpolation.interpolation_methods import gaussian_process_from_entries
-from calib.correction.pose_space_map_json import pose_map_from_entries
+from calib.correction.correction_tables_and_pose_space_map_json import pose_map_from_entries
+from calib.correction.interpolation.field_and_combinations import Field
+from calib.correction.interpolation_methods_and_summand_extension import gaussian_process_from_entries
 from calib.models.arm import certification as arm_certification
-from calib.models.arm import error_model as arm_errors
+from calib.models.arm import error_model_and_observations, identification_and_joint_profiles
+from calib.models.arm import error_model_and_observations as arm_errors
 from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.joint_profiles import Profile
-from calib.models.chain import certification as chain_certification
+from calib.models.arm.error_model_and_observations import PLAUSIBLE
+from calib.models.arm.identification_and_joint_profiles import Profile
+from calib.models.chain import certification_and_page as chain_certification
 from calib.models.chain import error_model as chain_errors
-from calib.models.platform.identification import geometric_parameters
+from calib.models.chain import error_model as chains
+from calib.models.platform.identification import NAMES, PRIOR, geometric_parameters, pose_parameter_jacobian
 from calib.samples.recording_samples import Sampled
-from rig.arrays import Floats
+from calib.workspace.workspace_cells_and_reachable_poses import map_workspace
+from rig.array_types import Booleans, Floats
 from rig.formats.checked_entries import Entries
-from rig.model.mechanism_kinds import Commanded, Mechanism, require_arm, require_axes, require_chain, require_struts
+from rig.model import mechanisms
+from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
+from rig.model.mechanism_kinds_and_hexapod_properties import (
+    Commanded,
+    Mechanism,
+    require_arm,
+    require_axes,
+    require_chain,
+    require_struts,
+)
 
-Certified = platform_certification.Certified | arm_certification.Certified | chain_certification.Certified
+Certified = platform_certification.Certified | arm_certification.CertifiedArm | chain_certification.CertifiedChain
 Parts = list[Entries | None]  # the remainder's table of each axis, None where an axis has none
 
 FRAMES = (
@@ -214,4 +232,84 @@ def _profile(table: Entries, axes: int) -> Profile:
         orders,
         table.array("own", (2 * len(orders),)),
         table.array("others", (axes, 2)),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IndependentParameters:
+    """names, units : of p parameters, "m" or "rad"; size : (p,) what each may be off by; jacobian : values (n, axes) m
+    or rad -> (n, 6, p) change of the pose's tangent on the right; alike : whether some combinations of them no pose
+    tells, so that only `size` holds them"""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    size: Floats
+    jacobian: Callable[[Floats], Floats]
+    alike: bool
+
+
+def independent_geometric_parameters(mechanism: Mechanism) -> IndependentParameters:
+    """Independent geometric parameters of a mechanism: names, units, sizes and pose Jacobian."""
+    if isinstance(mechanism, Arm):
+        free = identification_and_joint_profiles.independent_arm_parameters(mechanism, "pose")
+        size = np.array([PLAUSIBLE[unit] for unit in error_model_and_observations.parameter_units(mechanism)])
+        return _asked(
+            free,
+            error_model_and_observations.parameter_names(mechanism),
+            error_model_and_observations.parameter_units(mechanism),
+            size,
+            partial(error_model_and_observations.parameter_jacobian, arm=mechanism),
+        )
+    if isinstance(mechanism, Chain):
+        size = chains.parameter_tolerances(mechanism)
+        found = _asked(
+            size > 0,
+            chains.parameter_names(mechanism),
+            chains.parameter_units(mechanism),
+            size,
+            partial(chains.parameter_jacobian, chain=mechanism),
+        )
+        return IndependentParameters(found.names, found.units, found.size, found.jacobian, True)
+    struts = require_struts(mechanism)
+    names = NAMES[struts.kind]
+    return IndependentParameters(
+        names, ("m",) * len(names), np.full(len(names), PRIOR), partial(_of_struts, struts), False
+    )
+
+
+def _of_struts(struts: Hexapod | Planar2, values: Floats) -> Floats:
+    return pose_parameter_jacobian(mechanisms.kinematics_of(struts).forward(values, struts), struts)
+
+
+def _asked(
+    free: Booleans, names: tuple[str, ...], units: tuple[str, ...], size: Floats, jacobian: Callable[[Floats], Floats]
+) -> IndependentParameters:
+    """Freedoms of those of the parameters that are free (p,) bool."""
+    kept = np.flatnonzero(free).tolist()
+    return IndependentParameters(
+        tuple(names[k] for k in kept),
+        tuple(units[k] for k in kept),
+        size[kept],
+        lambda values: jacobian(values)[..., kept],
+        False,
+    )
+
+
+def corrected_pose_covariance(calibration: Calibration, T_base_platform: RigidTransform, commands: Floats) -> Floats:
+    """Covariance (n, 6, 6) (m, rad) of the corrected poses (n,) at commands (n, axes), docs/mathematics.md (21)."""
+    return model_of(calibration.correction.nominal).pose_covariance(calibration, T_base_platform, commands)
+
+
+def calibration_with_workspace(calibration: Calibration) -> Calibration:
+    """Calibration with its workspace computed; a chain has none.
+
+    Raises NotConverged where no configuration closes on a pose
+    """
+    if calibration.correction.nominal.bodies:
+        return calibration
+    return replace(
+        calibration,
+        workspace=map_workspace(
+            calibration.correction, lambda T, commands: corrected_pose_covariance(calibration, T, commands)
+        ),
     )

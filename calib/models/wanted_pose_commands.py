@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.correction.correction import Responses
 from calib.correction.physics_compensation import (
     Machine,
@@ -16,9 +16,9 @@ from calib.correction.physics_compensation import (
     path_memory_length,
     unknown_history_uncertainty,
 )
-from calib.correction.pose_route import Pace, Route, timed_route, untimed_route
-from calib.models.corrected_pose_covariance import corrected_pose_covariance
-from rig.arrays import Booleans, Floats
+from calib.correction.pose_route_and_pose_space_map import Pace, Route, timed_route, untimed_route
+from calib.models.machine_models import corrected_pose_covariance
+from rig.array_types import Booleans, Floats
 from rig.effects.framework.effect import Effect
 from rig.errors import NotConverged, Unreachable
 from rig.model import mechanisms
@@ -30,7 +30,7 @@ ANY_TIME, GOLDEN = 60.0, 0.5 * (np.sqrt(5) - 1)  # s over which moments are spre
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Commanded:
+class RouteCommands:
     """values : (n, axes) m or rad to command at the wanted poses; route : Route; T_base_platform : (n,) poses that come
     of them by the calibration, those wanted but for an arm of too few joints; covariance : (n, 6, 6) of these (m, rad,
     on the right), None for commands that were given;
@@ -54,12 +54,12 @@ class _Spread:
     missing: tuple[str, ...]
 
 
-def route_pace(calibration: Calibration, t: Floats, sensors: Sensors | None) -> Pace:
-    """Pace of a route whose poses are held at times t (n,) s."""
+def pace_with_hold_times(calibration: Calibration, hold_times: Floats, sensors: Sensors | None) -> Pace:
+    """Pace of a route whose poses are held at the hold times (n,) s."""
     top = calibration.physics.actuator.max_speed if calibration.physics is not None else None
     unstated = min(UNSTATED_SPEED[unit] for unit in mechanisms.axis_units(calibration.correction.nominal))
     begin = float(sensors.t[0]) if sensors is not None and len(sensors.t) > 1 else None
-    return Pace(t, begin, SPEED * top if top else unstated, top)
+    return Pace(hold_times, begin, SPEED * top if top else unstated, top)
 
 
 def commands_along_route(
@@ -69,27 +69,27 @@ def commands_along_route(
     pace: Pace | None = None,
     sensors: Sensors | None = None,
     approach: str = "auto",
-    given: Floats | None = None,
-) -> Commanded:
+    commands_to_keep: Floats | None = None,
+) -> RouteCommands:
     """Commands (Commanded) along a route of wanted poses T (n,), in their order.
 
     start : (axes,) m or rad, where the axes stand; pace : Pace, when the poses are held, or None: each until all has
         come to rest
     sensors : Sensors over that time, or None; approach : "auto" where it makes a pose surer, "always" or "never";
         without a pace there is none
-    given : (n, axes) m or rad to command at the poses as they are, for comparison, or None
+    commands_to_keep : (n, axes) m or rad to command at the poses as they are, for comparison, or None
     Raises Unreachable for poses that come too soon, NotConverged where no commands are found; limits are for
         `require_reachable` to check
     """
     of = Machine(calibration.correction, calibration.physics, sensors)
-    plain = calibration.correction.inverse_without_physics(T) if given is None else given
+    plain = calibration.correction.inverse_without_physics(T) if commands_to_keep is None else commands_to_keep
     T = calibration.correction.reached_poses(T, plain)
     route = untimed_route(plain, start) if pace is None else timed_route(pace, plain, start)
-    if given is not None:
-        return Commanded(given, route, T, None, ())
+    if commands_to_keep is not None:
+        return RouteCommands(commands_to_keep, route, T, None, ())
     values = commands_at_poses(of, T, route, plain) if of.effects else plain
     if calibration.physics is None:
-        return Commanded(values, route, T, corrected_pose_covariance(calibration, T, values), ())
+        return RouteCommands(values, route, T, corrected_pose_covariance(calibration, T, values), ())
     base = _covariance(calibration, calibration.physics, of, T, (route, values))
     if pace is not None and approach != "never" and path_memory_length(of).any():
         sure = _axes(base.covariance, base.responses.back) if approach == "auto" else None
@@ -101,7 +101,7 @@ def commands_along_route(
         unknown_history_uncertainty(of, T, route, values) ** 2 / 3
     )  # anywhere between the two, as likely here as there
     forgotten = np.einsum("nij,nj,nkj->nik", base.responses.axes, doubt, base.responses.axes)
-    return Commanded(values, route, T, base.covariance + forgotten, base.missing)
+    return RouteCommands(values, route, T, base.covariance + forgotten, base.missing)
 
 
 def _approached(of: Machine, T: RigidTransform, route: Route, values: Floats, pace: Pace, sure: Floats | None) -> Route:

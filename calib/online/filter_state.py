@@ -15,24 +15,26 @@ import numpy as np
 
 from calib.models.platform.identification import geometric_parameters, mechanism_with_parameters
 from calib.models.platform.parameter_accuracy import frame_motion_columns
-from calib.online.change_detection import WINDOW, Change, Evidence
-from calib.online.square_root_kernels import (
+from calib.online.filter_kernels_and_change_detection import (
     ALARM,
     KINDS,
     REFUSED,
     SUMS,
+    WINDOW,
+    Change,
     Estimate,
+    Evidence,
     Machine,
     Pose,
     add_pose_to_estimate,
-    update_estimate,
+    solve_triangle_into_estimate,
 )
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import FileError, RigError
 from rig.formats import structured_files
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.output_files import write_text
-from rig.model.mechanism_geometry import Hexapod
+from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.pose import pose as pose_of
 from rig.model.pose import pose_to_vector
 
@@ -109,7 +111,7 @@ def state_of_new_session(state: State, shared: int) -> State:
     )
 
 
-def state_with_pose(state: State, pose: Pose, start: Start, move: bool = True) -> State:
+def state_with_pose(state: State, pose: Pose, start: Start, update_at_once: bool = True) -> State:
     """State with one more pose. move : whether the estimate follows at once.
 
     Raises RigError for a command that closes on no pose or a covariance that is none
@@ -117,7 +119,7 @@ def state_with_pose(state: State, pose: Pose, start: Start, move: bool = True) -
     before, slot, innovation = state.estimate, state.learnt % WINDOW, np.empty(6)
     after = Estimate(before.p.copy(), before.s.copy(), before.S.copy(), before.sums.copy())
     try:
-        said = add_pose_to_estimate(pose, start.machine, after, slot, innovation, move)
+        said = add_pose_to_estimate(pose, start.machine, after, slot, innovation, update_at_once)
     except ZeroDivisionError:  # a strut without length
         said = REFUSED
     if said == REFUSED:
@@ -144,8 +146,8 @@ def relinearised_state(state: State, start: Start) -> State:
     begins.S[:, k] = np.r_[-s, start.root @ (geometric_parameters(start.nominal) - p)]
     again = State(begins, state.learnt, (), (), state.innovation, False)
     for pose in state.first:
-        again = state_with_pose(again, pose, start, move=False)
-    update_estimate(
+        again = state_with_pose(again, pose, start, update_at_once=False)
+    solve_triangle_into_estimate(
         again.estimate.p, again.estimate.s, again.estimate.S
     )  # in place: nothing else holds this estimate yet
     return again
@@ -170,8 +172,8 @@ def change_evidence(state: State) -> list[Evidence]:
     return found
 
 
-def state_with_freed_changes(state: State, changes: tuple[Change, ...], start: Start) -> State:
-    """State with changed quantities freed: back to before the changes, the poses since learnt again."""
+def state_refiltered_with_changes_freed(state: State, changes: tuple[Change, ...], start: Start) -> State:
+    """Filter state with changed quantities freed: set back before the changes, later poses filtered again."""
     at = next(k for k in range(1, WINDOW + 1) if state.recent[-k].pose.number == changes[0].onset)
     before = state.recent[-at].before
     estimate = Estimate(before.p, before.s, before.S.copy(), np.zeros_like(before.sums))

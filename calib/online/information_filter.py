@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.models.platform.identification import PRIOR, mechanism_with_parameters
 from calib.online import filter_state
-from calib.online.change_detection import SUSPECT, WINDOW, Change, detect_changes
+from calib.online.filter_kernels_and_change_detection import SUSPECT, WINDOW, Change, Machine, Pose, detect_changes
 from calib.online.filter_state import (
     AGAIN,
     Start,
@@ -25,13 +25,12 @@ from calib.online.filter_state import (
     initial_state,
     relinearised_state,
     state_of_new_session,
-    state_with_freed_changes,
+    state_refiltered_with_changes_freed,
     state_with_pose,
 )
-from calib.online.square_root_kernels import Machine, Pose
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import RigError
-from rig.model.mechanism_geometry import Hexapod
+from rig.model.mechanism_geometry_classes import Hexapod
 
 LARGEST = 6  # changes at one pose
 EARLY = 2  # times that the first poses are linearised again before what they seem to show is believed
@@ -194,7 +193,7 @@ def _taken(before: State, waiting: tuple[Pose, ...], pose: Pose, start: Start) -
     told: tuple[Change, ...] = ()
     while found and len(told) < LARGEST:
         try:
-            state = state_with_freed_changes(state, found, start)
+            state = state_refiltered_with_changes_freed(state, found, start)
         except RigError:  # with these changes the machine closes on no pose: they explain nothing, and the pose waits
             break
         told += found

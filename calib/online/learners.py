@@ -15,13 +15,13 @@ from calib.files.calibration_file_entries import mechanism_dict, mechanism_from_
 from calib.models.platform import closed_loop_equations
 from calib.models.platform.identification import PRIOR, geometric_parameters, mechanism_with_parameters
 from calib.models.platform.parameter_accuracy import PLAUSIBLE
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import RigError
 from rig.formats import structured_files
 from rig.formats.checked_entries import LARGEST_RIG
 from rig.formats.output_files import write_text
-from rig.model.mechanism_geometry import Hexapod
-from rig.model.mechanism_kinds import has_plates
+from rig.model.mechanism_geometry_classes import Hexapod
+from rig.model.mechanism_kinds_and_hexapod_properties import has_plates
 
 NO_SCATTER = np.zeros(6)
 

@@ -1,4 +1,4 @@
-"""Poses from accepted measuring limbs, recorded or live, checked now and then by vision.
+"""Poses from accepted measuring limbs, recorded or live, as a recording's samples, checked by vision.
 
 The limbs are learnt on as struts are, from vision's poses, beginning with what their acceptance knows: then what
 detects a strut that missed steps (change_detection.py) detects a limb that slipped. One pose of vision that agrees
@@ -9,23 +9,28 @@ ones too, so that a limb that slips between two checks is not believed until the
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification import measuring_limb_checks, measuring_limbs
-from calib.certification.measuring_limb_checks import Limbs
-from calib.online.change_detection import Change
+from calib.certification import measuring_limbs, redundant_measuring_limb_checks
+from calib.certification.redundant_measuring_limb_checks import Limbs
+from calib.online import measuring_limbs_file
+from calib.online.filter_kernels_and_change_detection import Change
 from calib.online.information_filter import Online
 from calib.online.measuring_limbs_file import Accepted
 from calib.samples.pose_samples import Samples, pair_samples
 from calib.samples.recording_samples import Sampled
-from rig.arrays import Booleans, Floats, Integers
-from rig.model.mechanism_geometry import Hexapod
-from rig.model.mechanism_kinds import require_hexapod
+from rig.array_types import Booleans, Floats, Integers
+from rig.errors import RigError
+from rig.model.mechanism_geometry_classes import Hexapod
+from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_frames import select_frames
+from vision.api import Progress
+from vision.checks.recording_refusal import Notice
 from vision.recording_measurement import measure_recording
 
 IN_A_ROW = 3  # poses of vision that agree with nothing, from which it is not vision that is wrong
@@ -169,9 +174,11 @@ def check_limb_poses_by_redundancy_and_vision(
 
     Raises what measuring raises
     """
-    open_ = measuring_limb_checks.first_unclosed_limb(accepted.limbs, poses.lengths)
+    open_ = redundant_measuring_limb_checks.first_unclosed_limb(accepted.limbs, poses.lengths)
     if open_ is not None:
-        return Checked(0, int(poses.frames[open_.at]), Disagreement(str(open_), open_.limb, measuring_limb_checks.WHO))
+        return Checked(
+            0, int(poses.frames[open_.at]), Disagreement(str(open_), open_.limb, redundant_measuring_limb_checks.WHO)
+        )
     if recording.corners is None and not recording.has_images:
         return Checked(0, None, None)
     look = np.arange(len(poses.frames)) % check_interval == 0
@@ -214,10 +221,10 @@ class LiveLimbPoses:
         """What limbs beyond six say of readings (limbs,) m and those before; where they disagree, limbs are out of
         force. Raises as `pose`
         """
-        self._last = [*self._last[1 - measuring_limb_checks.IN_A_ROW :], lengths]
-        open_ = measuring_limb_checks.first_unclosed_limb(self.accepted.limbs, np.array(self._last))
+        self._last = [*self._last[1 - redundant_measuring_limb_checks.IN_A_ROW :], lengths]
+        open_ = redundant_measuring_limb_checks.first_unclosed_limb(self.accepted.limbs, np.array(self._last))
         self.in_force = open_ is None
-        return None if open_ is None else Disagreement(str(open_), open_.limb, measuring_limb_checks.WHO)
+        return None if open_ is None else Disagreement(str(open_), open_.limb, redundant_measuring_limb_checks.WHO)
 
     def is_check_due(self, unsure: bool) -> bool:
         """Whether vision looks at the pose in hand, once for each pose. unsure : whether the struts tell otherwise than
@@ -239,3 +246,58 @@ class LiveLimbPoses:
     def undecided(self) -> bool:
         """Whether the last check disagreed and the next ones say who was wrong."""
         return self._checks.undecided
+
+
+EVERY = 5  # poses between two looks of vision
+
+
+@dataclass(frozen=True, slots=True)
+class LimbSource:
+    """path : of the file in which `rig insitu` saved what it accepted; every : poses between two looks of vision."""
+
+    path: Path
+    every: int = EVERY
+
+
+def sample_by_limbs(recording: Recording, source: LimbSource, progress: Progress | None, notice: Notice) -> Sampled:
+    """Sampled of a recording from its measuring limbs. Raises as `checked_limb_poses` does"""
+    found, accepted = checked_limb_poses(recording, source, progress, notice)
+    return replace(
+        samples_of_limb_poses(recording, found), files=(source.path,), data=tuple(accepted.provenance.get("data", ()))
+    )
+
+
+def checked_limb_poses(
+    recording: Recording, source: LimbSource, progress: Progress | None, notice: Notice
+) -> tuple[LimbPoses, Accepted]:
+    """(LimbPoses of a recording, the Accepted they are from). notice : called with how many vision looked at
+
+    Raises RigError for limbs that were not accepted, that are others than rig.toml states, or with which vision no
+        longer agrees: their acceptance is withdrawn in their file first
+    """
+    accepted = measuring_limbs_file.accepted_limbs(source.path, recording.design)
+    found = limb_poses(recording, accepted)
+    checked = check_limb_poses_by_redundancy_and_vision(recording, accepted, found, source.every, progress)
+    if checked.disagreement is not None and checked.frame is not None:
+        write_withdrawal(source.path, accepted, str(recording.folder), checked.frame, checked.disagreement.reason)
+        raise RigError(
+            f"frame {checked.frame}: {checked.disagreement.reason}. {checked.disagreement.who}: their "
+            "acceptance is withdrawn "
+            f"in {source.path}, and nothing was computed; without --limbs vision measures"
+        )
+    spare = 0 if accepted.limbs.checks is None else len(accepted.limbs.checks.limbs)
+    closing = f", at each of which {spare} more limb{'s close' if spare > 1 else ' closes'}" if spare else ""
+    notice(
+        f"{len(found.frames)} poses from the measuring limbs{closing}; "
+        + (
+            f"vision looked at {checked.count} of them and agrees"
+            if checked.count
+            else "the recording has nothing for vision to look at, so that none was checked by it"
+        )
+    )
+    return found, accepted
+
+
+def write_withdrawal(path: Path, accepted: Accepted, recording: str, frame: int, reason: str) -> None:
+    """Write that an acceptance no longer stands, in its own file. Raises FileError where that cannot be written."""
+    measuring_limbs_file.save_limbs(path, measuring_limbs_file.withdraw_acceptance(accepted, recording, frame, reason))

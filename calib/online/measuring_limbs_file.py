@@ -7,18 +7,18 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.measuring_limb_checks import Checks, Limbs
 from calib.certification.measuring_limbs import Agreement, limb_hexapod, stated_limbs
+from calib.certification.redundant_measuring_limb_checks import Checks, Limbs
 from calib.files.calibration_file import covariance_from_entries
 from calib.files.calibration_file_entries import mechanism_dict, mechanism_from_entries
 from rig.errors import FileError, RigError
 from rig.formats import structured_files
 from rig.formats.checked_entries import Entries
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.formats.output_files import write_text
 from rig.model.design import Design
-from rig.model.mechanism_geometry import Hexapod
-from rig.model.mechanism_kinds import has_plates
+from rig.model.mechanism_geometry_classes import Hexapod
+from rig.model.mechanism_kinds_and_hexapod_properties import has_plates
 
 SCHEMA = "limbs/1"
 UNITS = (

@@ -6,18 +6,18 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.models.platform.identification import geometric_parameters
-from calib.online.change_detection import Change, change_sentence
+from calib.online.filter_kernels_and_change_detection import Change, change_sentence
 from calib.online.information_filter import Online, Update
 from calib.online.learners import LEARNERS, Learner, load_learner
 from calib.report.online_and_limb_pages import MANY, OnlineResult
 from calib.samples.recording_samples import Sampled
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.errors import RigError
-from rig.formats.json_tree import Json
-from rig.model.mechanism_geometry import Hexapod
-from rig.model.mechanism_kinds import require_hexapod
+from rig.formats.json_type import Json
+from rig.model.mechanism_geometry_classes import Hexapod
+from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_frames import Marks, content_hashes, frames_with_known_hashes, hashes_of_frames
 from vision.api import Progress

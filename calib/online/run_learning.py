@@ -6,16 +6,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification import measuring_limb_checks, measuring_limbs
-from calib.certification.calibration import Calibration
+from calib.certification import measuring_limbs, redundant_measuring_limb_checks
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
-from calib.online.change_detection import Change
+from calib.online.filter_kernels_and_change_detection import Change
 from calib.online.information_filter import Online
 from calib.samples.pose_samples import Samples
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_geometry import Hexapod
+from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.pose import pose_difference
 
 LATEST = 5  # poses whose median error must exceed the tolerance: one is a bad measurement, five are a drift
@@ -126,7 +126,7 @@ class LimbWatch:
         self._home = measuring_limbs.limb_hexapod(design).home
         self.channels = self._stated.channels
         self._read: list[tuple[Floats, RigidTransform, Floats]] = []
-        self._limbs: measuring_limb_checks.Limbs | None = None
+        self._limbs: redundant_measuring_limb_checks.Limbs | None = None
         self._agreed = True
 
     def take(self, lengths: Floats, T_base_platform: RigidTransform, covariance: Floats) -> bool:
@@ -137,7 +137,7 @@ class LimbWatch:
                 n = np.arange(measuring_limbs.FEWEST)
                 read, poses, covariances = zip(*self._read)
                 T = RigidTransform.concatenate(poses)
-                chosen = measuring_limb_checks.best_six_limbs(self._stated, self._home, T)
+                chosen = redundant_measuring_limb_checks.best_six_limbs(self._stated, self._home, T)
                 samples = Samples(
                     n,
                     n.astype(float),

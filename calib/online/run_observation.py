@@ -11,19 +11,19 @@ from typing import Protocol, TypedDict, Unpack
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.measuring_limb_checks import has_six_measuring_limbs
-from calib.online.change_detection import change_sentence
+from calib.certification.redundant_measuring_limb_checks import has_six_measuring_limbs
+from calib.online.filter_kernels_and_change_detection import change_sentence
 from calib.online.measuring_limb_poses import Disagreement, LiveLimbPoses
 from calib.online.run_learning import Learner, Learnt, LimbWatch
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.driving.clock import Clock
-from rig.driving.move_and_record_loop import Shot
+from rig.driving.move_and_record_loop import RecordedFrame
 from rig.driving.run_journal import Departure, Ended, Exposed, Readings, Remark, Resumed, Row
 from rig.driving.run_steps_and_progress import Step, step_distances
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_kinds import require_struts
+from rig.model.mechanism_kinds_and_hexapod_properties import require_struts
 from vision.reading.camera_and_marker_alarms import Alarm, Watch
 from vision.reading.live_measurement import Live, Sight, sight_from_measuring_limbs
 
@@ -37,7 +37,7 @@ class MeasuredFrame:
     it, or None
     blur : {camera: px, width of the markers' edges}, a figure of focus; rms : px of its corners, {camera: px}."""
 
-    shot: Shot
+    shot: RecordedFrame
     sight: Sight
     learnt: Learnt | None
     delay: float
@@ -82,7 +82,7 @@ class ViewChanges(TypedDict, total=False):
     ended: str | None
 
 
-class Display(Protocol):
+class RunDisplay(Protocol):
     """Something that shows a run."""
 
     def show(self, view: View) -> None:
@@ -93,7 +93,7 @@ class Display(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Stopping:
+class RunStop:
     """What a run is stopped for, and how. kinds : of Alarms; halt : stops the struts now, from any thread."""
 
     kinds: frozenset[str]
@@ -112,12 +112,12 @@ class RunObserver:
         clock: Clock,
         live: Live | None,
         learner: Learner | None,
-        stopping: Stopping,
+        stopping: RunStop,
     ) -> None:
         self.design, self._clock, self._live, self._learner = design, clock, live, learner
         self._stopping, self._reason = stopping, ""
         self._failed: Exception | None = None
-        self.displays: list[Display] = []
+        self.displays: list[RunDisplay] = []
         self.note: Callable[[str], None] = lambda text: (
             None
         )  # puts what is said on record; the operator's, once there is one
@@ -148,7 +148,7 @@ class RunObserver:
             None,
         )
         self._lock = threading.RLock()
-        self._queue: queue.Queue[tuple[Shot, Floats | None] | None] = queue.Queue(WAITING)
+        self._queue: queue.Queue[tuple[RecordedFrame, Floats | None] | None] = queue.Queue(WAITING)
         self._worker = threading.Thread(target=self._work, daemon=True)
         self._worker.start()
 
@@ -177,7 +177,7 @@ class RunObserver:
         else:
             self.update(phase="settling", lengths=np.array(getattr(row, "position", self.view.lengths)))
 
-    def seen(self, shot: Shot) -> None:
+    def seen(self, shot: RecordedFrame) -> None:
         """A frame is on disk: it is measured while the run goes on."""
         if self._live is not None or self.source is not None:
             self._queue.put((shot, self._read))
@@ -204,7 +204,7 @@ class RunObserver:
                     self.displays.remove(display)
                     self._report_lost(display, error)
 
-    def _report_lost(self, display: Display, error: Exception) -> None:
+    def _report_lost(self, display: RunDisplay, error: Exception) -> None:
         text = f"{type(display).__name__} no longer shows the run, which goes on: {error!r}"
         self.note(text)
         with suppress(OSError):  # where that cannot be printed either the journal alone has it
@@ -251,12 +251,12 @@ class RunObserver:
                 self._failed = error
                 self.ask_stop(f"measuring frame {shot.number} failed: {error!r}")
 
-    def _look(self, shot: Shot, live: Live) -> tuple[Sight, list[Alarm]]:
+    def _look(self, shot: RecordedFrame, live: Live) -> tuple[Sight, list[Alarm]]:
         """(what vision sees of a shot, what is wrong with that)."""
         sight = live.take(shot.number, {name: frame.image for name, frame in shot.frames.items()}, self._expected(shot))
         return sight, self._watch.look(sight, live.noise)
 
-    def _by_limbs(self, shot: Shot, lengths: Floats, source: LiveLimbPoses) -> None:
+    def _by_limbs(self, shot: RecordedFrame, lengths: Floats, source: LiveLimbPoses) -> None:
         """A shot's pose from the limbs, learnt; vision looks where it is due, and what it has not confirmed is not
         said.
         """
@@ -308,7 +308,7 @@ class RunObserver:
             )
         )
 
-    def _measure(self, shot: Shot, lengths: Floats | None, live: Live) -> None:
+    def _measure(self, shot: RecordedFrame, lengths: Floats | None, live: Live) -> None:
         sight, alarms = self._look(shot, live)
         learnt = None
         if self._learner is not None and sight.covariance is not None:
@@ -336,7 +336,7 @@ class RunObserver:
             self.warn(alarm)
         live.adjust()
 
-    def _show(self, shot: Shot, sight: Sight, learnt: Learnt | None) -> None:
+    def _show(self, shot: RecordedFrame, sight: Sight, learnt: Learnt | None) -> None:
         """Have displays show a frame."""
         delay = self._clock.now() - max([frame.t for frame in shot.frames.values()], default=self._clock.now())
         o, good = sight.observations, sight.inliers & np.isfinite(sight.residuals[:, 0])
@@ -348,7 +348,7 @@ class RunObserver:
         blur = {name: float(np.median(d.blur)) for name, d in sight.detections.items() if len(d.blur)}
         self.update(seen=MeasuredFrame(shot, sight, learnt, delay, rms, blur))
 
-    def _expected(self, shot: Shot) -> RigidTransform | None:
+    def _expected(self, shot: RecordedFrame) -> RigidTransform | None:
         """Where the platform ought to be."""
         mechanism = self.design.mechanism
         try:

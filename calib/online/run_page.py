@@ -8,14 +8,14 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.online.run_observation import MeasuredFrame, RunObserver, View
-from calib.report.pose_figures import closed_outline, fixed_rig_lines
-from rig.arrays import Floats, Integers
-from rig.formats.json_tree import Json
+from calib.report.pose_figures_and_effect_displacements import closed_outline, fixed_rig_lines
+from rig.array_types import Floats, Integers
+from rig.formats.json_type import Json
 from rig.model.design import Camera, Design
-from rig.model.mechanism_kinds import has_plates
+from rig.model.mechanism_kinds_and_hexapod_properties import has_plates
 from rig.model.pose import pose_to_vector, transform_points
 from rig.report.pages.run_page_server import PageServer
-from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
+from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
 from vision.frame_pictures import encode_jpeg
 from vision.targets import MarkerMap, marker_map
 
@@ -26,9 +26,9 @@ CALIBRATE = (
 
 
 def run_verdict(view: View) -> Verdict:
-    """Verdict on a run so far, from its View: alarms, early end, deviation of the last pose."""
+    """Verdict on a run so far, from its RunView: alarms, early end, deviation of the last pose."""
     refuted = (f"it ended before its end: {view.ended}",) if view.ended else ()
-    alarms = tuple(Missing(f"{alarm.kind}: {alarm.text}") for alarm in view.alarms)
+    alarms = tuple(MissingEvidence(f"{alarm.kind}: {alarm.text}") for alarm in view.alarms)
     off = math.nan if view.seen is None else _pose_deviation_in_sigmas(view.seen)
     unexplained = (f"the last pose is {off:.3g} times its own uncertainty off what was expected",) if off > OFF else ()
     return judge_evidence(

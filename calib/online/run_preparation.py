@@ -8,30 +8,29 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification import measuring_limbs
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.online import measuring_limbs_file
-from calib.online.limb_pose_source import LimbSource, write_withdrawal
-from calib.online.measuring_limb_poses import LiveLimbPoses
+from calib.online.measuring_limb_poses import LimbSource, LiveLimbPoses, write_withdrawal
 from calib.online.measuring_limbs_file import Accepted
 from calib.online.run_learning import Learner
-from calib.online.run_observation import RunObserver, Stopping
-from rig.arrays import Floats
+from calib.online.run_observation import RunObserver, RunStop
+from rig.array_types import Floats
 from rig.driving.cameras import open_camera
-from rig.driving.cameras.grab_and_settling import Settling, Shutter, set_exposure_for_markers
+from rig.driving.cameras.grab_and_settling import Settling, SynchronisedCameras, set_exposure_for_markers
 from rig.driving.clock import Clock
-from rig.driving.move_and_record_loop import Bench
+from rig.driving.move_and_record_loop import RunEquipment
 from rig.driving.run_steps_and_progress import Step
-from rig.driving.serial_port import Sensing
+from rig.driving.serial_port import SensorReader
 from rig.driving.straight_move_profile import Way, trapezoidal_profile
 from rig.driving.strut_driver import Driver
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_kinds import has_plates
+from rig.model.mechanism_kinds_and_hexapod_properties import has_plates
 from vision.corners.marker_detection import detect_markers
-from vision.hand_mounted_cameras import has_hand_cameras
+from vision.hand_camera_frame_exchange import has_hand_cameras
 from vision.reading.live_measurement import Live
-from vision.reading.run_images import draw_markers, marker_white_level, save_image
+from vision.reading.run_images import marker_white_level, render_marker_images, save_image
 from vision.targets import marker_map
 
 ALARMS = ("jump", "camera", "covered", "unseen", "drift", "limbs")
@@ -99,13 +98,13 @@ class RunOptions:
             )
 
 
-def warm_up(design: Design) -> None:
-    """Warm up for a run: compile kernels by measuring one drawn image of a hexapod at home, and discard the result."""
+def compile_kernels_for_run(design: Design) -> None:
+    """Compile the kernels that a run needs, by measuring one drawn image of a hexapod at home."""
     m = design.mechanism
     if not has_plates(m) or not design.cameras or not any(target.body == "platform" for target in design.targets):
         return
     markers, live = marker_map(design), Live(design)
-    images = draw_markers(design.cameras, m.home, markers)
+    images = render_marker_images(design.cameras, m.home, markers)
     live.take(0, images)
     live.close()
     for camera in design.cameras:
@@ -115,7 +114,7 @@ def warm_up(design: Design) -> None:
         learner.learn(lengths, m.home, 1e-10 * np.eye(6))
 
 
-def open_cameras(design: Design, clock: Clock) -> Shutter:
+def open_cameras(design: Design, clock: Clock) -> SynchronisedCameras:
     """Open all cameras of a design. Raises CameraError where one has no source or does not open; the others close."""
     opened = []
     try:
@@ -125,16 +124,18 @@ def open_cameras(design: Design, clock: Clock) -> Shutter:
         for source in opened:
             source.close()
         raise
-    return Shutter(tuple(opened), clock)
+    return SynchronisedCameras(tuple(opened), clock)
 
 
-def open_bench(design: Design, driver: Driver, shutter: Shutter, settling: Settling, clock: Clock) -> Bench:
-    """Open the Bench of a run, with its sensors if any. Raises RigError for settling by limbs that nobody reads."""
-    sensing = Sensing(design.sensors, clock) if design.sensors else None
+def open_run_equipment(
+    design: Design, driver: Driver, shutter: SynchronisedCameras, settling: Settling, clock: Clock
+) -> RunEquipment:
+    """Open the RunEquipment of a run, with its sensors if any. Raises RigError for settling by limbs that nobody reads."""
+    sensing = SensorReader(design.sensors, clock) if design.sensors else None
     channels = set(design.sensors.channels) if design.sensors else set()
     if settling.by == "limbs" and not {f"m{i + 1}" for i in range(6)} <= channels:
         raise RigError("settling by limbs takes a [sensors] table with the channels m1 .. m6")
-    return Bench(
+    return RunEquipment(
         driver,
         shutter,
         clock,
@@ -164,14 +165,14 @@ def _move_time_profile(design: Design) -> Callable[[Floats, Floats, float, float
     return way
 
 
-def set_exposures(shutter: Shutter, design: Design, stated: float | None) -> list[str]:
+def set_exposures(shutter: SynchronisedCameras, design: Design, stated_exposure: float | None) -> list[str]:
     """Set exposures of all cameras, s (None: bright markers without clipping); returns lines of a report."""
     said, markers = [], marker_map(design)
     for source in shutter.sources:
         if not source.can_set_exposure:
             said.append(f"camera {source.name!r} sets its exposure itself")
-        elif stated is not None:
-            said.append(f"camera {source.name!r}: exposure {source.set_exposure(stated) * 1e3:.3g} ms")
+        elif stated_exposure is not None:
+            said.append(f"camera {source.name!r}: exposure {source.set_exposure(stated_exposure) * 1e3:.3g} ms")
         else:
             exposure, level = set_exposure_for_markers(
                 source, partial(marker_white_level, camera=design.camera(source.name), markers=markers), FIRST_EXPOSURE
@@ -187,7 +188,7 @@ def run_observer(
     planned: tuple[Step, ...],
     start: Floats,
     clock: Clock,
-    stopping: Stopping,
+    stopping: RunStop,
     options: RunOptions,
     out: Path,
 ) -> RunObserver:

@@ -7,19 +7,26 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.report.pose_figures import pose_coverage_figures
-from rig.arrays import Floats
+from calib.report.pose_figures_and_effect_displacements import pose_coverage_figures
+from rig.array_types import Floats
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_elements import folding_section, heading, list_html, note, paragraph, table
-from rig.report.pages.image_plane_figures import Arrows, Cells, image_plane_figure, patch_means
-from rig.report.pages.page_and_svg_templates import Link, Page, write_page
-from rig.report.pages.plots import Series, panel_row, plot_panel
+from rig.report.pages.html_and_svg_elements import (
+    folding_section_html,
+    heading_html,
+    list_html,
+    note_html,
+    paragraph_html,
+    table_html,
+)
+from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure, patch_means
+from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
+from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 from vision import frame_pictures
-from vision.bundle.adjustment_validation import HeldOut, NotHeldOut
+from vision.bundle.adjustment_validation_and_determinacy import HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places
 from vision.measurement_result import TWICE, MeasurementResult, measurement_verdict
-from vision.reading.marker_identity import Suspect
+from vision.reading.marker_identity_mistakes import Suspect
 from vision.recording_adjustment import Measurement
 
 ENLARGED = 200.0
@@ -36,7 +43,7 @@ def _frame_pictures_html(recording: Recording, measurement: Measurement, frame: 
         if camera.name in images
     ]
     return [
-        note(
+        note_html(
             "Outlined in green: markers that were used; in red: set aside, at a corner at least. Yellow: "
             f"residuals, {ENLARGED:g} times as "
             "long as they are. A marker says its number when it is pointed at."
@@ -105,33 +112,33 @@ def write_measurement_page(path: Path | str, result: MeasurementResult, links: S
     rotation = np.sqrt(np.trace(m.covariance[:, 3:, 3:], axis1=1, axis2=2))
     position = np.sqrt(np.trace(m.covariance[:, :3, :3], axis1=1, axis2=2))
     parts = [
-        paragraph(
+        paragraph_html(
             f"{m.inliers.sum()} corners used, {(~m.inliers & np.isfinite(m.residuals[:, 0])).sum()} set "
             "aside as outliers. A corner "
             f"scatters by {m.noise:.4f} px per axis. {_held(result.held)}"
         ),
         *_suspects(result.suspects),
         *_pictures(result),
-        heading("What the cameras leave over"),
-        note(
+        heading_html("What the cameras leave over"),
+        note_html(
             "Mean residual over patches of the image, drawn enlarged, on the RMS there; a pattern here "
             "is a lens that the model lacks."
         ),
         _residual_maps(m),
-        heading("Where the platform went"),
+        heading_html("Where the platform went"),
         pose_coverage_figures(pose_to_vector(m.T_base_platform)),
-        heading("How well each pose is known"),
-        note("Standard uncertainty of its length, cameras' own included."),
+        heading_html("How well each pose is known"),
+        note_html("Standard uncertainty of its length, cameras' own included."),
         _uncertainty(m, position, rotation),
-        heading("Cameras"),
+        heading_html("Cameras"),
         _cameras(result.recording, m),
     ]
     if result.statement:
-        parts += [heading("What this recording determines"), list_html(result.statement)]
+        parts += [heading_html("What this recording determines"), list_html(result.statement)]
     if result.places is not None:
         parts += [
-            heading("Where the markers really are"),
-            note(
+            heading_html("Where the markers really are"),
+            note_html(
                 "From their stated places, along their own x (right), y (up), z (out), with 95 % intervals. "
                 "The stated places, taken "
                 "together, hold the frames."
@@ -142,17 +149,17 @@ def write_measurement_page(path: Path | str, result: MeasurementResult, links: S
     disagreeing = _worst_markers(m)
     if disagreeing:
         parts += [
-            heading("Markers that disagree"),
-            note("Share of a marker's corners set aside: a face askew, a wrong print, a covered marker."),
-            table(("marker", "corners", "set aside"), disagreeing),
+            heading_html("Markers that disagree"),
+            note_html("Share of a marker's corners set aside: a face askew, a wrong print, a covered marker."),
+            table_html(("marker", "corners", "set aside"), disagreeing),
         ]
     if m.unsolved:
-        parts += [heading("Frames without a pose"), table(("frame", "reason"), sorted(m.unsolved.items()))]
+        parts += [heading_html("Frames without a pose"), table_html(("frame", "reason"), sorted(m.unsolved.items()))]
     if collected is not None and collected.left_out:
         rows = [row[:4] for row in collected.left_out]
         parts += [
-            heading("Markers read but not placed"),
-            folding_section(f"{len(rows)} of them", table(("frame", "camera", "marker", "reason"), rows)),
+            heading_html("Markers read but not placed"),
+            folding_section_html(f"{len(rows)} of them", table_html(("frame", "camera", "marker", "reason"), rows)),
         ]
     title, verdict = f"Measurement of {result.recording.name}", measurement_verdict(result)
     write_page(
@@ -191,8 +198,8 @@ def _suspects(suspects: Sequence[Suspect]) -> list[str]:
     if not suspects:
         return []
     return [
-        heading("Markers that are not what rig.toml says"),
-        note("What disagrees is left out of the poses."),
+        heading_html("Markers that are not what rig.toml says"),
+        note_html("What disagrees is left out of the poses."),
         list_html(map(str, suspects)),
     ]
 
@@ -205,18 +212,18 @@ def _pictures(told: MeasurementResult) -> list[str]:
         return []
     rest = (
         [
-            folding_section(
+            folding_section_html(
                 f"The frame with the greatest residuals, {bad}", *_frame_pictures_html(told.recording, m, bad)
             )
         ]
         if bad != usual
         else []
     )
-    return [heading(f"A frame as it was read: {usual}"), *shown, *rest]
+    return [heading_html(f"A frame as it was read: {usual}"), *shown, *rest]
 
 
 def _residual_maps(m: Measurement) -> str:
-    return panel_row(*(_residual_map(m, i) for i in range(len(m.design.cameras))))
+    return panel_row_html(*(_residual_map(m, i) for i in range(len(m.design.cameras))))
 
 
 def _residual_map(m: Measurement, i: int) -> str:
@@ -238,9 +245,9 @@ def _residual_map(m: Measurement, i: int) -> str:
 
 
 def _uncertainty(m: Measurement, position: Floats, rotation: Floats) -> str:
-    return panel_row(
+    return panel_row_html(
         *(
-            plot_panel(
+            plot_panel_svg(
                 name,
                 ("frame", unit),
                 [Series(m.frames, values * 1e6)],
@@ -272,7 +279,7 @@ def _cameras(recording: Recording, m: Measurement) -> str:
                 ),
             )
         )
-    return table(("camera", "moved, mm", "turned, mrad", "fx, px (k = 2)", "fy", "cx", "cy"), rows)
+    return table_html(("camera", "moved, mm", "turned, mrad", "fx, px (k = 2)", "fy", "cx", "cy"), rows)
 
 
 def _moves(places: Places) -> str:
@@ -284,11 +291,11 @@ def _moves(places: Places) -> str:
         )
         for move in places.moves
     ]
-    return table(("marker", "moved", "x, mm", "y, mm", "z, mm", "rx, mrad", "ry, mrad", "rz, mrad"), rows)
+    return table_html(("marker", "moved", "x, mm", "y, mm", "z, mm", "rx, mrad", "ry, mrad", "rz, mrad"), rows)
 
 
 def _residuals(places: Places) -> str:
-    return plot_panel(
+    return plot_panel_svg(
         "residuals frame by frame",
         ("frame", "platform's corners, RMS px"),
         [

@@ -9,11 +9,11 @@ import numpy as np
 from calib.certification.calibration_evidence import ALONE, OfCalibrations, confound_sentences
 from calib.certification.measuring_limbs import AXES, MOVES, Agreement
 from calib.samples.confounded_conditions import Confounds
-from rig.arrays import Floats, Integers
-from rig.report.pages.html_elements import heading, list_html, note, paragraph, table
-from rig.report.pages.page_and_svg_templates import Link, Page, write_page
-from rig.report.pages.plots import Series, bar_chart, panel_row, plot_panel
-from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge_evidence
+from rig.array_types import Floats, Integers
+from rig.report.pages.html_and_svg_elements import heading_html, list_html, note_html, paragraph_html, table_html
+from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
+from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_panel_svg
+from rig.report.verdict_and_refutations_of_results import AGREES, Evidence, MissingEvidence, Verdict, judge_evidence
 
 MANY = 6  # changes beyond which they are not believed to be steps
 ASK = "Determine what acts on the struts or the measurement: `rig diagnose REC --out found`"
@@ -44,25 +44,27 @@ def write_online_page(path: Path | str, name: str, result: OnlineResult, links: 
     """Write the HTML page of on-line learning from a recording."""
     sizes = np.sqrt((result.innovations**2).mean(axis=1))
     parts = [
-        paragraph(
+        paragraph_html(
             f"{len(result.frames)} poses from {result.source}, learnt one at a time. Joints and zeros moved by "
             f"{result.moved * 1e3:.4f} mm RMS from rig.toml."
         )
     ]
     if result.said:
-        parts += [heading("What jumped"), list_html(result.said)]
+        parts += [heading_html("What jumped"), list_html(result.said)]
     parts += [
-        heading("How well each pose was expected"),
-        note(
+        heading_html("How well each pose was expected"),
+        note_html(
             "Off what the poses before it let expect, in standard deviations, RMS over the six axes: 1 where "
             "nothing is left to learn."
         ),
-        plot_panel("innovation", ("frame", "standard deviations"), [Series(result.frames, sizes)], log=True, level=1.0),
+        plot_panel_svg(
+            "innovation", ("frame", "standard deviations"), [Series(result.frames, sizes)], log=True, level=1.0
+        ),
     ]
     if result.dropped:
         parts += [
-            heading("Left out"),
-            paragraph(f"Frames {', '.join(map(str, result.dropped))}: their poses agree with no other."),
+            heading_html("Left out"),
+            paragraph_html(f"Frames {', '.join(map(str, result.dropped))}: their poses agree with no other."),
         ]
     verdict = online_verdict(result)
     write_page(path, Page("online", f"Learning from {name}", verdict, parts, verdict.next, links))
@@ -80,8 +82,8 @@ def online_verdict(result: OnlineResult) -> Verdict:
         unexplained.append("these are no few steps, something acts that the geometry lacks")
     if off > AGREES:
         unexplained.append(f"the last poses are {off:.3g} times as far off as expected")
-    missing = [Missing("something jumped", _recommended_actions(result)[0])] if result.said else []
-    missing += [Missing("poses were left out")] if result.dropped else []
+    missing = [MissingEvidence("something jumped", _recommended_actions(result)[0])] if result.said else []
+    missing += [MissingEvidence("poses were left out")] if result.dropped else []
     return judge_evidence(
         Evidence(
             why,
@@ -108,7 +110,12 @@ def _recommended_actions(learnt: OnlineResult) -> list[str]:
 
 
 def write_measuring_limbs_page(
-    path: Path | str, name: str, agreement: Agreement, source: str, withdrawn: str | None, links: Sequence[Link] = ()
+    path: Path | str,
+    name: str,
+    agreement: Agreement,
+    source: str,
+    withdrawal_reason: str | None,
+    links: Sequence[Link] = (),
 ) -> None:
     """Write the HTML page of measuring limbs. source : of vision's poses; withdrawn : why they cannot stand, or None
     name : of the recording; source : of vision's poses; withdrawn : why the limbs cannot stand for vision after
@@ -134,7 +141,7 @@ def write_measuring_limbs_page(
     failing = [axis for i, axis in enumerate(AXES) if not agreement.passed[i]]
     surely, tolerance = agreement.proven_limits * 1e6, agreement.tolerance * 1e6
     halves = [
-        bar_chart(
+        bar_chart_svg(
             title,
             AXES[part],
             [("surely within", surely[part].tolist(), 0), ("tolerance", tolerance[part].tolist(), -1)],
@@ -144,12 +151,14 @@ def write_measuring_limbs_page(
         for title, part, unit in (("position", slice(0, 3), "µm"), ("rotation", slice(3, 6), "µrad"))
     ]
     parts = [
-        heading("Each axis against its tolerance"),
-        note("Of differences, limbs less vision, 95 % lie within; in bold: axes that do not pass."),
-        panel_row(*halves),
-        heading("In figures"),
-        note(f"{agreement.n} poses, vision's from {source}, each by limbs fitted to other stretches; µm and µrad."),
-        table(
+        heading_html("Each axis against its tolerance"),
+        note_html("Of differences, limbs less vision, 95 % lie within; in bold: axes that do not pass."),
+        panel_row_html(*halves),
+        heading_html("In figures"),
+        note_html(
+            f"{agreement.n} poses, vision's from {source}, each by limbs fitted to other stretches; µm and µrad."
+        ),
+        table_html(
             (
                 "axis",
                 "bias",
@@ -166,7 +175,7 @@ def write_measuring_limbs_page(
         ),
     ]
     steps = ["Let the limbs stand for vision: `--limbs FILE` of measure, calibrate, online and run"]
-    if withdrawn is not None or not agreement.passed.all():
+    if withdrawal_reason is not None or not agreement.passed.all():
         steps = [
             "Look at the joints of limbs that slipped, or move farther along the axes that are not shown, "
             "and hold them against vision again"
@@ -176,7 +185,7 @@ def write_measuring_limbs_page(
         Page(
             "insitu",
             f"Measuring limbs against vision, {name}",
-            measuring_limbs_verdict(agreement, withdrawn),
+            measuring_limbs_verdict(agreement, withdrawal_reason),
             parts,
             steps,
             links,
@@ -184,11 +193,13 @@ def write_measuring_limbs_page(
     )
 
 
-def measuring_limbs_verdict(agreement: Agreement, withdrawn: str | None) -> Verdict:
+def measuring_limbs_verdict(agreement: Agreement, withdrawal_reason: str | None) -> Verdict:
     """Verdict on measuring limbs. withdrawn : as for the page"""
-    if withdrawn is not None:
+    if withdrawal_reason is not None:
         return judge_evidence(
-            Evidence(f"{agreement.n} poses", refuted=(f"the measuring limbs cannot stand for vision: {withdrawn}",))
+            Evidence(
+                f"{agreement.n} poses", refuted=(f"the measuring limbs cannot stand for vision: {withdrawal_reason}",)
+            )
         )
     if agreement.passed.all():
         return judge_evidence(
@@ -201,7 +212,7 @@ def measuring_limbs_verdict(agreement: Agreement, withdrawn: str | None) -> Verd
         Evidence(
             said,
             refuted=(f"{', '.join(surely)} surely beyond the tolerance",) if surely else (),
-            missing=() if surely else (Missing("that they agree is not shown"),),
+            missing=() if surely else (MissingEvidence("that they agree is not shown"),),
         )
     )
 

@@ -7,21 +7,20 @@ from typing import Protocol
 
 import numpy as np
 
-from calib.report.pose_figures import pose_coverage_figures, rig_scene
-from calib.samples.effect_playback import effect_displacements
-from rig.arrays import Floats, Integers
+from calib.report.pose_figures_and_effect_displacements import effect_displacements, pose_coverage_figures, rig_scene
+from rig.array_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_elements import heading, list_html
-from rig.report.pages.page_and_svg_templates import Link, Page, write_page
-from rig.report.pages.plots import Series, panel_row, plot_panel
-from rig.report.pages.view_3d import Effect as Played
-from rig.report.pages.view_3d import view_3d_html, view_scripts
-from rig.report.verdict import Evidence, Missing, State, Verdict, judge_evidence
+from rig.report.pages.html_and_svg_elements import heading_html, list_html
+from rig.report.pages.image_plane_and_3d_views import DrawnEffect as Played
+from rig.report.pages.image_plane_and_3d_views import view_3d_html, view_scripts
+from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
+from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
+from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, State, Verdict, judge_evidence
 
 
 def write_recording_page(
@@ -64,7 +63,7 @@ def write_recording_page(
     parts = [
         *view_3d_html(shown),
         *([list_html(still)] if still else []),
-        heading("Where it went"),
+        heading_html("Where it went"),
         pose_coverage_figures(pose_to_vector(T)),
     ]
     title = f"{recording.name} in three dimensions"
@@ -88,7 +87,7 @@ def _recording_verdict(recording: Recording, frames: Integers, errors: dict[str,
         return judge_evidence(
             Evidence(
                 f"{len(frames)} poses as rig.toml and the commands have them",
-                missing=(Missing("nothing was measured"),),
+                missing=(MissingEvidence("nothing was measured"),),
             )
         )
     if not errors:
@@ -139,20 +138,20 @@ def write_plan_page(path: Path | str, file: str, plan_result: PlanFigures, links
     T = mechanisms.kinematics_of(mechanism).forward(plan_result.values, mechanism)
     units = mechanisms.axis_units(mechanism)
     scales = [(1e3, "mm") if unit == "m" else (180 / np.pi, "degrees") for unit in units]
-    axes = panel_row(
+    axes = panel_row_html(
         *(
-            plot_panel(name, ("configuration", unit), [Series(n, plan_result.values[:, i] * scale)])
+            plot_panel_svg(name, ("configuration", unit), [Series(n, plan_result.values[:, i] * scale)])
             for i, (name, (scale, unit)) in enumerate(zip(mechanisms.axis_places(mechanism), scales))
         )
     )
     said = [list_html(plan_result.said[1:])] if plan_result.said[1:] else []
     parts = [
         *said,
-        heading("In three dimensions"),
+        heading_html("In three dimensions"),
         *view_3d_html(rig_scene(plan_result.design, n, T, plan_result.values)),
-        heading("Where it goes"),
+        heading_html("Where it goes"),
         pose_coverage_figures(pose_to_vector(T)),
-        heading("Axis by axis"),
+        heading_html("Axis by axis"),
         axes,
     ]
     steps = [

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration import Calibration, refutation_sentence, verification_line
+from calib.certification.calibration_and_claim_sentences import Calibration, refutation_sentence, verification_line
 from calib.certification.calibration_evidence import (
     calibration_evidence,
     evidence_with_confounds,
@@ -17,18 +17,28 @@ from calib.certification.claim_verification import Verification
 from calib.certification.held_out_errors import Figures, HeldOut
 from calib.drift.change_evidence import ALARM
 from calib.drift.change_evidence import Verdict as Changes
-from calib.report.pose_figures import correction_error_figures, pose_coverage_figures, rig_scene
+from calib.report.pose_figures_and_effect_displacements import (
+    correction_error_figures,
+    pose_coverage_figures,
+    rig_scene,
+)
 from calib.samples.confounded_conditions import Confounds
 from calib.samples.pose_samples import Samples
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.model.design import Design
 from rig.model.pose import pose_to_vector
-from rig.report.pages.html_elements import heading, note, paragraph, table
-from rig.report.pages.page_and_svg_templates import Link, Page, write_page
-from rig.report.pages.plots import Series, bar_chart, panel_row, plot_panel
-from rig.report.pages.view_3d import view_3d_html, view_scripts
-from rig.report.refutations import Refutation
-from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge_evidence
+from rig.report.pages.html_and_svg_elements import heading_html, note_html, paragraph_html, table_html
+from rig.report.pages.image_plane_and_3d_views import view_3d_html, view_scripts
+from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
+from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_panel_svg
+from rig.report.verdict_and_refutations_of_results import (
+    AGREES,
+    Evidence,
+    MissingEvidence,
+    Refutation,
+    Verdict,
+    judge_evidence,
+)
 
 FAR = 3.0  # times the stated uncertainty, which errors that all poses share may reach by chance: beyond it is refuted
 ANOTHER = (
@@ -68,14 +78,14 @@ def write_verification_page(path: Path | str, name: str, verified: Verified, lin
         f"{verified.held.floor[1] * 1e3:.4f} mrad."
     )
     errors = {"owner's model": -verified.before, "corrected": -verified.after}
-    parts = [paragraph(floor)] if np.isfinite(verified.held.floor).all() else []
+    parts = [paragraph_html(floor)] if np.isfinite(verified.held.floor).all() else []
     if verified.driven is not None:
-        parts += [heading("Wanted poses against measured ones"), _driven(verified.samples.frame, *verified.driven)]
+        parts += [heading_html("Wanted poses against measured ones"), _driven(verified.samples.frame, *verified.driven)]
     parts += [
-        heading("Before and after, pose by pose"),
+        heading_html("Before and after, pose by pose"),
         correction_error_figures(verified.before, verified.after, verified.samples.frame),
         _figures(verified.held),
-        heading("In three dimensions"),
+        heading_html("In three dimensions"),
         *view_3d_html(
             rig_scene(
                 verified.design,
@@ -85,11 +95,14 @@ def write_verification_page(path: Path | str, name: str, verified: Verified, lin
                 errors,
             )
         ),
-        heading("Where it went"),
+        heading_html("Where it went"),
         pose_coverage_figures(pose_to_vector(verified.samples.T_base_platform)),
     ]
     if verified.unsolved:
-        parts += [heading("Frames without a pose"), table(("frame", "reason"), sorted(verified.unsolved.items()))]
+        parts += [
+            heading_html("Frames without a pose"),
+            table_html(("frame", "reason"), sorted(verified.unsolved.items())),
+        ]
     verdict = verification_verdict(verified)
     write_page(
         path, Page("verify", f"Verification by {name}", verdict, parts, verdict.next, links, view_scripts(parts))
@@ -104,7 +117,9 @@ def verification_verdict(verified: Verified) -> Verdict:
         return judge_evidence(
             Evidence(
                 "no verdict",
-                missing=(Missing(f"the calibration was made from {len(verified.same)} of these frames", ANOTHER),),
+                missing=(
+                    MissingEvidence(f"the calibration was made from {len(verified.same)} of these frames", ANOTHER),
+                ),
             )
         )
     known = calibration_evidence(
@@ -141,7 +156,7 @@ def _of_driven(v: Verified) -> Evidence:
     beyond = f"poses are {times:.3g} times the stated standard uncertainty off those wanted"
     if times > FAR:
         return replace(known, refuted=(beyond, *known.refuted), held_out=None)
-    return replace(known, missing=(*known.missing, *([Missing(beyond, CHANGED)] if times > AGREES else [])))
+    return replace(known, missing=(*known.missing, *([MissingEvidence(beyond, CHANGED)] if times > AGREES else [])))
 
 
 def _driven(frames: Integers, figures: Figures, stated: tuple[float, float], errors: Floats) -> str:
@@ -155,12 +170,12 @@ def _driven(frames: Integers, figures: Figures, stated: tuple[float, float], err
         if np.isfinite(errors[:, part]).all()
     ]
     drawn = (
-        plot_panel(label, ("frame", label), [Series(frames, np.linalg.norm(errors[:, part], axis=1) * 1e3)])
+        plot_panel_svg(label, ("frame", label), [Series(frames, np.linalg.norm(errors[:, part], axis=1) * 1e3)])
         for part, label in seen
     )
-    return table(("off the wanted pose", "RMS", "95 %", "max", "stated uncertainty"), rows[: len(seen)]) + panel_row(
-        *drawn
-    )
+    return table_html(
+        ("off the wanted pose", "RMS", "95 %", "max", "stated uncertainty"), rows[: len(seen)]
+    ) + panel_row_html(*drawn)
 
 
 def _figures(held: HeldOut) -> str:
@@ -168,7 +183,7 @@ def _figures(held: HeldOut) -> str:
         (name, *(f"{value * 1e3:.4f}" if value == value else "-" for value in (*f.position, *f.rotation)))
         for name, f in (("owner's model", held.before), ("corrected", held.after))
     ]
-    return table(("pose error", "RMS, mm", "95 %, mm", "max, mm", "RMS, mrad", "95 %, mrad", "max, mrad"), rows)
+    return table_html(("pose error", "RMS, mm", "95 %, mm", "max, mm", "RMS, mrad", "95 %, mrad", "max, mrad"), rows)
 
 
 SHOWN = 8  # suspects
@@ -200,28 +215,28 @@ def write_visits_page(
     n = np.arange(1, len(visits) + 1)
     agree = np.array([np.sqrt(v.evidence.square / v.evidence.count / v.scale) for v in visits])
     later = np.array([np.exp(min(v.evidence.log_sum, 600.0)) if v.evidence.chance is None else np.nan for v in visits])
-    drawn = [plot_panel("agreement", ("visit", "of what measuring repeats to"), [Series(n, agree)], level=1.0)]
+    drawn = [plot_panel_svg("agreement", ("visit", "of what measuring repeats to"), [Series(n, agree)], level=1.0)]
     if np.isfinite(later).any():
         drawn.append(
-            plot_panel(
+            plot_panel_svg(
                 "evidence of a change", ("visit", "sum of likelihood ratios"), [Series(n, later)], log=True, level=ALARM
             )
         )
     last = visits[-1].evidence
     parts = [
-        heading("Visit by visit"),
-        note(f"The alarm is at a sum of {ALARM:g}, which quiet visits reach once in {ALARM:g} visits or more."),
-        panel_row(*drawn),
+        heading_html("Visit by visit"),
+        note_html(f"The alarm is at a sum of {ALARM:g}, which quiet visits reach once in {ALARM:g} visits or more."),
+        panel_row_html(*drawn),
     ]
     if last.alarm:
         shown = last.suspects[:SHOWN]
         parts += [
-            heading("What may have changed"),
-            bar_chart(
+            heading_html("What may have changed"),
+            bar_chart_svg(
                 "odds, were there a change", [one.name for one in shown], [("odds", [one.odds for one in shown], 3)], ""
             ),
         ]
-    parts += [heading("In words"), *(paragraph(line.strip()) for visit in visits for line in visit.lines)]
+    parts += [heading_html("In words"), *(paragraph_html(line.strip()) for visit in visits for line in visit.lines)]
     write_page(path, Page("watch", f"Visits to {calibration}", verdict, parts, verdict.next, links))
 
 

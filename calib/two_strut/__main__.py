@@ -1,4 +1,4 @@
-"""python -m calib.two_strut FOLDER: write the worked example's figures there."""
+"""Command python -m calib.two_strut FOLDER: write the figures of the two-strut worked example there."""
 
 import sys
 from pathlib import Path

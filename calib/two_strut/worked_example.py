@@ -13,13 +13,16 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.correction.correction import AnyCorrection, Correction
-from calib.correction.summand_extension import fit_summand_field, measured_summands
+from calib.correction.interpolation_methods_and_summand_extension import (
+    fit_correction_summand_field,
+    measured_correction_summands,
+)
 from calib.samples.pose_samples import Samples
-from rig.arrays import Floats
-from rig.model.mechanism_geometry import Planar2
+from rig.array_types import Floats
+from rig.model.mechanism_geometry_classes import Planar2
 from rig.model.mechanisms import two_strut_plane
 from rig.planning.configuration_sets import FILL, divided_grid_configurations
-from rig.report.pages.svg_elements import svg_text
+from rig.report.pages.html_and_svg_elements import svg_text
 
 L1, L2 = 0.42, 0.58  # m
 NOMINAL = Planar2(np.array([[-0.3, 0.0], [0.3, 0.0]]), np.array([[L1, L2], [L1, L2]]))
@@ -29,7 +32,7 @@ REAL = Planar2(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Worked:
+class WorkedExample:
     """x : (4, 2) m, the sample set PM; theory, measured : DK(x), GDK(x), RigidTransform (4,); second : (4, 2) m,
     IK(GDK(x))
     summand : (4, 2) m, KSF_PM = x - second; correction : Correction by these alone, linear between them (KSF_KR)."""
@@ -42,15 +45,17 @@ class Worked:
     correction: AnyCorrection
 
 
-def worked_example() -> Worked:
-    """Worked example with all its steps computed."""
+def compute_worked_example() -> WorkedExample:
+    """Worked example of two struts, computed with all its steps."""
     x = divided_grid_configurations(NOMINAL.strut_range, "1@1")
     x = x[np.lexsort((x[:, 1], x[:, 0]))]
     measured = two_strut_plane.forward(x, REAL)
     samples = Samples(np.arange(4), np.arange(4.0), x, measured, np.zeros((4, 6, 6)), np.zeros((4, 6, 0)))
-    known = measured_summands(samples, NOMINAL)
-    correction: AnyCorrection = Correction(NOMINAL, NOMINAL, (None, None), extension=fit_summand_field(known, "linear"))
-    return Worked(
+    known = measured_correction_summands(samples, NOMINAL)
+    correction: AnyCorrection = Correction(
+        NOMINAL, NOMINAL, (None, None), extension=fit_correction_summand_field(known, "linear")
+    )
+    return WorkedExample(
         x,
         two_strut_plane.forward(x, NOMINAL),
         measured,
@@ -60,8 +65,8 @@ def worked_example() -> Worked:
     )
 
 
-def corrected_hinge_positions(correction: AnyCorrection | None, wanted_positions: Floats) -> Floats:
-    """Hinge positions (n, 2) m reached for wanted ones (n, 2) m: by the nominal model, or by one corrected step"""
+def reached_hinge_positions(correction: AnyCorrection | None, wanted_positions: Floats) -> Floats:
+    """Hinge positions (n, 2) m reached for wanted ones, by the nominal model or one corrected step."""
     T = RigidTransform.from_translation(np.pad(wanted_positions, ((0, 0), (0, 1))))
     commands = two_strut_plane.inverse(T, NOMINAL) if correction is None else correction.single_step(T)
     return two_strut_plane.forward(commands, REAL).translation[:, :2]
@@ -102,7 +107,7 @@ STYLE = (
 
 def example_figures() -> dict[str, str]:
     """Figures of the worked example {name: SVG}: 1 to 7 of the source, and the corrected workspace."""
-    w = worked_example()
+    w = compute_worked_example()
     names = ("L1, L1", "L1, L2", "L2, L1", "L2, L2")
     found = {"fig1": _workspace(w)}
     found |= {f"fig{2 + i}": _sample(w, i, name) for i, name in enumerate(names)}
@@ -151,7 +156,7 @@ def _radii() -> list[str]:
     ]
 
 
-def _workspace(w: Worked) -> str:
+def _workspace(w: WorkedExample) -> str:
     hinge = _workspace_edge(NOMINAL).mean(axis=0)
     parts = [*_radii(), _path(_workspace_edge(NOMINAL), "edge", True), *_machine(hinge, NOMINAL.base_joints, "strut")]
     for name, joint in zip(("strut 1", "strut 2"), NOMINAL.base_joints):
@@ -167,7 +172,7 @@ def _enlarged(nominal: Floats, real: Floats) -> Floats:
     return nominal + LARGER * (real - nominal)
 
 
-def _sample(w: Worked, i: int, name: str) -> str:
+def _sample(w: WorkedExample, i: int, name: str) -> str:
     theory, measured = w.theory.translation[i, :2], w.measured.translation[i, :2]
     seen = _enlarged(theory, measured)
     second = " and ".join(f"{value * 1e3:.2f}" for value in w.second[i])
@@ -185,7 +190,7 @@ def _sample(w: Worked, i: int, name: str) -> str:
     return _svg(f"Fig. {2 + i}: sample pose ({name}), theoretical and measured", parts)
 
 
-def _summand(w: Worked, axis: int) -> str:
+def _summand(w: WorkedExample, axis: int) -> str:
     """A surface over the configuration space, seen from aslant."""
     values = w.summand[:, axis]
     low, high = values.min() - np.ptp(values) / 2, values.max()
@@ -214,16 +219,16 @@ def _summand(w: Worked, axis: int) -> str:
     return _svg(f"Fig. {6 + axis}: correction summand of strut {axis + 1} over the configuration space", parts)
 
 
-def _between(w: Worked, x: Floats) -> Floats:
+def _between(w: WorkedExample, x: Floats) -> Floats:
     """(..., 2) m, KSF_KR at configurations x (..., 2) m: at a sample what was measured there, between them by
     interpolation, [0088].
     """
     return np.asarray(w.correction.rho(x))
 
 
-def _corrected(w: Worked) -> str:
+def _corrected(w: WorkedExample) -> str:
     wanted = workspace_grid()
-    before, after = corrected_hinge_positions(None, wanted), corrected_hinge_positions(w.correction, wanted)
+    before, after = reached_hinge_positions(None, wanted), reached_hinge_positions(w.correction, wanted)
     middle = _workspace_edge(NOMINAL).mean(axis=0)
 
     def at(p: Floats) -> tuple[float, float]:

@@ -6,15 +6,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.workspace.workspace_cells import SHORT, Workspace
-from rig.arrays import Floats, Integers
-from rig.effects.framework.diagnosis_interface import PLOT_UNITS
+from calib.workspace.workspace_cells_and_reachable_poses import SHORT, Workspace
+from rig.array_types import Floats, Integers
+from rig.effects.framework.effect_data_types import PLOT_UNITS
 from rig.formats.number_parsing_and_rounding import round_to_digits
-from rig.report.pages.html_elements import heading, note, paragraph, table
-from rig.report.pages.page_and_svg_templates import Link, Page, write_page
-from rig.report.pages.plots import panel_row
-from rig.report.pages.svg_elements import svg_figure, svg_text, text_within, tooltip
-from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
+from rig.report.pages.html_and_svg_elements import (
+    heading_html,
+    note_html,
+    paragraph_html,
+    svg_figure,
+    svg_text,
+    svg_text_within_box,
+    svg_tooltip,
+    table_html,
+)
+from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
+from rig.report.pages.plots import panel_row_html
+from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
 
 
 def workspace_lines(workspace: Workspace, unit: str) -> list[str]:
@@ -51,13 +59,13 @@ def _span(values: Floats) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def certified_cells_line(certified: Floats) -> str:
-    """Line on what a certificate promises in the cells. certified : (c, 2) m and rad"""
-    known = np.isfinite(certified[:, 0])
+def certified_cell_promises_line(cell_promises: Floats) -> str:
+    """Line on the promises that a certificate makes in the cells."""
+    known = np.isfinite(cell_promises[:, 0])
     if not known.any():
         return "the certificate's volume holds the middle of no cell"
-    turns = certified[known & np.isfinite(certified[:, 1]), 1]
-    return f"certified in {known.sum()} cells: position {_span(certified[known, 0] * 1e6)} um" + (
+    turns = cell_promises[known & np.isfinite(cell_promises[:, 1]), 1]
+    return f"certified in {known.sum()} cells: position {_span(cell_promises[known, 0] * 1e6)} um" + (
         f", rotation {_span(turns * 1e6)} urad" if len(turns) else "; no rotation was measured"
     )
 
@@ -173,9 +181,9 @@ def cell_views(workspace: Workspace, quantity: Quantity) -> tuple[str, str]:
             parts.append(
                 f'<rect class="cell {quantity.style}" fill-opacity="{opacity:.2f}" x="{box[0]:.1f}" '
                 f'y="{box[1]:.1f}" width="{scale:.1f}" '
-                f'height="{scale:.1f}">{tooltip(f"{told} {unit}") if told else ""}</rect>'
+                f'height="{scale:.1f}">{svg_tooltip(f"{told} {unit}") if told else ""}</rect>'
             )
-            parts.append(text_within(box, told, "small"))
+            parts.append(svg_text_within_box(box, told, "small"))
         corner = [
             (workspace.origin[axis] * 1e3, (workspace.origin[axis] + span[axis] * workspace.size) * 1e3)
             for axis in (across, up)
@@ -198,8 +206,8 @@ def _titled_cells_html(workspace: Workspace, quantity: Quantity) -> list[str]:
     """HTML of a Quantity over the cells, with its name and what it is."""
     unit, drawn = cell_views(workspace, quantity)
     return [
-        heading(quantity.name.capitalize(), 3),
-        note(f"{quantity.title[0].upper()}{quantity.title[1:]}, {unit}"),
+        heading_html(quantity.name.capitalize(), 3),
+        note_html(f"{quantity.title[0].upper()}{quantity.title[1:]}, {unit}"),
         drawn,
     ]
 
@@ -213,9 +221,9 @@ def workspace_section_html(workspace: Workspace | None, unit: str) -> list[str]:
     quantities = (LOST, GAINED, POSITION) if workspace.lost is not None else (POSITION,)
     maps = ("<div>" + "".join(_titled_cells_html(workspace, q)) + "</div>" for q in quantities)
     return [
-        heading("The workspace"),
-        *(paragraph(f"{line}.") for line in workspace_lines(workspace, unit)),
-        panel_row(*maps),
+        heading_html("The workspace"),
+        *(paragraph_html(f"{line}.") for line in workspace_lines(workspace, unit)),
+        panel_row_html(*maps),
     ]
 
 
@@ -243,14 +251,14 @@ def write_workspace_page(
     ]
     first, *rest = workspace_lines(workspace, unit)
     parts = [
-        *(paragraph(f"{line}.") for line in rest),
-        note(
+        *(paragraph_html(f"{line}.") for line in rest),
+        note_html(
             f"Cells of {workspace.size * 1e3:.3g} mm, those behind each other as one. Poses: all configurations of "
             "the strokes, all axes free of each "
             f"other; what depends on history, temperature and load is not in it. Room: of {margin_description}."
         ),
     ]
-    parts.append(panel_row(*("<div>" + "".join(_titled_cells_html(workspace, q)) + "</div>" for q in quantities)))
+    parts.append(panel_row_html(*("<div>" + "".join(_titled_cells_html(workspace, q)) + "</div>" for q in quantities)))
     if certified is not None:
         known = np.flatnonzero(np.isfinite(certified[:, 0]))
         rows = [
@@ -263,12 +271,12 @@ def write_workspace_page(
             for k in known
         ]
         parts += [
-            heading("What the certificate promises"),
-            note(
+            heading_html("What the certificate promises"),
+            note_html(
                 "From poses held out, in the cells whose middle lies in its volume; beside it the "
                 "bound by the calibration's own covariance."
             ),
-            table(("x, mm", "y, mm", "z, mm", "position, um", "rotation, urad", "bound, um"), rows),
+            table_html(("x, mm", "y, mm", "z, mm", "position, um", "rotation, urad", "bound, um"), rows),
         ]
     write_page(
         path,
@@ -288,9 +296,11 @@ def workspace_verdict(workspace: Workspace, summary: str) -> Verdict:
     summary : what it comes to, in words
     """
     missing = (
-        [Missing("somewhere it comes near a singularity")] if np.nanmin(workspace.singular) < NEAR_SINGULAR else []
+        [MissingEvidence("somewhere it comes near a singularity")]
+        if np.nanmin(workspace.singular) < NEAR_SINGULAR
+        else []
     )
-    missing += [Missing("poses are lost")] if workspace.lost else []
+    missing += [MissingEvidence("poses are lost")] if workspace.lost else []
     return judge_evidence(Evidence(summary, missing=tuple(missing)))
 
 

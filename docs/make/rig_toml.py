@@ -17,11 +17,11 @@ from rig.formats.rig_toml import arm_dynamics_entries, design_file
 from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
 from rig.formats.rig_toml.mechanism_entries import Joint
 from rig.formats.toml_positions import value_positions
-from rig.model.controller_settings import Controller
 from rig.model.design import (
     Actuator,
     Arm,
     Camera,
+    Controller,
     Design,
     Hexapod,
     Instrument,
@@ -34,8 +34,8 @@ from rig.model.design import (
     SensorPort,
     Target,
 )
-from rig.model.mechanism_kinds import has_links
-from rig.planning.layout import hexapod_and_two_strut_layout, shipped_arm_layout
+from rig.model.mechanism_kinds_and_hexapod_properties import has_links
+from rig.planning.layout import hexapod_layout_and_camera_placement, shipped_arm_layout
 
 HEAD = """# rig.toml, table by table
 
@@ -223,14 +223,14 @@ def _limits(least: float | None, most: float | None, above: float | None, unit: 
 
 def samples() -> list[dict[str, Any]]:
     """Rigs as tables, which between them state everything that the reader asks for."""
-    whole = tomllib.loads(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=1, cubes=1, limbs=6))
+    whole = tomllib.loads(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=1, cubes=1, limbs=6))
     whole["camera"][0] |= {"shutter": "rolling", "row_time": 1e-5, "source": "uvc:0", "mount": "fixed"}
     whole["controller"] = {"protocol": "grblhal", "port": "/dev/ttyACM0", "max_speed": 0.01}
     whole["sensors"] = {"port": "/dev/ttyUSB1", "channels": ["ambient_temperature_C"]}
     whole["experiment"] = {"may": ["payload", "wait"]}
     whole["instrument"] = {"base": "rig", "tool": "rig", "position_sigma": 1e-5, "rotation_sigma": 1e-4}
     whole["sensor"] = {name: getattr(Sensor(), name) for name in Sensor.__slots__}
-    listed = tomllib.loads(hexapod_and_two_strut_layout.two_strut_layout_rig_toml(0.3, cameras=1, cubes=1))
+    listed = tomllib.loads(hexapod_layout_and_camera_placement.two_strut_layout_rig_toml(0.3, cameras=1, cubes=1))
     marker = {"id": 90, "side": 0.03, "pose": {"position": [0.0, 0.0, 0.1], "rotvec": [0.0, 0.0, 0.0]}}
     listed["target"].append({"name": "plate", "body": "base", "dictionary": "DICT_5X5_100", "marker": [marker]})
     arms = [
@@ -295,7 +295,7 @@ def page() -> str:
         rows = [_row(at, what, told) for at, what in found.items() if at[0] == heading]
         if rows:
             parts.append("\n| key | takes | if left out | what |\n|---|---|---|---|\n" + "\n".join(rows) + "\n")
-    whole = _indented(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=1, cubes=1))
+    whole = _indented(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=1, cubes=1))
     return (
         "".join(parts) + f"\n## A whole one\n\nAs `rig design --radius 0.3 --cameras 1 --cubes 1` writes it:\n\n{whole}"
     )

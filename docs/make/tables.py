@@ -11,7 +11,7 @@ from unittest.mock import patch
 
 from rig.formats import csv_table
 from rig.formats.csv_table import Table
-from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 
 HEAD = """# The tables of a recording, column by column
@@ -86,7 +86,7 @@ def asked() -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
 
 def _sample(folder: Path) -> Path:
     """A recording of one frame with every file that there can be."""
-    (folder / "rig.toml").write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, **RIG))
+    (folder / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, **RIG))
     design = recording_folder.design_file.load_design(folder / "rig.toml")
     lengths = ",".join(f"{x:.4f}" for x in design.mechanism.strut_range.mean(axis=1))
     marker = design.targets[0].ids[0]

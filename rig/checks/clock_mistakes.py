@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.arrays import Floats
-from rig.checks.mistake_report import Mistake
+from rig.array_types import Floats
+from rig.checks.mistake import Mistake
 
 UNITS = {
     "milliseconds": 1e3,
@@ -193,7 +193,7 @@ def dwell_clock_shift(frames: Floats, t: Floats, values: Floats) -> DwellShift |
     return DwellShift(float(low + high) / 2, float(high - low) / 2, int(count[best]))
 
 
-def clock_offset_mistake(frames: Floats, t: Floats, values: Floats) -> Iterator[Mistake]:
+def dwell_clock_offset_mistake(frames: Floats, t: Floats, values: Floats) -> Iterator[Mistake]:
     """Mistake of a clock offset: frames taken in motion that another offset puts into dwells of the commands.
 
     frames : (m,) s; t : (n,) s of the commands; values : (n, axes) m or rad

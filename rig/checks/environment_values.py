@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rig.arrays import Floats
-from rig.checks.mistake_report import Mistake
+from rig.array_types import Floats
+from rig.checks.mistake import Mistake
 from rig.model.design import Design
 from rig.recording.recording_folder import Sensors
 

@@ -8,13 +8,13 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.arrays import Booleans, Floats, Integers
-from rig.checks.mistake_report import Mistake
+from rig.array_types import Booleans, Floats, Integers
+from rig.checks.mistake import Mistake
 from rig.checks.units_and_conventions import poses_in_other_conventions
 from rig.errors import RigError
 from rig.formats import csv_table
-from rig.model.mechanism_geometry import Hexapod
-from rig.model.mechanism_kinds import require_hexapod
+from rig.model.mechanism_geometry_classes import Hexapod
+from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
 from rig.model.mechanisms import hexapod as kinematics
 from rig.recording.recording_folder import Commands, Recording
 from rig.recording.recording_tables import POSE_COLUMNS
@@ -39,7 +39,7 @@ QUARTER = 1800.0  # s; time zones
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Moves:
+class CommandsAndPoses:
     """What was commanded and what was measured, of one platform.
 
     mechanism : Hexapod as stated; frame : (n,) numbers; index : (n,) of these among all frames; times : (F,) s of all
@@ -74,10 +74,10 @@ class Moves:
         return float(np.sqrt((self.left() ** 2).mean()))
 
 
-def moves_of_recording(
-    recording: Recording, frames: Integers, T: RigidTransform, vector: Floats | None = None
-) -> Moves:
-    """Moves of a recording: its commands and the poses measured, T (n,), in some of its frames.
+def commands_and_measured_poses(
+    recording: Recording, frames: Integers, T: RigidTransform, pose_vectors: Floats | None = None
+) -> CommandsAndPoses:
+    """Commands of a recording and its measured poses, T (n,), in some of its frames.
 
     Raises RigError without commands, and for what is no hexapod.
     """
@@ -86,8 +86,15 @@ def moves_of_recording(
     if c is None:
         raise RigError(f"{recording.folder}: there is no commands.csv, so nothing was commanded")
     q = np.stack([np.interp(t, c.t, column) for column in c.values.T], axis=1)
-    return Moves(
-        require_hexapod(recording.design.mechanism), frames, np.searchsorted(known, frames), times, q, T, c, vector
+    return CommandsAndPoses(
+        require_hexapod(recording.design.mechanism),
+        frames,
+        np.searchsorted(known, frames),
+        times,
+        q,
+        T,
+        c,
+        pose_vectors,
     )
 
 
@@ -96,7 +103,7 @@ def written_pose_columns(recording: Recording) -> Floats:
     return csv_table.read(recording.folder / "poses.csv", POSE_COLUMNS).matrix(POSE_COLUMNS)
 
 
-def commands_disagree_with_poses(moves: Moves) -> bool:
+def commands_disagree_with_poses(moves: CommandsAndPoses) -> bool:
     """Whether commands disagree with poses by more than a calibration can correct."""
     if len(moves.frame) < LEAST:
         return False
@@ -107,7 +114,7 @@ def commands_disagree_with_poses(moves: Moves) -> bool:
     return moves.miss() > AWAY or (scatter > max(SMALL, SHARE * moved))
 
 
-def command_pose_mistakes(moves: Moves) -> Iterator[Mistake]:
+def command_pose_mistakes(moves: CommandsAndPoses) -> Iterator[Mistake]:
     """Mistake that best explains why commands disagree with poses, or the size of what none explains."""
     if not commands_disagree_with_poses(moves):
         return
@@ -132,10 +139,10 @@ def command_pose_mistakes(moves: Moves) -> Iterator[Mistake]:
         )
 
 
-Candidate = tuple[str, str, Moves]
+Candidate = tuple[str, str, CommandsAndPoses]
 
 
-def _candidates(moves: Moves) -> Iterator[Candidate]:
+def _candidates(moves: CommandsAndPoses) -> Iterator[Candidate]:
     yield from _struts(moves)
     yield from _joints(moves)
     yield from _clocks(moves)
@@ -143,7 +150,7 @@ def _candidates(moves: Moves) -> Iterator[Candidate]:
     yield from _poses(moves)
 
 
-def _struts(moves: Moves) -> Iterator[Candidate]:
+def _struts(moves: CommandsAndPoses) -> Iterator[Candidate]:
     """Columns of commands.csv matched to struts by how they move together, then by an offset and a factor."""
     L = kinematics.inverse(moves.T, moves.mechanism)
     a, b = L - L.mean(axis=0), moves.q - moves.q.mean(axis=0)
@@ -212,7 +219,7 @@ def _struts(moves: Moves) -> Iterator[Candidate]:
         )
 
 
-def _joints(moves: Moves) -> Iterator[Candidate]:
+def _joints(moves: CommandsAndPoses) -> Iterator[Candidate]:
     """rig.toml's joints exchanged, numbered otherwise, turned or mirrored, one side at a time."""
     m = moves.mechanism
     base, platform = m.base_joints, m.platform_joints
@@ -258,10 +265,10 @@ def _joints(moves: Moves) -> Iterator[Candidate]:
         yield other(f"base_joints and platform_joints are {what}", "Mirror them back", J[0], J[1])
 
 
-def _scaled(moves: Moves, name: str) -> Iterator[Candidate]:
+def _scaled(moves: CommandsAndPoses, name: str) -> Iterator[Candidate]:
     """The joints of one side nearer to its axis or farther, by the share that agrees best."""
 
-    def wider(share: float) -> Moves:
+    def wider(share: float) -> CommandsAndPoses:
         return replace(
             moves, mechanism=replace(moves.mechanism, **{name: getattr(moves.mechanism, name) * [share, share, 1]})
         )
@@ -275,7 +282,7 @@ def _scaled(moves: Moves, name: str) -> Iterator[Candidate]:
         )
 
 
-def _clocks(moves: Moves) -> Iterator[Candidate]:
+def _clocks(moves: CommandsAndPoses) -> Iterator[Candidate]:
     """Other times of the same commands: other clocks, other units."""
     c = moves.commands
     span = float(c.t[-1] - c.t[0])
@@ -302,7 +309,7 @@ def _clocks(moves: Moves) -> Iterator[Candidate]:
         )
 
 
-def _frames(moves: Moves) -> Iterator[Candidate]:
+def _frames(moves: CommandsAndPoses) -> Iterator[Candidate]:
     """The same frames in another order: shifted by some, run backwards, two exchanged, sorted by name, shuffled."""
     last, do = (
         len(moves.times) - 1,
@@ -331,11 +338,11 @@ def _frames(moves: Moves) -> Iterator[Candidate]:
     yield from _shuffled(moves)
 
 
-def _only(moves: Moves, kept: Booleans) -> Moves:
+def _only(moves: CommandsAndPoses, kept: Booleans) -> CommandsAndPoses:
     return replace(moves, frame=moves.frame[kept], index=moves.index[kept], q=moves.q[kept], T=moves.T[kept])
 
 
-def _shuffled(moves: Moves) -> Iterator[Candidate]:
+def _shuffled(moves: CommandsAndPoses) -> Iterator[Candidate]:
     """Frames that show what others were commanded, each matched to the one it shows."""
     L, q = kinematics.inverse(moves.T, moves.mechanism), moves.at_all()
     cost = np.sqrt(((L[:, None] - q[None]) ** 2).mean(axis=2))
@@ -354,7 +361,7 @@ def _shuffled(moves: Moves) -> Iterator[Candidate]:
         )
 
 
-def _poses(moves: Moves) -> Iterator[Candidate]:
+def _poses(moves: CommandsAndPoses) -> Iterator[Candidate]:
     """poses.csv written another way. Of poses that vision measured nothing is asked."""
     if moves.vector is None:
         return

@@ -7,14 +7,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from rig.checks import clock_mistakes, environment_values, units_and_conventions
-from rig.checks.mistake_report import Mistake, sort_mistakes
+from rig.checks.mistake import Mistake, sort_mistakes
 from rig.formats import remote_folders
 from rig.formats.input_files import read_text
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.formats.output_files.folder_manifest import file_digest
 from rig.model.design import Camera, Design
-from rig.model.mechanism_geometry import Arm
-from rig.model.mechanism_kinds import has_links
+from rig.model.mechanism_geometry_classes import Arm
+from rig.model.mechanism_kinds_and_hexapod_properties import has_links
 from rig.recording.recording_folder import Recording
 
 TURN = 2.2 * np.pi  # rad; nobody writes a rotation vector that is longer
@@ -282,7 +282,7 @@ def _all(recording: Recording) -> Iterator[Mistake]:
     apart = list(clock_mistakes.time_range_mistakes(times))
     yield from apart
     if r.commands is not None and not apart:
-        yield from clock_mistakes.clock_offset_mistake(times["frames.csv"], r.commands.t, r.commands.values)
+        yield from clock_mistakes.dwell_clock_offset_mistake(times["frames.csv"], r.commands.t, r.commands.values)
     yield from clock_mistakes.repeated_time_mistakes(times["frames.csv"])
     yield from unused_cameras(r)
     yield from duplicate_images(r)

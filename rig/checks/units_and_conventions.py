@@ -5,11 +5,11 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.arrays import Floats
-from rig.checks.mistake_report import Mistake
+from rig.array_types import Floats
+from rig.checks.mistake import Mistake
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_kinds import has_links, has_struts
+from rig.model.mechanism_kinds_and_hexapod_properties import has_links, has_struts
 from rig.recording.recording_folder import Commands
 
 UNITS = {"millimetres": 1e3, "centimetres": 1e2, "micrometres": 1e6, "inches": 1 / 0.0254}  # per metre

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.checks import clock_mistakes, recording_files
-from rig.checks.mistake_report import Mistake, sort_mistakes
+from rig.checks.mistake import Mistake, sort_mistakes
 from rig.errors import FileError, RigError
 from rig.formats import csv_table, remote_folders
 from rig.formats.input_files import read_text
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.formats.rig_toml import design_file
 
 SPREAD = {

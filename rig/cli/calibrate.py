@@ -19,14 +19,14 @@ from rig.cli.shared.recording_options import (
     add_limb_options,
     add_recordings_argument,
     limb_source,
-    print_notices,
+    notice_printer,
     read_recordings,
 )
 from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
 
 if TYPE_CHECKING:
-    from calib.api.calibrate_options import CalibrateOptions
+    from calib.api.calibrate import CalibrateOptions
     from calib.api.correction_extension import ExtendOptions
 
 WAYS = ("linear", "simplex", "delaunay", "axes", "radial", "polynomial", "auto")
@@ -116,16 +116,16 @@ def run(arguments: Namespace) -> None:
     progress = Progress()
     progress("reading the recording", 0, 1)
     recordings, options = read_recordings(arguments), _options(arguments)
-    from calib.api.calibrate import calibrate, has_summands
+    from calib.api.calibrate import calibrate, has_axis_correction_summands
     from calib.files import calibration_file
     from rig.cli.shared.calibration_summary import print_calibration, print_verdict
 
     out = arguments.outputs.file(arguments.out)
     page = arguments.outputs.stage_file(out, ".html")
     links = page_links(arguments, arguments.out.with_suffix(".html")) if page else []
-    separate = page is not None and has_summands(recordings[0].design)
+    separate = page is not None and has_axis_correction_summands(recordings[0].design)
     values = arguments.outputs.file(arguments.out.with_name(_values_name(arguments.out))) if separate else None
-    result = calibrate(recordings, options, progress, print_notices(progress))
+    result = calibrate(recordings, options, progress, notice_printer(progress))
     calibration_file.save(out, result.calibration)
     if page:
         progress("drawing the page", 0, 1)
@@ -144,7 +144,7 @@ def run(arguments: Namespace) -> None:
 
 def _options(arguments: Namespace) -> CalibrateOptions:
     """How a recording is calibrated, by the arguments."""
-    from calib.api.calibrate_options import CalibrateOptions
+    from calib.api.calibrate import CalibrateOptions
 
     return CalibrateOptions(
         arguments.diagnosis,

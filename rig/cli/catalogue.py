@@ -25,7 +25,7 @@ def run(arguments: Namespace) -> None:
     """Write the catalogue of left-out physics as a document: all that `rig effects NAME` says of each, with a sketch
     that its model draws.
     """
-    from rig.effects.texts.catalogue_description import catalogue_markdown
+    from rig.effects.catalogue.effect_list import catalogue_markdown
     from rig.errors import RigError
     from rig.formats.output_files import write_text
     from rig.formats.output_files.atomic_file import is_written_directly
@@ -39,7 +39,7 @@ def run(arguments: Namespace) -> None:
             f"{arguments.out} has no ending, and a folder beside it of the same name would hold the "
             f"sketches: name it {arguments.out}.md"
         )
-    from rig.report.pages.page_and_svg_templates import standalone_svg
+    from rig.report.pages.page_templates_and_page_index import standalone_svg
     from vision.effect_sketches import effect_sketch
 
     folder, sketches = arguments.out.with_suffix(""), {}

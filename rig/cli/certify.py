@@ -24,7 +24,7 @@ from rig.cli.shared.recording_options import read_recording
 from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number
-from rig.report.verdict import exit_status
+from rig.report.verdict_and_refutations_of_results import exit_status
 
 if TYPE_CHECKING:
     from calib.api.certify import CertificationResult
@@ -63,7 +63,7 @@ def parse_relative_uncertainty(text: str) -> float:
     )
 
 
-def parse_load(text: str) -> float:
+def parse_rated_load(text: str) -> float:
     """Parse a rated load, kg. Raises ArgumentTypeError"""
     return _within(text, 0.0, math.nextafter(1e6, 0.0), "a load in kg, 0 or more")
 
@@ -121,7 +121,7 @@ def arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--scale-source", metavar="TEXT", help="who certified it, as a certificate's number")
     parser.add_argument(
-        "--rated-load", metavar="KG", type=parse_load, help="that the machine is made for, for ISO 9283"
+        "--rated-load", metavar="KG", type=parse_rated_load, help="that the machine is made for, for ISO 9283"
     )
     for name, who in (
         ("laboratory", "who calibrated"),
@@ -155,7 +155,7 @@ def run(arguments: Namespace) -> int:
     from calib.api.certify import certify
     from calib.certificate.certificate import certificate_provenance
     from calib.files import calibration_file
-    from rig.report.refutations import refutations_of_file
+    from rig.report.verdict_and_refutations_of_results import refutations_of_file
 
     calibration = calibration_file.load(arguments.calibration)
     whole = arguments.outputs.folder(arguments.out) if suffix == "" else arguments.outputs.file(arguments.out)

@@ -21,7 +21,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Print all that is wrong or unlikely with a recording, the most likely cause first; 1 where results would mean
     nothing.
     """
-    from calib.api.check import check
+    from calib.api.recording_check_and_preparation import check
 
     found = check(arguments.recording, arguments.detect)
     if arguments.json:

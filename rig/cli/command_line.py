@@ -15,7 +15,7 @@ from typing import NoReturn, TextIO, TypeVar, cast
 
 from rig.cli.shared.argument_parser import Parser, add_common_options, join_negative_numbers
 from rig.errors import RigError
-from rig.formats.output_files import STANDARD_OUTPUT, Outputs
+from rig.formats.output_files import STANDARD_OUTPUT, CommandOutputs
 
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 WRITTEN = (
@@ -171,7 +171,7 @@ def _run(arguments: argparse.Namespace) -> int:
             raise RigError("--json and --out - both write to the standard output; name a file, or leave out --json")
         with (
             _signals(),
-            Outputs(
+            CommandOutputs(
                 arguments.command, arguments.argv[1:], _read(arguments), getattr(arguments, "overwrite", False)
             ) as outputs,
         ):
@@ -179,7 +179,7 @@ def _run(arguments: argparse.Namespace) -> int:
             with _reader_may_leave(name, outputs), _words(arguments), _compiling(), _workers(arguments):
                 status = arguments.run(arguments) or 0
         if outputs.pages:
-            from rig.report.pages.page_index import refresh_indices
+            from rig.report.pages.page_templates_and_page_index import refresh_indices
 
             refresh_indices(outputs.pages)
         if asked and arguments.result is not None:
@@ -208,7 +208,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _reader_may_leave(name: str, outputs: Outputs) -> Iterator[None]:
+def _reader_may_leave(name: str, outputs: CommandOutputs) -> Iterator[None]:
     """Within it a command that writes files finishes them though the reader of its standard output is gone, which is
     then reported.
     """
@@ -230,7 +230,7 @@ def _reader_may_leave(name: str, outputs: Outputs) -> Iterator[None]:
 def _compiling() -> AbstractContextManager[None]:
     """Within it is said, once, that something is compiled, for which nothing moves on."""
     from rig.cli.shared.terminal_output import print_compilation_notice
-    from rig.compute.numba_kernels import announce_compilation
+    from rig.compute.numba_kernels_and_lazy_exports import announce_compilation
 
     return announce_compilation(print_compilation_notice)
 

@@ -14,9 +14,9 @@ from rig.formats.number_parsing_and_rounding import parse_numbers
 
 if TYPE_CHECKING:
     from calib.api.correct import CorrectionResult, CorrectOptions
-    from calib.certification.calibration import Calibration
-    from rig.arrays import Floats
-    from rig.recording.recording_folder import Wanted
+    from calib.certification.calibration_and_claim_sentences import Calibration
+    from rig.array_types import Floats
+    from rig.recording.recording_folder import WantedPoses
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -106,7 +106,7 @@ def run(arguments: Namespace) -> None:
     _print_result(arguments, result, None if beside is None else beside.name)
 
 
-def _options(arguments: Namespace, wanted: Wanted) -> CorrectOptions:
+def _options(arguments: Namespace, wanted: WantedPoses) -> CorrectOptions:
     """How wanted poses are corrected, by the arguments."""
     from calib.api.correct import CorrectOptions
     from rig.recording.recording_folder import load_sensors
@@ -137,7 +137,7 @@ def _start(text: str) -> Floats | None:
 
 def _write_read_poses(arguments: Namespace, calibration: Calibration, out: Path) -> None:
     """Write the poses that a measuring machine's readings stand for."""
-    from calib.api.read_poses import poses_of_readings
+    from calib.api.poses_from_readings_and_limbs import poses_of_readings
     from rig.formats import csv_table
 
     axes = calibration.correction.nominal.axes
@@ -150,12 +150,12 @@ def _write_read_poses(arguments: Namespace, calibration: Calibration, out: Path)
 
 def _print_result(arguments: Namespace, result: CorrectionResult, poses: str | None) -> None:
     """Print how sure the poses are, what is left of them, and how many were written. poses : name of their file"""
-    from calib.api.correct import unreachable
+    from calib.api.correct import unreachable_poses_error
     from rig.model import mechanisms
 
     count = len(result.wanted.poses.frame)
     if result.out_of_reach:
-        message = unreachable(list(result.out_of_reach), count)
+        message = unreachable_poses_error(list(result.out_of_reach), count)
         print(f"rig correct: {message}\nleft out, as asked", file=sys.stderr)
     if result.covariance is not None and not (arguments.uncorrected or arguments.single_step):
         _print_uncertainty(result, result.covariance)

@@ -52,8 +52,8 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Write or print a rig.toml."""
     from rig.errors import RigError
-    from rig.planning.layout import hexapod_and_two_strut_layout
-    from rig.planning.layout import hexapod_and_two_strut_layout as layout
+    from rig.planning.layout import hexapod_layout_and_camera_placement
+    from rig.planning.layout import hexapod_layout_and_camera_placement as layout
 
     if arguments.arm is not None or arguments.mechanism == "arm":
         _shipped(arguments)
@@ -80,7 +80,7 @@ def run(arguments: Namespace) -> None:
         arguments,
         layout.hexapod_layout_rig_toml(*figures, arguments.limbs)
         if kind == "hexapod"
-        else hexapod_and_two_strut_layout.two_strut_layout_rig_toml(*figures),
+        else hexapod_layout_and_camera_placement.two_strut_layout_rig_toml(*figures),
     )
 
 

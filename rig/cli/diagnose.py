@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 
 from rig.cli.shared import calibration_and_effect_files
 from rig.cli.shared.command_options import SEED, add_json_result_option, add_overwrite_option, page_links
-from rig.cli.shared.recording_options import add_anyway_option, add_recordings_argument, print_notices, read_recordings
+from rig.cli.shared.recording_options import add_anyway_option, add_recordings_argument, notice_printer, read_recordings
 from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
-from rig.formats.input_files import neighbouring_json_files
+from rig.formats.input_files import json_files_in_same_folders
 from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
     from calib.api.diagnose import DiagnoseOptions
-    from calib.api.experiment_options import ExperimentOptions
+    from calib.api.next_experiment import ExperimentOptions
     from calib.diagnosis.report.diagnosis_report import Report
     from rig.recording.recording_folder import Recording
 
@@ -108,7 +108,7 @@ def run(arguments: Namespace) -> None:
     from rig.recording import recording_frames
 
     out, options = arguments.outputs.folder(arguments.out), _options(arguments, recordings)
-    notice = print_notices(progress)
+    notice = notice_printer(progress)
     result = diagnose(recordings, options, progress, notice)
     for path, state, finding in result.against:
         calibration_and_effect_files.write_refutation(arguments, path, result.recording.name, finding, state)
@@ -143,7 +143,7 @@ def _options(arguments: Namespace, recordings: list[Recording]) -> DiagnoseOptio
         effects,
         None if known is None else calibration_and_effect_files.load_calibration(known, effects),
         str(known),
-        tuple(neighbouring_json_files(recordings[0].folder, arguments.out)),
+        tuple(json_files_in_same_folders(recordings[0].folder, arguments.out)),
         arguments.anyway,
         _words(arguments),
     )
@@ -169,8 +169,8 @@ def _print_report(report: Report) -> None:
         excluded_row_texts,
         finding_line,
         formula_suggestion_sentences,
-        many_outliers_sentence,
-        suggestion_rows,
+        outliers_not_excluded_sentence,
+        suggested_formula_rows,
     )
 
     for finding in report.findings:
@@ -180,7 +180,7 @@ def _print_report(report: Report) -> None:
         for other in finding.cannot_be_told_from:
             print(f"  cannot be told from {other.effect} at {other.place}; {other.experiment}")
     for entry in report.suggestions:
-        values = ", ".join(f"{name} {value}" for name, value, _ in suggestion_rows(entry))
+        values = ", ".join(f"{name} {value}" for name, value, _ in suggested_formula_rows(entry))
         print(
             f"a formula for it at {entry.place}: {formula_suggestion_sentences(entry)} {values}; `rig "
             "effects --new NAME --from DIR` writes it"
@@ -195,7 +195,7 @@ def _print_report(report: Report) -> None:
     if len(report.left_out) > MENTIONED:
         print(f"left out: {len(report.left_out) - MENTIONED} more rows that agree with no others; see left_out")
     if report.crowd is not None and report.findings:
-        print(many_outliers_sentence(report.crowd))
+        print(outliers_not_excluded_sentence(report.crowd))
     for what, fit in report.fits.items():
         scale, unit = (1e6, "um") if fit.unit == "m" else (1, fit.unit)
         before, after, floor = (value * scale for value in (fit.heldout_before, fit.heldout_after, fit.noise_floor))
@@ -206,7 +206,7 @@ def _print_report(report: Report) -> None:
 
 def _experiment_options(arguments: Namespace) -> ExperimentOptions | None:
     """What the next experiment may take, None where none is asked for. Raises RigError for what cannot be meant"""
-    from calib.api.experiment_options import ExperimentOptions
+    from calib.api.next_experiment import ExperimentOptions
 
     may = None if arguments.may is None else tuple(arguments.may)
     found = ExperimentOptions(arguments.minutes, may, arguments.standing, SEED + 1 + len(arguments.further))

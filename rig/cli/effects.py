@@ -46,7 +46,7 @@ def run(arguments: Namespace) -> None:
     from shutil import get_terminal_size
 
     from rig.cli.shared.argument_parser import suggestion_text
-    from rig.effects.texts.catalogue_description import effect_description, effect_description_dict, effect_table
+    from rig.effects.catalogue.effect_list import effect_description, effect_description_dict, effect_table
 
     width = get_terminal_size((160, 24)).columns
     known = calibration_and_effect_files.known_effects(calibration_and_effect_files.load_effect_files(arguments))
@@ -69,8 +69,8 @@ def run(arguments: Namespace) -> None:
 
 def _new(arguments: Namespace) -> None:
     """Write a file with a new effect: as a diagnosis suggests it, or an example."""
-    from rig.effects.texts.formula_effect_file import EXAMPLE, load_suggestion
-    from rig.effects.texts.user_effect_files import effect_name_problem, effects_of_source
+    from rig.effects.texts.effect_file_from_formula import EXAMPLE, load_suggestion
+    from rig.effects.texts.user_effect_file_loading import effect_name_problem, effects_of_source
     from rig.formats.output_files import write_text
 
     if arguments.name is not None or arguments.json:

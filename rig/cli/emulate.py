@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    from rig.model.controller_settings import PROTOCOLS
+    from rig.model.design import PROTOCOLS
 
     parser.add_argument("design", metavar="RIG.toml", type=Path)
     parser.add_argument("--protocol", choices=PROTOCOLS, help="by default what [controller] of the rig.toml says")

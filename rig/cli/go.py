@@ -51,10 +51,10 @@ def run(arguments: Namespace) -> None:
     """Go to a pose: the corrected lengths, checked, commanded and read back."""
     from calib.api.go import plan_pose_move, require_same_rig
     from rig.cli.shared.controller_status import print_status
-    from rig.driving.driver_session import design_with_controller, open_driver
+    from rig.driving.driver_session import design_with_controller_port, open_driver
 
     require_share(arguments.speed)
-    design = design_with_controller(arguments.rig, arguments.port)
+    design = design_with_controller_port(arguments.rig, arguments.port)
     calibration = calibration_and_effect_files.calibration_of_arguments(arguments)
     calibration_and_effect_files.read_refutations(arguments.calibration)
     require_same_rig(design, calibration, arguments.rig, arguments.calibration)

@@ -14,9 +14,9 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Home all struts and say where they stand."""
     from rig.cli.shared.controller_status import print_status
-    from rig.driving.driver_session import design_with_controller, open_driver
+    from rig.driving.driver_session import design_with_controller_port, open_driver
 
-    design = design_with_controller(arguments.design, arguments.port)
+    design = design_with_controller_port(arguments.design, arguments.port)
     with open_driver(design, arguments.trace, print) as driver:
         if arguments.unlock:
             driver.unlock()

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option
 from rig.errors import RigError
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 
 if TYPE_CHECKING:
-    from rig.formats.importers import Imported, Recipe
+    from rig.formats.importers import ImportedRecording, Recipe
     from rig.recording.recording_folder import Recording
 
 TABLES = {
@@ -128,7 +128,7 @@ def _read(recipe: "Recipe") -> list[Path]:
     return [recipe.rig, *seen, *(table.file for table in tables if table is not None)]
 
 
-def _result(imported: "Imported", remarks: list[str], recipe: Path) -> Json:
+def _result(imported: "ImportedRecording", remarks: list[str], recipe: Path) -> Json:
     """What --json prints."""
     e, c, p, s = imported.exposed, imported.commanded, imported.posed, imported.logged
     return {
@@ -179,7 +179,7 @@ def _loaded(folder: Path, place: Path) -> "Recording":
         raise RigError(f"what was imported is no recording: {str(error).replace(str(folder), str(place))}") from None
 
 
-def _say(imported: "Imported") -> None:
+def _say(imported: "ImportedRecording") -> None:
     """Print the verdict, then what was assumed."""
     e, parts = imported.exposed, []
     pictures = sum(bool(name) for name in e.camera)

@@ -22,12 +22,12 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Write one page of all pages below a folder."""
-    from rig.report.pages.page_index import NAME, list_pages, write_index_page
+    from rig.report.pages.page_templates_and_page_index import NAME, list_pages_below_folder, write_index_page
 
     if not arguments.folder.is_dir():
         raise RigError(f"{arguments.folder}: no such folder")
     write_index_page(arguments.outputs.file(arguments.folder / NAME), arguments.folder)
-    known = list_pages(arguments.folder)
+    known = list_pages_below_folder(arguments.folder)
     for found in known:
         print(f"{found.state:6} {found.path}: {found.why}")
     print(f"written: {arguments.folder / NAME}" + ("" if known else "; there is no page yet"))

@@ -13,7 +13,7 @@ from rig.cli.shared.command_options import (
     page_path,
     print_frames_without_pose,
 )
-from rig.cli.shared.recording_options import add_recording_argument, print_notices, read_recording
+from rig.cli.shared.recording_options import add_recording_argument, notice_printer, read_recording
 from rig.cli.shared.terminal_output import Progress
 from rig.formats.number_parsing_and_rounding import parse_number
 
@@ -80,7 +80,7 @@ def run(arguments: Namespace) -> int:
         print(f"written: {arguments.page}")
     if state is not None and result.passed:
         progress = Progress()
-        learnt = result.learn(arguments.state, progress, print_notices(progress))
+        learnt = result.learn(arguments.state, progress, notice_printer(progress))
         learnt.save(state)
         print_learning(learnt)
         print(f"written: {arguments.state}")

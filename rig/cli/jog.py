@@ -10,7 +10,7 @@ from rig.errors import PositionLost, RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_numbers, parse_whole_number
 
 if TYPE_CHECKING:
-    from rig.arrays import Floats
+    from rig.array_types import Floats
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -40,9 +40,9 @@ def run(arguments: Namespace) -> None:
     import numpy as np
 
     from rig.cli.shared.controller_status import print_status
-    from rig.driving.driver_session import design_with_controller, open_driver
+    from rig.driving.driver_session import design_with_controller_port, open_driver
 
-    design = design_with_controller(arguments.design, arguments.port)
+    design = design_with_controller_port(arguments.design, arguments.port)
     count = len(design.mechanism.axes)
     struts = arguments.strut or list(range(1, count + 1))
     if not all(1 <= strut <= count for strut in struts):

@@ -8,7 +8,7 @@ from math import degrees
 from pathlib import Path
 
 from rig.cli.shared.command_options import add_json_option, print_json
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 
 LEAVES = 1e-9  # m or rad of a pose, from which it is said
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option, page_links
 from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 
 if TYPE_CHECKING:
-    from vision.lenses.board_photographs import Calibrated
+    from vision.lenses.lens_calibration_from_photographs import Calibrated
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
 
@@ -52,10 +52,10 @@ def run(arguments: Namespace) -> None:
         raise RigError(f"--name {arguments.name!r} is no name for a camera")
     out = arguments.outputs.folder(arguments.out) if arguments.out else None
 
-    from calib.report.lens_page import lens_verdict, write_lens_page
+    from calib.report.platform_and_lens_calibration_pages import lens_verdict, write_lens_page
     from rig.formats.output_files import write_text
     from rig.formats.rig_toml.camera_instrument_and_cube_entries import camera_toml
-    from vision.lenses.board_photographs import calibrate_photographs
+    from vision.lenses.lens_calibration_from_photographs import calibrate_photographs
 
     found = calibrate_photographs(paths, board, arguments.name, Progress())
     block = camera_toml(found.fit.camera)

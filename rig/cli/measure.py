@@ -12,14 +12,14 @@ from rig.cli.shared.recording_options import (
     add_limb_options,
     add_recording_argument,
     limb_source,
-    print_notices,
+    notice_printer,
     read_recording,
 )
 from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
 
 if TYPE_CHECKING:
-    from calib.online.limb_pose_source import LimbSource
+    from calib.online.measuring_limb_poses import LimbSource
     from rig.recording.recording_folder import Recording
 
 
@@ -64,7 +64,7 @@ def run(arguments: Namespace) -> None:
         MeasureOptions(hold, arguments.places, arguments.detect, arguments.anyway),
     )
     with recording_frames.start_content_hashing(recording) as marks:
-        result = measure(recording, options, progress, print_notices(progress))
+        result = measure(recording, options, progress, notice_printer(progress))
         arguments.outputs.data = recording_frames.hash_lines(marks())
     result.write(out)
     write_measurement_page(out / "report.html", result, page_links(arguments, arguments.out / "report.html"))
@@ -88,13 +88,13 @@ def _by_limbs(arguments: Namespace, recording: Recording, limbs: LimbSource, pro
     """Write the poses of measuring limbs, with covariance; rig.toml stays as stated, since no camera was adjusted."""
     if arguments.hold or arguments.detect or arguments.places != "auto":
         raise RigError("--hold, --places and --detect are about cameras and what they see; leave them out with --limbs")
-    from calib.api.measure_limbs import measure_limbs
-    from rig.cli.shared.measurement_summary import print_limb_poses
+    from calib.api.poses_from_readings_and_limbs import measure_poses_by_limbs
+    from rig.cli.shared.measurement_summary import print_limb_pose_uncertainty
     from rig.recording import recording_frames
 
     out = arguments.outputs.folder(arguments.out)
-    found = measure_limbs(recording, limbs, arguments.anyway, progress, print_notices(progress))
+    found = measure_poses_by_limbs(recording, limbs, arguments.anyway, progress, notice_printer(progress))
     arguments.outputs.data = recording_frames.hash_lines(recording_frames.content_hashes(recording))
     found.write(out)
-    print_limb_poses(found)
+    print_limb_pose_uncertainty(found)
     print(f"written: {arguments.out}/poses.csv, rpy.csv (roll, pitch, yaw), rig.toml as stated")

@@ -86,17 +86,17 @@ def run(arguments: Namespace) -> None:
 
 def _index(folder: Path) -> None:
     """Write the page of all pages of a project that begins here, where no other index.html is."""
-    from rig.formats.output_files import Outputs
-    from rig.report.pages.page_index import KIND, NAME, write_index_page
+    from rig.formats.output_files import CommandOutputs
+    from rig.report.pages.page_templates_and_page_index import KIND, NAME, write_index_page
 
     if not (folder / NAME).exists():
-        with Outputs(KIND) as outputs:
+        with CommandOutputs(KIND) as outputs:
             write_index_page(outputs.file(folder / NAME), folder)
 
 
 def _with_struts(arguments: Namespace, kind: str) -> tuple[str, str]:
     """(text of a rig.toml of struts, what is said of it)."""
-    from rig.planning.layout import hexapod_and_two_strut_layout
+    from rig.planning.layout import hexapod_layout_and_camera_placement
 
     question = (
         "How large? radius of the circle of base joints"
@@ -107,9 +107,9 @@ def _with_struts(arguments: Namespace, kind: str) -> tuple[str, str]:
     cameras = _answer(arguments, "cameras", "How many cameras look at it?", CAMERAS, _count)
     width, height = _answer(arguments, "size", "How large are their images, px?", SIZE, _size)
     make = (
-        hexapod_and_two_strut_layout.hexapod_layout_rig_toml
+        hexapod_layout_and_camera_placement.hexapod_layout_rig_toml
         if kind == "hexapod"
-        else hexapod_and_two_strut_layout.two_strut_layout_rig_toml
+        else hexapod_layout_and_camera_placement.two_strut_layout_rig_toml
     )
     return make(radius, cameras, width, height), f"{cameras} cameras and cubes stand where they see each other well"
 

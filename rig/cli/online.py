@@ -13,7 +13,7 @@ from rig.cli.shared.recording_options import (
     add_limb_options,
     add_recording_argument,
     limb_source,
-    print_notices,
+    notice_printer,
     read_recording,
 )
 from rig.cli.shared.terminal_output import Progress
@@ -22,7 +22,7 @@ from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
     from calib.api.learn import LearningResult, LearnOptions
-    from calib.online.limb_pose_source import LimbSource
+    from calib.online.measuring_limb_poses import LimbSource
 
 FILTER = "filter"  # the learner of calib.online.information_filter
 SETTINGS = {"forgetting": "kept", "drifting": "drift", "first-order": "step"}
@@ -87,7 +87,7 @@ def run(arguments: Namespace) -> None:
 
     state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
     page, options = page_path(arguments), _options(arguments, limbs)
-    result = learn(recording, options, progress, print_notices(progress))
+    result = learn(recording, options, progress, notice_printer(progress))
     if state is not None:
         result.save(state)
     arguments.result = result.tree()

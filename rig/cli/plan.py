@@ -21,8 +21,8 @@ from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
 if TYPE_CHECKING:
-    from calib.api.plan_result import PlanOptions
-    from rig.arrays import Floats
+    from calib.api.plan_options_and_result import PlanOptions
+    from rig.array_types import Floats
     from rig.model.design import Design
     from rig.recording.recording_folder import Sensors
 
@@ -110,7 +110,7 @@ def run(arguments: Namespace) -> None:
 
 def _options(arguments: Namespace, design: Design) -> PlanOptions:
     """What is asked of a plan, by the arguments."""
-    from calib.api.plan_result import PlanOptions
+    from calib.api.plan_options_and_result import PlanOptions
     from calib.files import calibration_file
 
     if arguments.parts and (arguments.given or arguments.calibration):

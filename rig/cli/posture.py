@@ -16,16 +16,16 @@ from rig.cli.shared.command_options import (
     require_matplotlib,
 )
 from rig.errors import RigError
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.formats.output_files import write_text
 
 if TYPE_CHECKING:
-    from rig.arrays import Floats
+    from rig.array_types import Floats
     from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
-    from rig.model.mechanism_geometry import Arm
+    from rig.model.mechanism_geometry_classes import Arm
     from rig.posture.best_posture import PostureOptions
-    from rig.posture.exertable_wrench import Exertion
+    from rig.posture.force_transmission_and_exertable_wrench import ExertionObjective
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -124,7 +124,7 @@ def _add_exertion_options(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Search, and print the posture with what certifies it."""
     from rig.formats.rig_toml import arm_dynamics_entries
-    from rig.model.mechanism_kinds import require_arm
+    from rig.model.mechanism_kinds_and_hexapod_properties import require_arm
     from rig.planning.layout import shipped_arm_layout
     from rig.posture.best_posture import best_posture
 
@@ -147,13 +147,13 @@ def run(arguments: Namespace) -> None:
         print(_table(tree, arguments))
 
 
-def _options(arguments: Namespace, arm: Arm, exertion: Exertion | None) -> PostureOptions:
+def _options(arguments: Namespace, arm: Arm, exertion: ExertionObjective | None) -> PostureOptions:
     """What posture is searched for, by the arguments."""
     import numpy as np
 
     from rig.model.pose import pose
     from rig.posture.best_posture import PostureOptions
-    from rig.posture.force_transmission import TransmissionObjective
+    from rig.posture.force_transmission_and_exertable_wrench import TransmissionObjective
     from rig.recording import recording_folder
 
     norm = np.inf if arguments.norm == "inf" else 2
@@ -172,11 +172,13 @@ def _options(arguments: Namespace, arm: Arm, exertion: Exertion | None) -> Postu
     )
 
 
-def _exertion(arguments: Namespace, arm: Arm, dynamics: ArmDynamics, gravity: Floats, path: Path) -> Exertion | None:
+def _exertion(
+    arguments: Namespace, arm: Arm, dynamics: ArmDynamics, gravity: Floats, path: Path
+) -> ExertionObjective | None:
     """Requested exertion (--exert) or None. gravity : (3,) m/s^2; path : of the arm. Raises RigError for bad options"""
     import numpy as np
 
-    from rig.posture.exertable_wrench import Exertion, Strength
+    from rig.posture.force_transmission_and_exertable_wrench import ExertionObjective, TorqueBounds
 
     if arguments.exert is None:
         if arguments.draw is not None or arguments.limits is not None:
@@ -195,11 +197,11 @@ def _exertion(arguments: Namespace, arm: Arm, dynamics: ArmDynamics, gravity: Fl
     )
     if not (limits > 0).all():
         raise RigError(f"--limits takes positive torques, not {limits.min():g} Nm")
-    return Exertion(wrench, Strength(limits, dynamics.links, gravity))
+    return ExertionObjective(wrench, TorqueBounds(limits, dynamics.links, gravity))
 
 
 def _directions(arguments: Namespace) -> tuple[str, ...]:
-    from rig.posture.force_transmission import DIRECTIONS
+    from rig.posture.force_transmission_and_exertable_wrench import DIRECTIONS
 
     chosen = []
     for kind, texts in (("f", arguments.force), ("m", arguments.moment)):

@@ -79,9 +79,9 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Check, home, and visit every pose of the plan; or go on where another process ended."""
     from calib.api.run import plan_run
-    from rig.driving.driver_session import design_with_controller
+    from rig.driving.driver_session import design_with_controller_port
 
-    design = design_with_controller(arguments.design, arguments.port)
+    design = design_with_controller_port(arguments.design, arguments.port)
     planned = plan_run(design, arguments.design, arguments.plan, _options(arguments))
     if arguments.dry_run:
         _print_plan(planned)

@@ -158,10 +158,10 @@ def _again(arguments: Namespace) -> None:
             "--from brings its own rig, machine, effects and sensors; leave out RIG.toml, --machine, "
             "--effect and --sensors"
         )
-    from synthetic.api import redraw
+    from synthetic.api import simulate_with_and_without_findings
 
     out = arguments.outputs.folder(arguments.out)
-    done = redraw(arguments.source, _options(arguments))
+    done = simulate_with_and_without_findings(arguments.source, _options(arguments))
     for kind, part in done.items():
         part.write(out / kind)
     found = done["with"]

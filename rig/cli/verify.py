@@ -19,10 +19,10 @@ from rig.cli.shared.command_options import (
 )
 from rig.cli.shared.recording_options import add_recording_argument, read_recording
 from rig.cli.shared.terminal_output import Progress
-from rig.report.verdict import exit_status
+from rig.report.verdict_and_refutations_of_results import exit_status
 
 if TYPE_CHECKING:
-    from calib.api.verify import VerificationResult
+    from calib.api.verify_and_watch import VerificationResult
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -40,9 +40,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> int:
     """Hold a calibration against a recording and print the figures; 3 where the verdict is bad."""
-    from calib.api.verify import verify
+    from calib.api.verify_and_watch import verify
     from rig.recording.recording_tables import load_poses
-    from rig.report.refutations import refutations_of_file
+    from rig.report.verdict_and_refutations_of_results import refutations_of_file
 
     progress = Progress()
     progress("reading the recording", 0, 1)

@@ -85,7 +85,7 @@ def _frame(arguments: Namespace) -> None:
 
 
 def _page(arguments: Namespace) -> None:
-    from rig.effects.texts.effect_notation import parse_effect, require_nonzero_effect
+    from rig.effects.texts.effect_text_and_dict import parse_effect, require_nonzero_effect
 
     recording, effects = (
         read_recording(arguments),

@@ -18,8 +18,7 @@ from rig.cli.shared.command_options import (
 from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_whole_number
-from rig.report.refutations import refutations_of_file
-from rig.report.verdict import exit_status
+from rig.report.verdict_and_refutations_of_results import exit_status, refutations_of_file
 
 POSES = 12
 
@@ -73,7 +72,7 @@ def run(arguments: Namespace) -> int:
 
 
 def _watch(arguments: Namespace) -> int:
-    from calib.api.watch import watch
+    from calib.api.verify_and_watch import watch
     from calib.drift import visit_history
     from calib.drift.visit_history import History
     from calib.files import calibration_file

@@ -15,7 +15,7 @@ from pathlib import Path
 SPACE = 2e9  # bytes: a recording of a thousand images of a megapixel, and what is made of it
 CONTEXT = """
 import os
-from synthetic.renderer import import_pyrender as opengl
+from synthetic.ideal_image_renderer import import_pyrender as opengl
 pyrender = opengl()
 renderer = pyrender.OffscreenRenderer(8, 8)
 from OpenGL.GL import GL_RENDERER, GL_VERSION, glGetString
@@ -77,11 +77,14 @@ def installed_packages() -> Iterator[InventoryItem]:
         )
 
 
-def parse_requirement(need: str) -> tuple[str, str | None, str | None]:
+def parse_requirement(requirement: str) -> tuple[str, str | None, str | None]:
     """Parse a package requirement: (name, least version or None, extra or None)."""
-    name = re.match(r"[\w.-]+", need)
-    least, extra = re.search(r">=\s*([\w.]+)", need.split(";")[0]), re.search(r"extra\s*==\s*['\"]([\w-]+)", need)
-    return name[0] if name else need, least and least[1], extra and extra[1]
+    name = re.match(r"[\w.-]+", requirement)
+    least, extra = (
+        re.search(r">=\s*([\w.]+)", requirement.split(";")[0]),
+        re.search(r"extra\s*==\s*['\"]([\w-]+)", requirement),
+    )
+    return name[0] if name else requirement, least and least[1], extra and extra[1]
 
 
 def _numbers(version: str) -> tuple[int, ...]:

@@ -31,7 +31,7 @@ _held: set[socket.socket] = set()  # of this process, which no forked child may 
 
 
 @dataclass(frozen=True, slots=True)
-class Holder:
+class LockHolder:
     """A process that drives. name : of the lock; pid : 0 where it runs in another process namespace; uid : of its
     user
     """
@@ -47,7 +47,7 @@ class Holder:
         )
 
 
-class Occupied:
+class ControllerLock:
     """Holds the controller at a port for this process. Raises RigError naming the process that has it.
 
     port : as [controller] states it, or the USB device's number; usb : of [controller], "" where none is stated
@@ -65,7 +65,7 @@ class Occupied:
         self._thread = threading.Thread(target=self._listen, daemon=True)
         self._thread.start()
 
-    def __enter__(self) -> "Occupied":
+    def __enter__(self) -> "ControllerLock":
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -139,7 +139,7 @@ def lock_names(port: str, usb_id: str = "") -> list[bytes]:
     return sorted(b"\0rig-driver-" + hashlib.sha256(os.fsencode(word)).hexdigest()[:32].encode() for word in words)
 
 
-def _lock_holder(name: bytes) -> Holder | None:
+def _lock_holder(name: bytes) -> LockHolder | None:
     """The process that holds a lock, or None. Raises RigError where it does not say which it is."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as caller:
         caller.setblocking(False)
@@ -152,9 +152,9 @@ def _lock_holder(name: bytes) -> Holder | None:
         return _peer(name, caller)
 
 
-def _peer(name: bytes, connected: socket.socket) -> Holder:
+def _peer(name: bytes, connected: socket.socket) -> LockHolder:
     pid, uid, _ = struct.unpack("iII", connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
-    return Holder(name, pid, uid)
+    return LockHolder(name, pid, uid)
 
 
 def _bound(name: bytes, port: str) -> socket.socket:
@@ -178,7 +178,7 @@ def _bound(name: bytes, port: str) -> socket.socket:
     return held
 
 
-def _ask(holder: Holder, number: signal.Signals, port: str) -> None:
+def _ask(holder: LockHolder, number: signal.Signals, port: str) -> None:
     """Have a process end: by a signal where that is permitted, else over its lock. Raises RigError where neither can
     end it.
     """

@@ -9,11 +9,11 @@ from typing import Protocol
 
 import numpy as np
 
-from rig.arrays import Floats, Pixels
+from rig.array_types import Floats, Pixels
 from rig.driving.cameras.camera_interface_and_clock import Frame
-from rig.driving.cameras.grab_and_settling import Settling, Shutter
+from rig.driving.cameras.grab_and_settling import Settling, SynchronisedCameras
 from rig.driving.clock import Clock
-from rig.driving.recording_from_journal import Growing
+from rig.driving.recording_from_journal import GrowingRecording
 from rig.driving.run_journal import (
     Arrival,
     Departure,
@@ -45,7 +45,7 @@ class Machine(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shot:
+class RecordedFrame:
     """One frame: its number, step, time (s), the lengths commanded (axes,) m, and {camera: Frame}."""
 
     number: int
@@ -55,13 +55,13 @@ class Shot:
     frames: dict[str, Frame]
 
 
-class Watcher(Protocol):
+class RunWatcher(Protocol):
     """Who looks on: told of every row that is on disk and of every frame; may ask for a stop."""
 
     def happened(self, row: Row) -> None:
         """A row is on disk."""
 
-    def seen(self, shot: Shot) -> None:
+    def seen(self, shot: RecordedFrame) -> None:
         """A frame was exposed, and is on disk."""
 
     def stop(self) -> str:
@@ -69,14 +69,14 @@ class Watcher(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bench:
+class RunEquipment:
     """What a run works with. tolerance : m, of a read-back; time_profile : (start, goal (axes,) m, from, until s) ->
     share of the way through time
     readings : {channel: value} of sensors now, or None; limbs : their (6,) m, or None; save : (path, image) puts an
         image on disk"""
 
     machine: Machine
-    shutter: Shutter | None
+    shutter: SynchronisedCameras | None
     clock: Clock
     settling: Settling
     tolerance: float
@@ -86,21 +86,21 @@ class Bench:
     limbs: Callable[[], Floats] | None = None
 
 
-class Operator:
+class RunOperator:
     """One process that carries a run on. planned : Steps; origin : s, the clock's time at t = 0 of the recording."""
 
     def __init__(
         self,
-        bench: Bench,
+        bench: RunEquipment,
         planned: tuple[Step, ...],
         journal: Journal,
         axes: tuple[str, ...],
         origin: float,
-        watcher: Watcher,
+        watcher: RunWatcher,
     ) -> None:
         self.bench, self.planned, self.watcher = bench, planned, watcher
         self._journal, self._origin, self._folder = journal, origin, journal.path.parent
-        self._growing, self._writing = Growing(self._folder, axes, journal.rows), threading.RLock()
+        self._growing, self._writing = GrowingRecording(self._folder, axes, journal.rows), threading.RLock()
 
     def now(self) -> float:
         """s on the recording's clock."""
@@ -218,7 +218,7 @@ class Operator:
             )
         )
         goal = self.planned[index].goal
-        self.watcher.seen(Shot(number, index, t, goal, frames))
+        self.watcher.seen(RecordedFrame(number, index, t, goal, frames))
 
     def _end(self, error: BaseException) -> None:
         """Stop the struts, say why in the journal, and where they stand if that can be read."""

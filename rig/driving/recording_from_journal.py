@@ -29,7 +29,7 @@ from rig.formats.output_files import write_text
 APART = 1e-6  # s; rows of commands.csv lie at least so far apart
 
 
-class Growing:
+class GrowingRecording:
     """The files of a recording, kept up with its journal."""
 
     def __init__(self, folder: Path, axes: tuple[str, ...], rows: list[Row]) -> None:

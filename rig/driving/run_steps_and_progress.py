@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.driving.run_journal import Arrival, Began, Departure, Ended, Exposed, Readings, Remark, Resumed, Row
 from rig.errors import RigError, Unreachable
 from rig.planning.plan_construction_and_table import Plan

@@ -13,13 +13,12 @@ import numpy as np
 import serial
 from serial.tools import list_ports
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.driving.clock import Clock
-from rig.driving.controller_link import Port
+from rig.driving.controller_requests_and_answers import Port
 from rig.errors import LinkLost, NoAnswer
 from rig.formats.number_parsing_and_rounding import parse_numbers
-from rig.model.controller_settings import port_problem
-from rig.model.design import SensorPort
+from rig.model.design import SensorPort, port_problem
 
 PATIENCE = 2.0  # s that a write may take
 MOST = 4096  # bytes of a read
@@ -40,7 +39,7 @@ def _there(url: str) -> str:
 
 
 class SerialPort:
-    """See rig.driving.controller_link.Port. url : see rig.model.controller_settings.port_problem; baudrate : for
+    """See rig.driving.controller_requests_and_answers.Port. url : see rig.model.design.port_problem; baudrate : for
     devices; clock : tells until when to wait.
 
     A device is opened for this process alone: locked as pyserial and others do, and by TIOCEXCL, which no user but root
@@ -128,7 +127,7 @@ WAIT = 2.0  # s for a line
 LONGEST = 4096  # bytes
 
 
-class Sensing:
+class SensorReader:
     """An open port with sensors. stated : SensorPort of the rig.toml; opener : makes the port, by default the one that
     it names
     """

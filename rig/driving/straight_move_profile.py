@@ -3,13 +3,13 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Floats
-from rig.driving.driver_reports_and_advice import OUT_OF_RANGE
+from rig.array_types import Floats
+from rig.driving.controller_status_and_operator_advice import OUT_OF_RANGE
 from rig.driving.protocols.protocol_interface import Segment
 from rig.errors import NotConverged, Unreachable
 from rig.model import mechanisms
-from rig.model.controller_settings import Controller
-from rig.model.mechanism_geometry import Hexapod, Planar2
+from rig.model.design import Controller
+from rig.model.mechanism_geometry_classes import Hexapod, Planar2
 
 Way = tuple[tuple[float, float], ...]
 PIECES = 8  # straight pieces to a ramp: they leave the curve by less than a five hundredth of what is travelled in it

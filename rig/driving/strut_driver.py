@@ -7,17 +7,17 @@ from typing import TextIO, TypeVar, cast
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.driving import protocols, straight_move_profile
 from rig.driving.clock import Clock, SystemClock
-from rig.driving.controller_link import Link, Port
-from rig.driving.driver_reports_and_advice import (
+from rig.driving.controller_requests_and_answers import Link, Port
+from rig.driving.controller_status_and_operator_advice import (
     ANEW,
     CANNOT_HOME,
     OUT_OF_RANGE,
     TRUST,
-    Arrival,
-    Status,
+    ControllerStatus,
+    FinishedMove,
     operator_advice,
 )
 from rig.driving.protocols.protocol_interface import Dialogue, Segment, State, Verdict
@@ -26,7 +26,7 @@ from rig.driving.straight_move_profile import straight_move_segment
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Unreachable
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_kinds import require_struts
+from rig.model.mechanism_kinds_and_hexapod_properties import require_struts
 
 T = TypeVar("T")
 PATIENCE, SHORT_PATIENCE = 30.0, 3.0  # s of trying to connect anew; in order to stop
@@ -79,7 +79,7 @@ class Driver:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def open(self, stopping: bool = False) -> Status:
+    def open(self, stopping: bool = False) -> ControllerStatus:
         """Connect, and read what the controller is and where the struts stand. Raises LinkLost, NoAnswer,
         ControllerFault.
 
@@ -99,7 +99,7 @@ class Driver:
         """Let go of the port."""
         self.link.close()
 
-    def status(self) -> Status:
+    def status(self) -> ControllerStatus:
         """What the controller says now. Raises LinkLost, NoAnswer."""
         return self._status(self._state())
 
@@ -120,13 +120,13 @@ class Driver:
             ) from None
         self._known, self._homed = True, None
 
-    def unlock(self) -> Status:
+    def unlock(self) -> ControllerStatus:
         """Clear the controller's alarm, because the operator says so."""
         self._asked(self._protocol.hello)
         self._accepted(self.link.run(self._protocol.unlock()), "unlocking")
         return self.status()
 
-    def home(self) -> Status:
+    def home(self) -> ControllerStatus:
         """Home every axis and wait. Raises ControllerFault with the controller's reason, MotionError where it is not at
         home then.
         """
@@ -158,7 +158,7 @@ class Driver:
         )
         return lengths
 
-    def move(self, lengths: Floats, share: float = 1.0) -> Arrival:
+    def move(self, lengths: Floats, share: float = 1.0) -> FinishedMove:
         """Move all struts to lengths (n,) m, together, at a share of their greatest speeds, and wait until the
         read-back agrees.
 
@@ -177,9 +177,9 @@ class Driver:
                     straight_move_segment(start, target, share, self.controller, self.mechanism), start, target
                 )
                 self._left = arrived = self.lengths()
-            return Arrival(arrived, begun, self.clock.now(), note)
+            return FinishedMove(arrived, begun, self.clock.now(), note)
 
-    def stop(self) -> Status:
+    def stop(self) -> ControllerStatus:
         """Stop every strut, from any thread; a move under way elsewhere ends with Stopped."""
         with suppress(LinkLost):  # then connecting anew is tried below
             self.link.interrupt()
@@ -321,8 +321,8 @@ class Driver:
     def _lengths(self, state: State) -> Floats:
         return cast(Floats, state.positions) + self.controller.zero
 
-    def _status(self, state: State) -> Status:
-        return Status(state.activity, self._lengths(state), self._known, state.fault, state.said)
+    def _status(self, state: State) -> ControllerStatus:
+        return ControllerStatus(state.activity, self._lengths(state), self._known, state.fault, state.said)
 
     def _trouble(self, state: State) -> str:
         return (

@@ -13,7 +13,7 @@ from typing import Any, NoReturn, TypedDict, Unpack, cast, overload
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import FileError
 from rig.formats.input_files import require_schema, short_repr
 from rig.model.pose import pose

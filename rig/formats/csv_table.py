@@ -10,12 +10,12 @@ from typing import NoReturn
 
 import numpy as np
 
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.errors import FileError
 from rig.formats.checked_entries import LARGEST_NUMBER, LARGEST_WHOLE
 from rig.formats.input_files import read_text, short_repr
 from rig.formats.number_parsing_and_rounding import LONGEST_NUMBER, NotFinite, parse_number, parse_numbers
-from rig.recording.time_origin import LATEST, Origin, likely_time_unit
+from rig.recording.time_origin import LATEST, TimeOrigin, likely_time_unit
 
 FOREIGN = {"semicolon": ";", "tab": "\t"}  # separators of other people's tables
 MOST_COLUMNS = 1000
@@ -58,7 +58,7 @@ class Table:
                 self.fail(f"column {short_repr(column)} {problem}: {short_repr(cell)}", i, column, cell)
         raise AssertionError("unreachable: a bad column without a bad cell")
 
-    def times(self, column: str, origin: Origin) -> Floats:
+    def times(self, column: str, origin: TimeOrigin) -> Floats:
         """(n,) s from a recording's start. Raises FileError at the first cell that is no finite number or cannot be in
         seconds.
         """

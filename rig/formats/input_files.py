@@ -127,7 +127,7 @@ def require_schema(
     raise FileError(path, f"is no {file_kind}: its schema is {shown}, not {names}", *place)
 
 
-def neighbouring_json_files(*places: Path) -> list[Path]:
-    """Neighbouring JSON files: those in the folders of the given paths, each once."""
+def json_files_in_same_folders(*places: Path) -> list[Path]:
+    """JSON files in the same folders as the given paths, each once."""
     folders = {place.resolve().parent for place in places}
     return sorted(path for folder in folders if folder.is_dir() for path in folder.glob("*.json"))

@@ -22,7 +22,7 @@ def is_remote(path: Path) -> bool:
     return _scheme(path) is not None
 
 
-def url(path: Path) -> str:
+def remote_url(path: Path) -> str:
     """URL of a remote path. Raises ValueError where it stands for none."""
     at = _scheme(path)
     if at is None:
@@ -37,7 +37,7 @@ def _scheme(path: Path) -> int | None:
     return found[-1] if found and not os.path.exists(Path(*parts[: found[-1] + 1])) else None
 
 
-def absolute(path: Path) -> Path:
+def absolute_path(path: Path) -> Path:
     """Absolute path of a local or remote path, links followed."""
     return path if is_remote(path) else path.resolve()
 
@@ -47,7 +47,9 @@ def exists(path: Path) -> bool:
     Raises FileError where that cannot be asked.
     """
     return (
-        path.exists() if not is_remote(path) else path.name in _entries(url(path.parent)) or bool(_entries(url(path)))
+        path.exists()
+        if not is_remote(path)
+        else path.name in _entries(remote_url(path.parent)) or bool(_entries(remote_url(path)))
     )
 
 
@@ -55,7 +57,7 @@ def is_folder(path: Path) -> bool:
     """Whether a path is a folder. Raises FileError where that is unknown.
     Raises FileError where that cannot be asked.
     """
-    return path.is_dir() if not is_remote(path) else bool(_entries(url(path)))
+    return path.is_dir() if not is_remote(path) else bool(_entries(remote_url(path)))
 
 
 def is_empty(folder: Path) -> bool:
@@ -65,7 +67,7 @@ def is_empty(folder: Path) -> bool:
 
 def list_folder(folder: Path) -> list[str]:
     """List of a folder's entries, sorted."""
-    return sorted(_entries(url(folder)) if is_remote(folder) else os.listdir(folder))
+    return sorted(_entries(remote_url(folder)) if is_remote(folder) else os.listdir(folder))
 
 
 def file_size(path: Path) -> int | None:
@@ -73,7 +75,7 @@ def file_size(path: Path) -> int | None:
     Raises FileError where that cannot be asked.
     """
     if is_remote(path):
-        return _entries(url(path.parent)).get(path.name)
+        return _entries(remote_url(path.parent)).get(path.name)
     return path.stat().st_size if path.is_file() else None
 
 
@@ -83,13 +85,13 @@ def read(path: Path, max_bytes: int | None = None) -> bytes:
     Raises FileNotFoundError where it is missing, MissingLibrary without what opens it, FileError for what else goes
         wrong
     """
-    system, place = _system(url(path))
+    system, place = _system(remote_url(path))
     try:
         return system.cat_file(place, end=max_bytes)
     except (FileNotFoundError, IsADirectoryError):
-        raise FileNotFoundError(url(path)) from None
+        raise FileNotFoundError(remote_url(path)) from None
     except Exception as error:  # every kind of place has kinds of its own
-        raise _refused(url(path), error) from error
+        raise _refused(remote_url(path), error) from error
 
 
 def clear_listing_cache() -> None:

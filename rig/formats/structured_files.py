@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.errors import FileError
 from rig.formats.checked_entries import Entries
 from rig.formats.input_files import read_text, require_schema, short_repr
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.formats.toml_positions import value_positions
 from rig.model.pose import pose_to_entry
 

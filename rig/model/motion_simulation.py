@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.machine_motion import Motion, Path
+from rig.effects.framework.machine_motion_and_play import Motion, Path
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_kinds import has_stages, require_axes, require_struts
+from rig.model.mechanism_kinds_and_hexapod_properties import has_stages, require_axes, require_struts
 from rig.model.mechanisms import chain
 from rig.model.pose import exp, pose_difference
 from rig.recording.recording_folder import Commands, Sensors
@@ -23,7 +23,7 @@ ABOUT = 0.02  # s; before and after an exposure, for its velocity
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Run:
+class MachineRun:
     """What a machine did at n exposures.
 
     T_base_platform : RigidTransform (n,); deviation : (n, axes) m or rad the axes stood beyond their command
@@ -64,15 +64,15 @@ def motion_of_commands(
     )
 
 
-def run_machine(
+def simulate_machine_run(
     design: Design,
     commands: Commands,
     t: Floats,
     effects: Sequence[Effect] = (),
     sensors: Sensors | None = None,
     rates: bool = False,
-) -> Run:
-    """Run of the machine of a design under commands, with effects: its poses and, if requested, rates.
+) -> MachineRun:
+    """Simulate the run of a design's machine under commands, with effects: its poses and, if requested, rates.
 
     design : Design as it really is; commands : Commands; t : (n,) s, exposures as logged; effects : Effects, acting
         together
@@ -110,7 +110,7 @@ def run_machine(
             )
     sway = sum((effect.sway(state) for effect in effects), np.zeros((len(state.t), 6)))
     stages = chain.stage_poses(state.lengths + deviation, m)[:-1] if has_stages(m) else []
-    return Run(T * exp(sway) if sway.any() else T, deviation, stages=tuple(stages))
+    return MachineRun(T * exp(sway) if sway.any() else T, deviation, stages=tuple(stages))
 
 
 def effective_commands(
@@ -127,7 +127,7 @@ def effective_commands(
     `motion_of_commands`
     """
     out, sway = effective_commands_and_sway(design, commands, t, T, effects, sensors)
-    return out + apparent_strut_elongations(design, T, sway) if sway.any() else out
+    return out + strut_elongations_of_platform_sway(design, T, sway) if sway.any() else out
 
 
 def effective_commands_and_sway(
@@ -147,8 +147,8 @@ def effective_commands_and_sway(
     return out, sum((e.sway(state) for e in effects), np.zeros((len(state.t), 6)))
 
 
-def apparent_strut_elongations(design: Design, T: RigidTransform, sway: Floats) -> Floats:
-    """(n, axes) m apparent elongation of struts where the platform at T (n,) is displaced by sway (n, 6)."""
+def strut_elongations_of_platform_sway(design: Design, T: RigidTransform, sway: Floats) -> Floats:
+    """Strut elongations (n, axes) m that a platform at T (n,), displaced by sway (n, 6), appears to have."""
     m = require_struts(design.mechanism, "a {kind} has no struts")
     return np.einsum("nij,nj->ni", mechanisms.kinematics_of(m).axis_changes(T, np.zeros(0), m), sway)
 
@@ -160,15 +160,15 @@ def has_rolling_shutter(design: Design, effects: Iterable[Effect]) -> bool:
 
 def _with_rates(
     design: Design, commands: Commands, t: Floats, effects: Sequence[Effect], sensors: Sensors | None
-) -> Run:
+) -> MachineRun:
     around = np.concatenate([t - ABOUT, t, t + ABOUT])
     order = np.argsort(around, kind="stable")
-    done = run_machine(design, commands, around[order], effects, sensors)
+    done = simulate_machine_run(design, commands, around[order], effects, sensors)
     back = np.empty(len(order), int)
     back[order] = np.arange(len(order))
     before, at, after = np.split(back, 3)
     T = done.T_base_platform
-    return Run(
+    return MachineRun(
         T[at], done.deviation[at], *pose_rates(T[at], T[before], T[after]), tuple(stage[at] for stage in done.stages)
     )
 

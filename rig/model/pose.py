@@ -1,4 +1,4 @@
-"""Poses (SciPy's RigidTransform) with tangents, translation first, covariances, and conversions to vectors.
+"""Poses (SciPy's RigidTransform): tangents, translation first, covariances, vectors; rotation increments.
 
 Frames: T_a_b maps b's coordinates to a. Tangent xi = (x, y, z, rx, ry, rz) in m and rad stands on the right:
 T = T_mean * exp(xi), so it lives in b's frame.
@@ -8,10 +8,11 @@ import copyreg
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.arrays import Booleans, Floats
+from rig.array_types import Booleans, Floats
+from rig.compute.numba_kernels_and_lazy_exports import njit
 
 TRIANGLE = np.triu_indices(6)
 LOCKED = 1e-9  # cosine of a pitch below which roll and yaw turn about the same axis
@@ -155,3 +156,19 @@ def displace_selected_poses(
     at = np.flatnonzero(selected)
     matrices[at] = motion(poses[at]).as_matrix()
     return RigidTransform.from_matrix(matrices)
+
+
+@njit(cache=True, nogil=True)
+def rotate_increment(R: Floats, w: NDArray[np.floating]) -> None:
+    """Rotate R (3, 3) in place by the increment w (3,), a rotation vector: R becomes R exp(w)."""
+    x, y, z = w[0], w[1], w[2]
+    angle = np.sqrt(x * x + y * y + z * z)
+    if angle < 1e-4:
+        s, c = 1.0 - angle**2 / 6, 0.5 - angle**2 / 24
+    else:
+        s, c = np.sin(angle) / angle, (1 - np.cos(angle)) / angle**2
+    for i in range(3):
+        r0, r1, r2 = R[i, 0], R[i, 1], R[i, 2]
+        R[i, 0] = r0 * (1 - c * (y * y + z * z)) + r1 * (s * z + c * x * y) + r2 * (c * x * z - s * y)
+        R[i, 1] = r0 * (c * x * y - s * z) + r1 * (1 - c * (x * x + z * z)) + r2 * (s * x + c * y * z)
+        R[i, 2] = r0 * (s * y + c * x * z) + r1 * (c * y * z - s * x) + r2 * (1 - c * (x * x + y * y))

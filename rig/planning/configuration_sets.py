@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import FileError, RigError
 from rig.formats import csv_table
 from rig.formats.input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_geometry import Hexapod
-from rig.model.mechanism_kinds import require_hexapod
+from rig.model.mechanism_geometry_classes import Hexapod
+from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
 from rig.model.pose import pose
 
 FILL = 0.8  # of the strokes that plans use

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import FileError, RigError
 from rig.formats import csv_table
 from rig.formats.input_files import short_repr
 from rig.model import mechanisms
-from rig.model.cube_remounting import find_cube
 from rig.model.design import Design
+from rig.model.design_comparison_and_cube_remounting import find_cube
 from rig.planning.configuration_sets import (
     FILL,
     divided_grid_configurations,
@@ -32,9 +32,9 @@ from rig.planning.configuration_sets import (
 from rig.planning.plan_construction_and_table import (
     MOST,
     STEP,
-    Approach,
+    ApproachSettings,
     Plan,
-    Writer,
+    PlanWriter,
     plan_of_time_table,
     require_commands_in_range,
 )
@@ -55,14 +55,18 @@ def plan_of_configurations(configurations: Floats, start: Floats, speed: float |
 
     speed : of the axes, one or (axes,) m/s or rad/s
     """
-    writer = Writer(np.asarray(start, float), speed)
+    writer = PlanWriter(np.asarray(start, float), speed)
     for goal in configurations:
         writer.settle(goal)
     return writer.plan()
 
 
 def build_plan(
-    design: Design, text: str, seed: int = 0, one_sided: bool = False, own_parts: Mapping[str, Floats] | None = None
+    design: Design,
+    text: str,
+    seed: int = 0,
+    one_sided: bool = False,
+    additional_parts: Mapping[str, Floats] | None = None,
 ) -> Plan:
     """Build the Plan of a design from its text, for example "sobol:100,moving:60"; "standard" stands for STANDARD.
     one_sided : whether every configuration at which the struts settle is reached from shorter struts; own_parts :
@@ -74,7 +78,7 @@ def build_plan(
 
     Scattered configurations (sobol, division, grid, simplices, axes, combined, payload, warmup, repeat) are shuffled
     and approached from sides so that neither time nor direction is a function of place (see
-    rig.planning.approach_balance). A ladder, iso9283 and commands keep their order and go straight.
+    rig.planning.visiting_order_and_approach_balance). A ladder, iso9283 and commands keep their order and go straight.
     Parts: sobol:N, division:Q (see rig.planning.configuration_sets.divided_grid_configurations), grid:PER_AXIS,
     simplices:SHELLS, axes:PER_AXIS, combined:PER_PAIR, ladder:STEPS,
     payload:N, moving:N, zigzag:N, warmup:N, repeat:N, dwell:N, wait:MINUTES, iso9283:CYCLES, turn:CUBE (before all
@@ -93,15 +97,15 @@ def build_plan(
             return found
     strokes = axis_strokes(design)
     below = BELOW * np.ptp(strokes, axis=1) if one_sided else None
-    approach = Approach(
+    approach = ApproachSettings(
         strokes, below, np.random.default_rng((seed, 1))
     )  # apart from rng: which configurations a part visits stays the same
-    writer = Writer(strokes.mean(axis=1), planned_axis_speeds(design), approach)
+    writer = PlanWriter(strokes.mean(axis=1), planned_axis_speeds(design), approach)
     rng = np.random.default_rng(seed)
     for part in (STANDARD if text == "standard" else text).split(","):
         name, _, count = part.strip().partition(":")
-        if own_parts and part.strip() in own_parts:
-            writer.follow(np.asarray(own_parts[part.strip()]))
+        if additional_parts and part.strip() in additional_parts:
+            writer.follow(np.asarray(additional_parts[part.strip()]))
             continue
         if name not in PARTS:
             raise RigError(
@@ -143,14 +147,14 @@ def _refuse_beyond(name: str, count: str, each: float, before: int, text: str) -
 
 def _visit(
     configurations: Callable[[Design, int, np.random.Generator], Floats],
-) -> Callable[[Writer, Design, int, np.random.Generator], None]:
-    def part(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
+) -> Callable[[PlanWriter, Design, int, np.random.Generator], None]:
+    def part(writer: PlanWriter, design: Design, count: int, rng: np.random.Generator) -> None:
         writer.visit(configurations(design, count, rng))
 
     return part
 
 
-def _ladder(writer: Writer, design: Design, steps: int, rng: np.random.Generator) -> None:
+def _ladder(writer: PlanWriter, design: Design, steps: int, rng: np.random.Generator) -> None:
     """Every strut alone, out and back in growing amplitudes: each rung is approached from both sides."""
     strokes = axis_strokes(design)
     middle, half = strokes.mean(axis=1), FILL * np.ptp(strokes, axis=1) / 2
@@ -163,7 +167,7 @@ def _ladder(writer: Writer, design: Design, steps: int, rng: np.random.Generator
                 writer.settle(goal)
 
 
-def _payload(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
+def _payload(writer: PlanWriter, design: Design, count: int, rng: np.random.Generator) -> None:
     """The same configurations without and with a load of 0.6 of the platform's mass, from other sides."""
     goals = writer.shuffled(sobol_configurations(axis_strokes(design), count or 12, seed=int(rng.integers(1 << 30))))
     masses = (0.0, 0.6 * (design.platform.mass or 1.0), 0.0)
@@ -176,7 +180,7 @@ def _payload(writer: Writer, design: Design, count: int, rng: np.random.Generato
             writer.settle(goal, last)
 
 
-def _moving(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
+def _moving(writer: PlanWriter, design: Design, count: int, rng: np.random.Generator) -> None:
     """Exposures on the way: two waves per strut, slow enough for its top speed, command rows every STEP seconds."""
     strokes = axis_strokes(design)
     middle, half = strokes.mean(axis=1), 0.5 * FILL * np.ptp(strokes, axis=1) / 2
@@ -197,7 +201,7 @@ def _moving(writer: Writer, design: Design, count: int, rng: np.random.Generator
     writer.exposures += [start + 1.0 + k * EXPOSE_EVERY for k in range(count or 60)]
 
 
-def _zigzag(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
+def _zigzag(writer: PlanWriter, design: Design, count: int, rng: np.random.Generator) -> None:
     """Exposures soon after all struts have turned round at full speed: what lags shows there, what only reads the clock
     wrong does not.
     """
@@ -211,7 +215,7 @@ def _zigzag(writer: Writer, design: Design, count: int, rng: np.random.Generator
     writer.exposures += [start + k * EXPOSE_EVERY + TURNED[(k - 1) // 2 % len(TURNED)] for k in turns[:-1]]
 
 
-def _warmup(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
+def _warmup(writer: PlanWriter, design: Design, count: int, rng: np.random.Generator) -> None:
     """One configuration in twelve comes back all along, minutes apart: four hours in all."""
     goals = sobol_configurations(axis_strokes(design), 11, seed=int(rng.integers(1 << 30)))
     route = np.array(
@@ -222,7 +226,7 @@ def _warmup(writer: Writer, design: Design, count: int, rng: np.random.Generator
         writer.dwell(4 * 3600 / (count or 48))
 
 
-def _dwell(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
+def _dwell(writer: PlanWriter, design: Design, count: int, rng: np.random.Generator) -> None:
     """From one end to the other at once, and exposures during ten minutes there, often at first: what arrives late, and
     what only goes with time.
     """
@@ -235,14 +239,14 @@ def _dwell(writer: Writer, design: Design, count: int, rng: np.random.Generator)
     writer.watch(count or 20, LONG)
 
 
-def _wait(writer: Writer, design: Design, minutes: int, rng: np.random.Generator) -> None:
+def _wait(writer: PlanWriter, design: Design, minutes: int, rng: np.random.Generator) -> None:
     """Nothing for so long, while temperatures change. Raises RigError for more than LONGEST minutes."""
     if minutes > LONGEST:
         raise RigError(f"a plan waits for {LONGEST} minutes at the most, not for {minutes}")
     writer.dwell(60.0 * (minutes or 20))
 
 
-def _repeat(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
+def _repeat(writer: PlanWriter, design: Design, count: int, rng: np.random.Generator) -> None:
     """Three configurations approached again and again from everywhere, by every axis as often from below as from above:
     what repeatability is.
     """
@@ -254,7 +258,7 @@ def _repeat(writer: Writer, design: Design, count: int, rng: np.random.Generator
         writer.settle(goal, last)
 
 
-def _turn(writer: Writer, design: Design, cube: str, rng: np.random.Generator) -> None:
+def _turn(writer: PlanWriter, design: Design, cube: str, rng: np.random.Generator) -> None:
     """A cube put back turned by a quarter turn before the plan begins. Raises RigError for a cube that there is not, or
     a plan that has begun.
     """
@@ -266,7 +270,7 @@ def _turn(writer: Writer, design: Design, cube: str, rng: np.random.Generator) -
     writer.turned[name] = 1
 
 
-def _iso9283(writer: Writer, design: Design, cycles: int, rng: np.random.Generator) -> None:
+def _iso9283(writer: PlanWriter, design: Design, cycles: int, rng: np.random.Generator) -> None:
     """ISO 9283's five poses, one after the other and that thirty times: accuracy and repeatability of poses."""
     poses = iso9283_test_commands(design)
     for _ in range(cycles or 30):
@@ -274,7 +278,7 @@ def _iso9283(writer: Writer, design: Design, cycles: int, rng: np.random.Generat
             writer.settle(goal)
 
 
-def _commands(writer: Writer, design: Design, file: str, rng: np.random.Generator) -> None:
+def _commands(writer: PlanWriter, design: Design, file: str, rng: np.random.Generator) -> None:
     rows = csv_table.read(Path(file), ("frame", *design.mechanism.axes))
     if "t" in rows.columns:
         raise FileError(file, "is in time (it has a column t), so it is a plan by itself and no part of one")
@@ -282,7 +286,7 @@ def _commands(writer: Writer, design: Design, file: str, rng: np.random.Generato
         writer.settle(goal)
 
 
-def _division(writer: Writer, design: Design, text: str, rng: np.random.Generator) -> None:
+def _division(writer: PlanWriter, design: Design, text: str, rng: np.random.Generator) -> None:
     strokes = axis_strokes(design)
     if not text.endswith(".csv"):
         each = float(np.prod([count + 1.0 for count in parse_grid_division(len(strokes), text or "2")[0]]))

@@ -6,17 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import FileError
 from rig.formats import csv_table
 from rig.formats.input_files import short_repr
 from rig.model import mechanisms
-from rig.model.cube_remounting import COLUMN, QUARTERS, find_cube
 from rig.model.design import Design
-from rig.planning.approach_balance import balanced_approach_lengths, balanced_order
+from rig.model.design_comparison_and_cube_remounting import COLUMN, QUARTERS, find_cube
+from rig.planning.visiting_order_and_approach_balance import balanced_approach_lengths, time_balanced_order
 from rig.recording.recording_folder import PAYLOAD, Commands
 from rig.recording.recording_tables import write_table
-from rig.recording.time_origin import Origin, parse_exact_decimal
+from rig.recording.time_origin import TimeOrigin, parse_exact_decimal
 
 DWELL = 2.0  # s at a configuration before its exposure
 AFTER = 1.0  # s at it after the exposure
@@ -34,12 +34,12 @@ class Plan:
     commands: Commands
     t: Floats
     payload: Floats
-    origin: Origin = Origin()
+    origin: TimeOrigin = TimeOrigin()
     turned: tuple[tuple[str, int], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Approach:
+class ApproachSettings:
     """How configurations are approached. strokes : (axes, 2) m or rad, which are not left; below : (axes,) m or rad
     from which every axis always comes up, where the plan is one-sided, else None; rng : numpy Generator, for order and
     sides"""
@@ -49,12 +49,12 @@ class Approach:
     rng: np.random.Generator
 
 
-class Writer:
+class PlanWriter:
     """A plan being written: where the struts are, when, and what has been exposed. approach : of configurations, None
     for straight ways
     """
 
-    def __init__(self, start: Floats, speed: float | Floats, approach: Approach | None = None) -> None:
+    def __init__(self, start: Floats, speed: float | Floats, approach: ApproachSettings | None = None) -> None:
         self.t, self.values, self.payload = [0.0, 1.0], [start, start], [(0.0, 0.0)]
         self.exposures: list[float] = []
         self.turned: dict[str, int] = {}
@@ -85,7 +85,7 @@ class Writer:
 
     def visit(self, goals: Floats) -> None:
         """Settle at each of the configurations (n, axes), in an order and from sides that are no function of place (see
-        rig.planning.approach_balance)."""
+        rig.planning.visiting_order_and_approach_balance)."""
         self.follow(self.shuffled(goals))
 
     def follow(self, goals: Floats) -> None:
@@ -95,7 +95,7 @@ class Writer:
 
     def shuffled(self, goals: Floats) -> Floats:
         """Configurations (n, axes) in an order in which time is no function of place."""
-        return np.asarray(goals)[balanced_order(goals, self._sided().rng)]
+        return np.asarray(goals)[time_balanced_order(goals, self._sided().rng)]
 
     def approaches(self, goals: Floats, others: Sequence[Floats] = ()) -> Floats:
         """(n, axes) m or rad, last moves to configurations in their order, whose sides are no function of place, time
@@ -104,7 +104,7 @@ class Writer:
         approach = self._sided()
         return balanced_approach_lengths(goals, approach.rng, approach.strokes, others)
 
-    def _sided(self) -> Approach:
+    def _sided(self) -> ApproachSettings:
         if self.approach is None:
             raise ValueError("a writer without an Approach goes straight, in the order given")
         return self.approach
@@ -140,8 +140,8 @@ def plan_of_time_table(design: Design, path: str) -> Plan | None:
     rows = csv_table.read(Path(path), ("frame", *design.mechanism.axes), (PAYLOAD,))
     if "t" not in rows.columns:
         return None
-    rows.times("t", Origin())  # which checks them
-    origin = Origin(parse_exact_decimal(rows.text("t")[0]))
+    rows.times("t", TimeOrigin())  # which checks them
+    origin = TimeOrigin(parse_exact_decimal(rows.text("t")[0]))
     t, exposed = rows.times("t", origin), np.array([bool(cell) for cell in rows.text("frame")])
     back = np.flatnonzero(np.diff(t) <= 0)
     if len(back):

@@ -6,29 +6,29 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import RigError
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.model import mechanisms
-from rig.model.mechanism_geometry import Arm
+from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
-from rig.posture import force_transmission, null_space_search, posture_transition
-from rig.posture.exertable_wrench import (
-    Exertion,
+from rig.posture import force_transmission_and_exertable_wrench, null_space_search, posture_transition
+from rig.posture.force_transmission_and_exertable_wrench import (
+    ExertionObjective,
+    TransmissionObjective,
     force_polytope_corners,
     joint_torques_for_wrench,
     weakest_force_direction,
 )
-from rig.posture.force_transmission import TransmissionObjective
-from rig.posture.null_space_search import Found
+from rig.posture.null_space_search import SearchResult
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import write_table
-from rig.report.pages.html_elements import result_html
+from rig.report.pages.html_and_svg_elements import result_html
 
 STARTS = 24  # joint solutions of the pose from which self-motions are searched for
 SEED = 0
-Objective = TransmissionObjective | Exertion
+Objective = TransmissionObjective | ExertionObjective
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +43,7 @@ class PostureOptions:
 
     T_base_hand: RigidTransform | None = None
     objective: TransmissionObjective = field(default_factory=TransmissionObjective)
-    exertion: Exertion | None = None
+    exertion: ExertionObjective | None = None
     above: float | None = None
     fixed: str = "pose"
     start: Floats | None = None
@@ -103,9 +103,9 @@ class PostureResult:
         ]
         write_table(path, ("t", *self.arm.axes), rows)
 
-    def force_svg(self, exertion: Exertion) -> str:
+    def force_svg(self, exertion: ExertionObjective) -> str:
         """SVG of the forces that it can exert; needs matplotlib. Raises RigError where it cannot hold its own weight"""
-        from rig.posture.force_polytope_figure import force_polytope_svg
+        from rig.posture.force_transmission_and_exertable_wrench import force_polytope_svg
 
         low, high = exertion.strength.box(self.q, self.arm)
         if (low > 0).any() or (high < 0).any():
@@ -178,13 +178,13 @@ def _best_searched(arm: Arm, options: PostureOptions) -> PostureResult:
 
 def _best_of_searches(
     arm: Arm, options: PostureOptions, first: Floats, starts: Floats
-) -> tuple[dict[str, Found], str, int]:
+) -> tuple[dict[str, SearchResult], str, int]:
     """(what each search found, name of the best, index of its posture) from starts (k, n) rad. Raises RigError where
     nothing exceeds a limit
     """
     objective, fixed, above = options.maximised, options.fixed, options.above
-    if null_space_search.redundant_joint_count(arm, fixed) < 1 and isinstance(objective, Exertion):
-        found = {"solutions": null_space_search.unsearched_postures(starts, arm, objective)}
+    if null_space_search.redundant_joint_count(arm, fixed) < 1 and isinstance(objective, ExertionObjective):
+        found = {"solutions": null_space_search.postures_without_search(starts, arm, objective)}
         return found, "solutions", int(found["solutions"].value.argmax())
     found = {"gradient": null_space_search.gradient_search(starts, arm, objective, fixed, above)}
     if above is not None:
@@ -218,14 +218,18 @@ def _figures(arm: Arm, objective: Objective, q: Floats, start: Floats, values: t
     """Figures of a posture q (n,) rad apart from its search. values : the measure there and at the start"""
     low, high = arm.limits.T
     moved = pose_difference(mechanism.forward(start, arm), mechanism.forward(q, arm))
-    columns = force_transmission.TransmissionObjective() if isinstance(objective, Exertion) else objective
+    columns = (
+        force_transmission_and_exertable_wrench.TransmissionObjective()
+        if isinstance(objective, ExertionObjective)
+        else objective
+    )
     return {
         "schema": "posture/1",
         "unit": "rad, m",
         "directions": list(columns.directions) or "all",
         "norm": str(columns.norm),
         "measure": "greatest multiple"
-        if isinstance(objective, Exertion)
+        if isinstance(objective, ExertionObjective)
         else "smallest column of J^T"
         if columns.directions
         else columns.whole,
@@ -237,14 +241,14 @@ def _figures(arm: Arm, objective: Objective, q: Floats, start: Floats, values: t
         "at_limit": (np.flatnonzero((q <= low + 1e-6) | (q >= high - 1e-6)) + 1).tolist(),
         "columns": dict(
             zip(
-                columns.directions or force_transmission.DIRECTIONS,
-                force_transmission.torque_norms_by_direction(q, arm, columns).tolist(),
+                columns.directions or force_transmission_and_exertable_wrench.DIRECTIONS,
+                force_transmission_and_exertable_wrench.torque_norms_by_direction(q, arm, columns).tolist(),
             )
         ),
     }
 
 
-def exertion_dict(q: Floats, arm: Arm, exertion: Exertion) -> Json:
+def exertion_dict(q: Floats, arm: Arm, exertion: ExertionObjective) -> Json:
     """Dict of an exertion at posture q (n,) rad for JSON: torques, margins, greatest multiple, extreme directions."""
     strength = exertion.strength
     weight, load = strength.weight(q, arm), joint_torques_for_wrench(q, arm, exertion.wrench)

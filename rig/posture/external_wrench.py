@@ -5,26 +5,29 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.arrays import Booleans, Floats
+from rig.array_types import Booleans, Floats
 from rig.errors import RigError
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.formats.rig_toml.arm_dynamics_entries import load_arm_dynamics
 from rig.model.design import Design
-from rig.model.mechanism_kinds import require_arm
-from rig.model.mechanisms import arm_dynamics
-from rig.model.mechanisms.arm_dynamics import Links
+from rig.model.mechanism_kinds_and_hexapod_properties import require_arm
+from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
+from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import LinkMasses
 from rig.model.pose import TRIANGLE
-from rig.posture.force_transmission import DIRECTIONS
-from rig.posture.momentum_observer import Observed, most_likely_wrench_rates, observe_wrench, observer_model
-from rig.posture.wrench_from_torques import (
+from rig.posture.force_transmission_and_exertable_wrench import DIRECTIONS
+from rig.posture.wrench_estimation_from_torques import (
+    ObservedWrench,
     TorqueRecord,
     estimate_wrench,
     external_joint_torques,
     is_wrench_observable,
     load_torque_table,
+    momentum_observer_model,
+    most_likely_random_walk_rates,
+    observe_wrench,
 )
 from rig.recording.recording_tables import COVARIANCE_COLUMNS, write_table
-from rig.report.pages.html_elements import result_html
+from rig.report.pages.html_and_svg_elements import result_html
 
 SETTLED = 0.1  # of a record, after which figures are given: a filter begins with knowing nothing
 
@@ -54,7 +57,7 @@ class WrenchResult:
     """
 
     record: TorqueRecord
-    observed: Observed
+    observed: ObservedWrench
     plain: tuple[Floats, Floats, Floats]
     rates: Floats
     likeliest: bool
@@ -134,13 +137,13 @@ def measure_wrench(arm_path: Path, torques: Path, options: WrenchOptions = Wrenc
     sigma, angle = dynamics.need("torque_sigma", arm_path), dynamics.need("angle_sigma", arm_path)
     record = load_torque_table(torques, arm, dynamics, arm_path)
     speed = dynamics.need("speed_sigma", arm_path) if record.motion.measured else np.ones(len(arm.axes))
-    model = observer_model(record.motion, arm, links, design.gravity, (sigma, angle, speed))
-    rates = most_likely_wrench_rates(model) if options.rate is None else np.repeat(options.rate, 3)
+    model = momentum_observer_model(record.motion, arm, links, design.gravity, (sigma, angle, speed))
+    rates = most_likely_random_walk_rates(model) if options.rate is None else np.repeat(options.rate, 3)
     plain = _plain(record, design, sigma, links)
     return WrenchResult(record, observe_wrench(model, rates), plain, rates, options.rate is None)
 
 
-def _plain(record: TorqueRecord, design: Design, sigma: Floats, links: Links) -> tuple[Floats, Floats, Floats]:
+def _plain(record: TorqueRecord, design: Design, sigma: Floats, links: LinkMasses) -> tuple[Floats, Floats, Floats]:
     """(value (k, 6), covariance (k, 6, 6), left (k,)) by the pseudo-inverse, reading by reading; NaN where the posture
     does not feel every wrench.
 
@@ -151,7 +154,7 @@ def _plain(record: TorqueRecord, design: Design, sigma: Floats, links: Links) ->
         m.q[0],
         external_joint_torques(m.torque[0], m.q[0], m.speed[0], record.acceleration, arm, links, design.gravity),
     )
-    mass = arm_dynamics.mass_matrix(q, arm, links)
+    mass = arm_dynamics_and_step_by_step_kinematics.mass_matrix(q, arm, links)
     own = (mass * record.acceleration_sigma**2) @ np.swapaxes(mass, 1, 2) + np.diag(np.square(sigma))
     felt = is_wrench_observable(q, arm, own)
     value, covariance, left = np.full((len(q), 6), np.nan), np.full((len(q), 6, 6), np.nan), np.full(len(q), np.nan)

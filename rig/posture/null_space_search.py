@@ -10,17 +10,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.mechanism_geometry import Arm
+from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
-from rig.posture import force_transmission
-from rig.posture.exertable_wrench import Exertion
-from rig.posture.force_transmission import TransmissionObjective
+from rig.posture import force_transmission_and_exertable_wrench
+from rig.posture.force_transmission_and_exertable_wrench import ExertionObjective, TransmissionObjective
 
-HELD = {
+FIXED_ROWS = {
     "pose": slice(0, 6),
     "position": slice(0, 3),
     "orientation": slice(3, 6),
@@ -37,7 +36,7 @@ RANK = 1e-7  # of the largest singular value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class SearchResult:
     """m searches. q : (m, n) rad; value, start : (m,) the measure reached and that of the start
     moved : (m, 2) by how much the hand moved, m and rad; at_limit : (m, n) bool, joints at a limit; steps : taken in
         all"""
@@ -50,28 +49,31 @@ class Found:
     steps: int
 
 
-def unsearched_postures(q: Floats, arm: Arm, objective: TransmissionObjective | Exertion) -> Found:
-    """Found of postures q (m, n) rad as they are, without a search. Raises RigError outside the joint limits."""
+def postures_without_search(q: Floats, arm: Arm, objective: TransmissionObjective | ExertionObjective) -> SearchResult:
+    """SearchResult of postures q (m, n) rad as they are, without a search. Raises RigError outside the joint limits."""
     q = np.array(q, float, ndmin=2)
-    value = force_transmission.transmission_measure(q, arm, objective)
+    value = force_transmission_and_exertable_wrench.transmission_measure(q, arm, objective)
     return _found(q, value, value, q, arm, 0)
 
 
 def gradient_search(
     q: Floats,
     arm: Arm,
-    objective: TransmissionObjective | Exertion,
-    held: str = "pose",
+    objective: TransmissionObjective | ExertionObjective,
+    fixed_hand_part: str = "pose",
     sufficient_value: float | None = None,
-) -> Found:
-    """Found by gradient search (steepest ascent) from postures q (m, n) rad in the null space.
+) -> SearchResult:
+    """SearchResult of a gradient search (steepest ascent) from postures q (m, n) rad in the null space.
 
-    held : "pose", "position" where the hand may turn, "orientation" where it may move; sufficient_value : a limit at
+    fixed_hand_part : "pose", "position" where the hand may turn, "orientation" where it may move; sufficient_value : a limit at
         which it suffices to stop
     Raises RigError where a start lies outside the joint limits, or where the arm has no freedom to spare
     """
-    q = _starts(q, arm, held)
-    target, start = mechanism.frames(q, arm)[:, -1], force_transmission.transmission_measure(q, arm, objective)
+    q = _starts(q, arm, fixed_hand_part)
+    target, start = (
+        mechanism.link_frames(q, arm)[:, -1],
+        force_transmission_and_exertable_wrench.transmission_measure(q, arm, objective),
+    )
     first, now, step = q.copy(), start.copy(), np.full(len(q), 0.05)
     low, high = arm.limits.T
     done = np.zeros(len(q), bool) if sufficient_value is None else now > sufficient_value
@@ -79,15 +81,17 @@ def gradient_search(
     while steps < ITERATIONS and not done.all():
         steps += 1
         todo = np.flatnonzero(~done)
-        way = _uphill(q[todo], arm, objective, held)
+        way = _uphill(q[todo], arm, objective, fixed_hand_part)
         size = np.linalg.norm(way, axis=1)
         trial = q[todo] + way / np.maximum(size, 1e-300)[:, None] * step[todo, None]
-        trial = return_hand_to_target(np.clip(trial, low, high), target[todo], arm, held)
-        ok = (mechanism.limits(trial, arm) == 0).all(axis=1) & (hand_deviation(trial, target[todo], arm, held) < STILL)
+        trial = return_hand_to_target(np.clip(trial, low, high), target[todo], arm, fixed_hand_part)
+        ok = (mechanism.limits(trial, arm) == 0).all(axis=1) & (
+            hand_deviation(trial, target[todo], arm, fixed_hand_part) < STILL
+        )
         ok &= np.linalg.norm(trial - q[todo], axis=1) < 2 * step[todo] + SHORTEST  # no jump to another branch
         reached = np.full(len(todo), -np.inf)
         if ok.any():
-            reached[ok] = force_transmission.transmission_measure(trial[ok], arm, objective)
+            reached[ok] = force_transmission_and_exertable_wrench.transmission_measure(trial[ok], arm, objective)
         better = reached > now[todo]
         q[todo[better]], now[todo[better]] = trial[better], reached[better]
         step[todo] = np.where(better, np.minimum(1.6 * step[todo], LONGEST), 0.4 * step[todo])
@@ -100,77 +104,86 @@ def gradient_search(
 def sampled_search(
     q: Floats,
     arm: Arm,
-    objective: TransmissionObjective | Exertion,
+    objective: TransmissionObjective | ExertionObjective,
     rng: np.random.Generator,
-    held: str = "pose",
+    fixed_hand_part: str = "pose",
     count: int = 200,
     spread: float = 0.6,
-) -> Found:
-    """Found by sampled search: the best of `count` random postures about each start (m, n) rad in the null space.
+) -> SearchResult:
+    """SearchResult of a sampled search: best of `count` random postures about each start (m, n) in the null space.
     joint limits and hand are. spread : rad, of one step; rng : numpy Generator
     """
-    q = _starts(q, arm, held)
-    target, start = mechanism.frames(q, arm)[:, -1], force_transmission.transmission_measure(q, arm, objective)
+    q = _starts(q, arm, fixed_hand_part)
+    target, start = (
+        mechanism.link_frames(q, arm)[:, -1],
+        force_transmission_and_exertable_wrench.transmission_measure(q, arm, objective),
+    )
     first, walker, best, now = q.copy(), q.copy(), q.copy(), start.copy()
     for _ in range(count):
-        N = null_space_projectors(walker, arm, held)
+        N = null_space_projectors(walker, arm, fixed_hand_part)
         way = np.einsum("mij,mj->mi", N, rng.normal(size=q.shape))
         trial = walker + spread * rng.uniform(size=(len(q), 1)) * way / np.maximum(
             np.linalg.norm(way, axis=1, keepdims=True), 1e-300
         )
-        trial = return_hand_to_target(trial, target, arm, held)
-        ok = (mechanism.limits(trial, arm) == 0).all(axis=1) & (hand_deviation(trial, target, arm, held) < STILL)
+        trial = return_hand_to_target(trial, target, arm, fixed_hand_part)
+        ok = (mechanism.limits(trial, arm) == 0).all(axis=1) & (
+            hand_deviation(trial, target, arm, fixed_hand_part) < STILL
+        )
         walker[ok] = trial[ok]
-        reached = force_transmission.transmission_measure(walker, arm, objective)
+        reached = force_transmission_and_exertable_wrench.transmission_measure(walker, arm, objective)
         better = reached > now
         best[better], now[better] = walker[better], reached[better]
     return _found(best, now, start, first, arm, count)
 
 
-def global_search(q: Floats, arm: Arm, objective: TransmissionObjective | Exertion, held: str = "pose") -> Found:
-    """Found by global search: the best posture of the whole self-motion through each start (m, n) rad.
+def global_search(
+    q: Floats, arm: Arm, objective: TransmissionObjective | ExertionObjective, fixed_hand_part: str = "pose"
+) -> SearchResult:
+    """SearchResult of a global search: best posture of the whole self-motion through each start (m, n) rad.
 
     Steps of TRACE rad; the best one is polished by the gradient. Raises RigError where the null space is not
     one-dimensional
     """
-    q = _starts(q, arm, held)
-    if redundant_joint_count(arm, held) != 1:
+    q = _starts(q, arm, fixed_hand_part)
+    if redundant_joint_count(arm, fixed_hand_part) != 1:
         raise RigError(
-            f"the self-motion has {redundant_joint_count(arm, held)} dimensions; it is traced where it has "
+            f"the self-motion has {redundant_joint_count(arm, fixed_hand_part)} dimensions; it is traced where it has "
             "one; take the sampled search"
         )
-    start = force_transmission.transmission_measure(q, arm, objective)
+    start = force_transmission_and_exertable_wrench.transmission_measure(q, arm, objective)
     best, now, steps = q.copy(), start.copy(), 0
     for side in (1.0, -1.0):
-        for index, walker in _walk(q, arm, held, side):
-            reached = force_transmission.transmission_measure(walker, arm, objective)
+        for index, walker in _walk(q, arm, fixed_hand_part, side):
+            reached = force_transmission_and_exertable_wrench.transmission_measure(walker, arm, objective)
             better = reached > now[index]
             best[index[better]], now[index[better]], steps = walker[better], reached[better], steps + 1
-    polished = gradient_search(best, arm, objective, held)
+    polished = gradient_search(best, arm, objective, fixed_hand_part)
     return _found(polished.q, polished.value, start, q, arm, steps + polished.steps)
 
 
-def trace_self_motion(q: Floats, arm: Arm, held: str = "pose") -> Floats:
+def trace_self_motion(q: Floats, arm: Arm, fixed_hand_part: str = "pose") -> Floats:
     """Self-motion (k, n) rad traced through a posture q (n,) from end to end, or once round."""
-    q = _starts(np.atleast_2d(q), arm, held)
-    ahead, behind = [[walker[0] for _, walker in _walk(q, arm, held, side)] for side in (1.0, -1.0)]
+    q = _starts(np.atleast_2d(q), arm, fixed_hand_part)
+    ahead, behind = [[walker[0] for _, walker in _walk(q, arm, fixed_hand_part, side)] for side in (1.0, -1.0)]
     return np.array([*behind[::-1], q[0], *ahead])
 
 
-def _walk(q: Floats, arm: Arm, held: str, side: float) -> Iterator[tuple[Floats, Floats]]:
+def _walk(q: Floats, arm: Arm, fixed_hand_part: str, side: float) -> Iterator[tuple[Floats, Floats]]:
     """Yield (index (k,), postures (k, n)) of the walkers still under way along the self-motion; the last few steps
     shrink towards the joint limit that ends it."""
-    target, index, walker = mechanism.frames(q, arm)[:, -1], np.arange(len(q)), q.copy()
+    target, index, walker = mechanism.link_frames(q, arm)[:, -1], np.arange(len(q)), q.copy()
     size, before = np.full(len(q), TRACE), None
     for count in range(LAPS):
-        way = _tangent(walker, arm, held)
+        way = _tangent(walker, arm, fixed_hand_part)
         way *= (
             side * np.sign(way[np.arange(len(way)), np.abs(way).argmax(axis=1)])
             if before is None
             else np.where(np.einsum("mi,mi->m", way, before) < 0, -1.0, 1.0)
         )[:, None]
-        trial = return_hand_to_target(walker + size[:, None] * way, target[index], arm, held)
-        ok = (mechanism.limits(trial, arm) == 0).all(axis=1) & (hand_deviation(trial, target[index], arm, held) < STILL)
+        trial = return_hand_to_target(walker + size[:, None] * way, target[index], arm, fixed_hand_part)
+        ok = (mechanism.limits(trial, arm) == 0).all(axis=1) & (
+            hand_deviation(trial, target[index], arm, fixed_hand_part) < STILL
+        )
         ok &= np.linalg.norm(trial - walker, axis=1) < 2 * TRACE  # no jump to another branch
         walker = np.where(ok[:, None], trial, walker)
         size = np.where(ok, size, size / 4)
@@ -186,13 +199,13 @@ def _walk(q: Floats, arm: Arm, held: str, side: float) -> Iterator[tuple[Floats,
             return
 
 
-def _starts(q: Floats, arm: Arm, held: str) -> Floats:
+def _starts(q: Floats, arm: Arm, fixed_hand_part: str) -> Floats:
     q = np.array(q, float, ndmin=2)
-    if held not in HELD:
-        raise ValueError(f"held must be one of {', '.join(HELD)}, not {held!r}")
-    if redundant_joint_count(arm, held) < 1:
+    if fixed_hand_part not in FIXED_ROWS:
+        raise ValueError(f"held must be one of {', '.join(FIXED_ROWS)}, not {fixed_hand_part!r}")
+    if redundant_joint_count(arm, fixed_hand_part) < 1:
         raise RigError(
-            f"{q.shape[1]} joints hold the hand's {held} with none to spare: there is no other posture nearby"
+            f"{q.shape[1]} joints hold the hand's {fixed_hand_part} with none to spare: there is no other posture nearby"
         )
     outside = np.argwhere(mechanism.limits(q, arm) != 0)
     if len(outside):
@@ -206,35 +219,35 @@ def _starts(q: Floats, arm: Arm, held: str) -> Floats:
     return q
 
 
-def redundant_joint_count(arm: Arm, held: str) -> int:
-    """Count of an arm's redundant joints beyond those that hold the hand; 0 or less for none."""
-    return len(arm.axes) - (HELD[held].stop - HELD[held].start)
+def redundant_joint_count(arm: Arm, fixed_hand_part: str) -> int:
+    """Count of an arm's redundant joints beyond those that fix the hand; 0 or less for none."""
+    return len(arm.axes) - (FIXED_ROWS[fixed_hand_part].stop - FIXED_ROWS[fixed_hand_part].start)
 
 
-def _rows(q: Floats, arm: Arm, held: str) -> Floats:
-    return mechanism.jacobian(q, arm, "base")[..., HELD[held], :]
+def _rows(q: Floats, arm: Arm, fixed_hand_part: str) -> Floats:
+    return mechanism.jacobian(q, arm, "base")[..., FIXED_ROWS[fixed_hand_part], :]
 
 
-def null_space_projectors(q: Floats, arm: Arm, held: str, fixed: Floats | None = None) -> Floats:
+def null_space_projectors(q: Floats, arm: Arm, fixed_hand_part: str, fixed_joints: Floats | None = None) -> Floats:
     """Projectors (m, n, n) on the null space at postures q (m, n) rad; joints in fixed (m, n) do not move."""
-    J = _rows(q, arm, held)
-    if fixed is not None:
-        J = np.concatenate([J, np.eye(q.shape[1]) * fixed[:, :, None]], axis=1)
+    J = _rows(q, arm, fixed_hand_part)
+    if fixed_joints is not None:
+        J = np.concatenate([J, np.eye(q.shape[1]) * fixed_joints[:, :, None]], axis=1)
     return np.eye(q.shape[1]) - np.linalg.pinv(J, rcond=RANK) @ J
 
 
-def _tangent(q: Floats, arm: Arm, held: str) -> Floats:
+def _tangent(q: Floats, arm: Arm, fixed_hand_part: str) -> Floats:
     """(m, n) unit vectors along one-dimensional null spaces."""
-    return np.linalg.svd(_rows(q, arm, held))[2][:, -1].copy()
+    return np.linalg.svd(_rows(q, arm, fixed_hand_part))[2][:, -1].copy()
 
 
-def _uphill(q: Floats, arm: Arm, wish: TransmissionObjective | Exertion, held: str) -> Floats:
+def _uphill(q: Floats, arm: Arm, wish: TransmissionObjective | ExertionObjective, fixed_hand_part: str) -> Floats:
     """(m, n) projected gradient; joints at a limit that it would leave are held, and the projection is made anew."""
-    slope = force_transmission.transmission_gradient(q, arm, wish)
+    slope = force_transmission_and_exertable_wrench.transmission_gradient(q, arm, wish)
     low, high = arm.limits.T
     fixed = np.zeros(q.shape, bool)
     for _ in range(q.shape[1]):
-        way = np.einsum("mij,mj->mi", null_space_projectors(q, arm, held, fixed), slope)
+        way = np.einsum("mij,mj->mi", null_space_projectors(q, arm, fixed_hand_part, fixed), slope)
         beyond = ((q >= high - 1e-9) & (way > 0)) | ((q <= low + 1e-9) & (way < 0))
         beyond &= np.abs(way) > 1e-9 * np.abs(way).max(axis=1, keepdims=True)
         if not (beyond & ~fixed).any():
@@ -243,33 +256,33 @@ def _uphill(q: Floats, arm: Arm, wish: TransmissionObjective | Exertion, held: s
     return np.where(fixed, 0.0, way)
 
 
-def return_hand_to_target(q: Floats, target: Floats, arm: Arm, held: str) -> Floats:
+def return_hand_to_target(q: Floats, target: Floats, arm: Arm, fixed_hand_part: str) -> Floats:
     """Joint angles near q (m, n) that return the hand to its target (m, 4, 4), by Newton's method."""
     for _ in range(6):
-        chain = mechanism.frames(q, arm)
-        e = _error(chain[:, -1], target, held)
+        chain = mechanism.link_frames(q, arm)
+        e = _error(chain[:, -1], target, fixed_hand_part)
         if np.abs(e).max(initial=0) < 0.1 * STILL:
             break
-        J = mechanism.geometric_jacobian(chain, "base", arm.slides)[:, HELD[held]]
+        J = mechanism.geometric_jacobian(chain, "base", arm.slides)[:, FIXED_ROWS[fixed_hand_part]]
         T = np.swapaxes(J, 1, 2)
         q = q + (T @ np.linalg.solve(J @ T + DAMPING * np.eye(T.shape[2]), e[..., None]))[..., 0]
     return q
 
 
-def _error(now: Floats, target: Floats, held: str) -> Floats:
+def _error(now: Floats, target: Floats, fixed_hand_part: str) -> Floats:
     """(m, 3 or 6) what is missing to the target, in the axes of poses; small turns as half the difference of axes."""
     move = target[:, :3, 3] - now[:, :3, 3]
     turn = 0.5 * sum(np.cross(now[:, :3, k], target[:, :3, k]) for k in range(3))
-    return np.concatenate([move, turn], axis=1)[:, HELD[held]]
+    return np.concatenate([move, turn], axis=1)[:, FIXED_ROWS[fixed_hand_part]]
 
 
-def hand_deviation(q: Floats, target: Floats, arm: Arm, held: str) -> Floats:
+def hand_deviation(q: Floats, target: Floats, arm: Arm, fixed_hand_part: str) -> Floats:
     """Deviation (m,) m or rad of the hand at postures q (m, n) from its targets (m, 4, 4)."""
-    return np.abs(_error(mechanism.frames(q, arm)[:, -1], target, held)).max(axis=1)
+    return np.abs(_error(mechanism.link_frames(q, arm)[:, -1], target, fixed_hand_part)).max(axis=1)
 
 
-def _found(q: Floats, value: Floats, start: Floats, first: Floats, arm: Arm, steps: int) -> Found:
+def _found(q: Floats, value: Floats, start: Floats, first: Floats, arm: Arm, steps: int) -> SearchResult:
     moved = pose_difference(mechanism.forward(first, arm), mechanism.forward(q, arm))
     lengths = np.stack([np.linalg.norm(moved[:, :3], axis=1), np.linalg.norm(moved[:, 3:], axis=1)], axis=1)
     low, high = arm.limits.T
-    return Found(q, value, start, lengths, (q <= low + 1e-6) | (q >= high - 1e-6), steps)
+    return SearchResult(q, value, start, lengths, (q <= low + 1e-6) | (q >= high - 1e-6), steps)

@@ -10,29 +10,28 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Slerp
 
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.mechanism_geometry import Arm
+from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
-from rig.posture import force_transmission, null_space_search
-from rig.posture.exertable_wrench import Exertion
-from rig.posture.force_transmission import TransmissionObjective
-from rig.posture.null_space_search import HELD
+from rig.posture import force_transmission_and_exertable_wrench, null_space_search
+from rig.posture.force_transmission_and_exertable_wrench import ExertionObjective, TransmissionObjective
+from rig.posture.null_space_search import FIXED_ROWS
 from rig.recording.recording_folder import Recording
 
 STEPS = 200  # of a motion on the way
 THERE = 1e-9  # rad; end of a motion
 
 
-def motion_with_hand_still(q: Floats, goal: Floats, arm: Arm, held: str = "pose") -> Floats:
+def motion_with_hand_still(q: Floats, goal: Floats, arm: Arm, fixed_hand_part: str = "pose") -> Floats:
     """Motion (k, n) rad from posture q (n,) to goal (n,) with the hand still. Raises RigError where none exists."""
     if np.abs(goal - q).max() < THERE:
         return np.array([q])
-    if null_space_search.redundant_joint_count(arm, held) != 1:
-        return _within(q, goal, arm, held)
-    path = null_space_search.trace_self_motion(q, arm, held)
+    if null_space_search.redundant_joint_count(arm, fixed_hand_part) != 1:
+        return _within(q, goal, arm, fixed_hand_part)
+    path = null_space_search.trace_self_motion(q, arm, fixed_hand_part)
     start = int(np.abs(path - q).max(axis=1).argmin())
     far = np.linalg.norm(path - goal, axis=1)
     stop = int(far.argmin())
@@ -46,18 +45,18 @@ def motion_with_hand_still(q: Floats, goal: Floats, arm: Arm, held: str = "pose"
     return np.vstack([rows, goal])
 
 
-def _within(q: Floats, goal: Floats, arm: Arm, held: str) -> Floats:
+def _within(q: Floats, goal: Floats, arm: Arm, fixed_hand_part: str) -> Floats:
     """(k, n) rad from q (n,) to goal (n,): as straight as what is held of the hand allows, brought back after every
     step.
     """
-    target, rows = mechanism.frames(q[None], arm)[:, -1], [np.array(q, float)]
+    target, rows = mechanism.link_frames(q[None], arm)[:, -1], [np.array(q, float)]
     for k in range(STEPS):
         now = rows[-1][None]
-        pull = (null_space_search.null_space_projectors(now, arm, held)[0] @ (goal - now[0])) / (STEPS - k)
-        new = null_space_search.return_hand_to_target(now + pull, target, arm, held)
+        pull = (null_space_search.null_space_projectors(now, arm, fixed_hand_part)[0] @ (goal - now[0])) / (STEPS - k)
+        new = null_space_search.return_hand_to_target(now + pull, target, arm, fixed_hand_part)
         beyond = np.abs(mechanism.limits(new[0], arm))
         if (
-            null_space_search.hand_deviation(new, target, arm, held)[0] > 1e-9
+            null_space_search.hand_deviation(new, target, arm, fixed_hand_part)[0] > 1e-9
             or beyond.any()
             or np.abs(new - now).max() > 0.5
         ):
@@ -67,13 +66,13 @@ def _within(q: Floats, goal: Floats, arm: Arm, held: str) -> Floats:
                 else "is near a singularity"
             )
             raise RigError(
-                f"the motion to the posture, the hand's {held} held, {where} at {k / STEPS:.0%} of the way; "
+                f"the motion to the posture, the hand's {fixed_hand_part} held, {where} at {k / STEPS:.0%} of the way; "
                 "take it on the way"
             )
         rows.append(new[0])
     if np.abs(rows[-1] - goal).max() > 2 * null_space_search.TRACE:
         raise RigError(
-            f"no motion with the hand's {held} held leads to the posture: it comes no nearer than "
+            f"no motion with the hand's {fixed_hand_part} held leads to the posture: it comes no nearer than "
             f"{_told(rows[-1] - goal, arm)}; take it on the way"
         )
     return np.vstack([*rows, goal])
@@ -129,7 +128,7 @@ SAME = np.repeat([1e-3, 2e-3], 3)  # m, rad; a hand that is off by less, as cont
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Visited:
+class VisitedPostures:
     """k postures taken with the hand where it is wanted. frame, t : (k,) number and s; q : (k, n) rad; value : (k,) the
     measure; best : index
     elsewhere : how many more the recording has, with the hand elsewhere; back : (j, n) rad, the way from where the
@@ -147,12 +146,12 @@ class Visited:
 def best_visited_posture(
     recording: Recording,
     arm: Arm,
-    objective: TransmissionObjective | Exertion,
-    held: str,
-    wanted: RigidTransform | None = None,
-) -> Visited:
+    objective: TransmissionObjective | ExertionObjective,
+    fixed_hand_part: str,
+    wanted_hand_pose: RigidTransform | None = None,
+) -> VisitedPostures:
     """Best posture visited in a recording with the hand where it is wanted, and the motion back to it.
-    wanted : T_base_platform of the hand, by default that of the first exposure
+    wanted_hand_pose : T_base_platform of the hand, by default that of the first exposure
 
     Raises RigError for an arm of other joints, without commands, and where no posture, or one alone, has the hand there
     """
@@ -160,16 +159,16 @@ def best_visited_posture(
     if q.shape[1] != len(arm.axes):
         raise RigError(f"{recording.folder} commands {q.shape[1]} axes; the arm has {len(arm.axes)} joints")
     T = mechanism.forward(q, arm)
-    apart = np.abs(pose_difference(T[0] if wanted is None else wanted, T))
-    there = (apart <= SAME)[:, HELD[held]].all(axis=1)
+    apart = np.abs(pose_difference(T[0] if wanted_hand_pose is None else wanted_hand_pose, T))
+    there = (apart <= SAME)[:, FIXED_ROWS[fixed_hand_part]].all(axis=1)
     if there.sum() < 2:
         raise RigError(
-            f"{recording.folder}: {there.sum()} of {len(q)} postures have the hand's {held} where it is "
+            f"{recording.folder}: {there.sum()} of {len(q)} postures have the hand's {fixed_hand_part} where it is "
             "wanted; comparing takes two"
         )
-    value = force_transmission.transmission_measure(q[there], arm, objective)
+    value = force_transmission_and_exertable_wrench.transmission_measure(q[there], arm, objective)
     best = int(value.argmax())
-    return Visited(
+    return VisitedPostures(
         frames[there], t[there], q[there], value, best, int((~there).sum()), _back(recording, float(t[there][best]))
     )
 

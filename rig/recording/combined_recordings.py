@@ -11,13 +11,13 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Integers
+from rig.array_types import Integers
 from rig.errors import RigError
 from rig.formats import remote_folders
 from rig.model.design import Camera, Design, Target
-from rig.model.design_comparison import design_contradictions, same_lens
+from rig.model.design_comparison_and_cube_remounting import design_contradictions, same_lens
 from rig.recording.exposures_and_images import Exposures
-from rig.recording.recording_folder import PAYLOAD, Commands, Part, Recording, Sensors
+from rig.recording.recording_folder import PAYLOAD, Commands, Recording, RecordingPart, Sensors
 from rig.recording.recording_tables import Corners, Poses
 
 GAP = 60.0  # s on the common timeline between the end of a recording and the next one's beginning
@@ -32,7 +32,7 @@ def require_one_rig(recordings: Sequence[Recording]) -> None:
     first = recordings[0]
     seen: set[str] = set()
     for recording in recordings:
-        place = str(remote_folders.absolute(recording.folder))
+        place = str(remote_folders.absolute_path(recording.folder))
         if place in seen:
             raise RigError(f"{recording.folder} is named twice; the same poses do not count twice")
         seen.add(place)
@@ -55,8 +55,8 @@ def require_one_rig(recordings: Sequence[Recording]) -> None:
             )
 
 
-def camera_owners_by_design(recordings: Sequence[Recording]) -> Owners:
-    """Owners of cameras by the designs: {camera: recording that introduced it}, new where lens or mount differs."""
+def camera_owner_recordings(recordings: Sequence[Recording]) -> Owners:
+    """Owner recording of each camera: the one that introduced it, a new one where lens or mount differs."""
     out: list[dict[str, int]] = []
     for k, recording in enumerate(recordings):
         out.append(
@@ -85,14 +85,14 @@ def join_recordings(recordings: Sequence[Recording], owners: Owners) -> Recordin
     step = 10 ** len(str(max(int(r.exposures.frame.max()) for r in recordings)))
     for k, recording in enumerate(recordings):
         low, high = _span(recording)
-        parts.append(Part(recording, k * step, end + GAP - low if k else 0.0))
+        parts.append(RecordingPart(recording, k * step, end + GAP - low if k else 0.0))
         end = parts[-1].t + high
     cameras: dict[str, Camera] = {}
     for recording, own in zip(recordings, owners):
         for camera in recording.design.cameras:
             name = combined_camera_name(camera.name, own)
             cameras.setdefault(name, replace(camera, name=name))
-    seats = target_owners_by_design([recording.design for recording in recordings])
+    seats = target_owner_recordings([recording.design for recording in recordings])
     design = replace(first.design, cameras=tuple(cameras.values()), targets=_targets(recordings, seats))
     skipped = tuple(one for r in recordings for one in r.skipped)
     return replace(
@@ -140,7 +140,7 @@ def _span(recording: Recording) -> tuple[float, float]:
     return float(min(t.min() for t in parts)), float(max(t.max() for t in parts))
 
 
-def _commands(parts: Sequence[Part]) -> Commands | None:
+def _commands(parts: Sequence[RecordingPart]) -> Commands | None:
     t, values, starts = [], [], []
     for k, part in enumerate(parts):
         own = part.recording.commands
@@ -157,22 +157,22 @@ def _commands(parts: Sequence[Part]) -> Commands | None:
     return Commands(np.concatenate(t), np.concatenate(values), np.array(starts))
 
 
-def _exposures(parts: Sequence[Part], owners: Owners) -> Exposures:
+def _exposures(parts: Sequence[RecordingPart], owners: Owners) -> Exposures:
     seen = [(part, part.recording.exposures) for part in parts]
     return Exposures(
         np.concatenate([part.frames + e.frame for part, e in seen]),
         np.concatenate([part.t + e.t for part, e in seen]),
         [combined_camera_name(name, own) if name else "" for (_, e), own in zip(seen, owners) for name in e.camera],
         [
-            str(remote_folders.absolute(part.recording.folder) / name) if name else ""
+            str(remote_folders.absolute_path(part.recording.folder) / name) if name else ""
             for part, e in seen
             for name in e.image
         ],
     )
 
 
-def target_owners_by_design(designs: Sequence[Design]) -> Owners:
-    """Owners of targets by the designs: {target: recording in which it was last remounted}."""
+def target_owner_recordings(designs: Sequence[Design]) -> Owners:
+    """Owner recording of each target: the one in which it was last remounted."""
     out: list[dict[str, int]] = []
     for k, design in enumerate(designs):
         own = {}
@@ -200,7 +200,7 @@ def _shift(recordings: Sequence[Recording]) -> int:
     return 10 ** len(str(max((i for target in recordings[0].design.targets for i in target.ids), default=0)))
 
 
-def _corners(parts: Sequence[Part], owners: Owners, seats: Owners) -> Corners | None:
+def _corners(parts: Sequence[RecordingPart], owners: Owners, seats: Owners) -> Corners | None:
     found = [(part, part.recording.corners, own) for part, own in zip(parts, owners)]
     seen = [(part, c, own) for part, c, own in found if c is not None]
     if len(seen) < len(found):
@@ -216,7 +216,7 @@ def _corners(parts: Sequence[Part], owners: Owners, seats: Owners) -> Corners | 
     )
 
 
-def _keys(markers: Integers, part: Part, seat: dict[str, int], parts: Sequence[Part]) -> Integers:
+def _keys(markers: Integers, part: RecordingPart, seat: dict[str, int], parts: Sequence[RecordingPart]) -> Integers:
     """(n,) of identities (n,), shifted where their cube was put back in a later recording than the first."""
     step, out = _shift([p.recording for p in parts]), markers.copy()
     for target in part.recording.design.targets:
@@ -225,7 +225,7 @@ def _keys(markers: Integers, part: Part, seat: dict[str, int], parts: Sequence[P
     return out
 
 
-def _poses(parts: Sequence[Part], stage: int | None) -> Poses | None:
+def _poses(parts: Sequence[RecordingPart], stage: int | None) -> Poses | None:
     """Poses of all, of the platform or of a chain's stage below it (its number), or None where one has none."""
     found = [(part, part.recording.poses if stage is None else part.recording.stages.get(stage)) for part in parts]
     seen = [(part, p) for part, p in found if p is not None]
@@ -249,7 +249,7 @@ def channels_not_in_all(recordings: Sequence[Recording]) -> list[str]:
     return sorted(name for name in set[str]().union(*own) - {PAYLOAD} if any(name not in one for one in own))
 
 
-def _sensors(parts: Sequence[Part]) -> Sensors | None:
+def _sensors(parts: Sequence[RecordingPart]) -> Sensors | None:
     """The logs one after the other, of the channels that all have."""
     recordings = [part.recording for part in parts]
     lost = channels_not_in_all(recordings)

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from rig.arrays import Floats, Integers, Pixels
+from rig.array_types import Floats, Integers, Pixels
 from rig.errors import FileError
 from rig.formats import remote_folders
 from rig.formats.csv_table import Table
 from rig.formats.input_files import read_bytes
 from rig.model.design import Camera, Design
 from rig.recording.image_file_check import MOST_PIXELS, image_file_problem, image_path_problem, open_image_file_problem
-from rig.recording.time_origin import Origin
+from rig.recording.time_origin import TimeOrigin
 
 SIMULTANEOUS = 1e-3  # s; exposures of one frame that differ by more were not exposed together
 LARGEST_IMAGE_FILE = 1 << 31  # bytes
@@ -37,7 +37,7 @@ class Exposures:
 
 
 @dataclass(frozen=True, slots=True)
-class Unreadable:
+class UnreadableImage:
     """An image that cannot be used: of which frame and camera, its path, and why."""
 
     frame: int
@@ -46,7 +46,7 @@ class Unreadable:
     problem: str
 
 
-def unusable_images_error(unusable: list[Unreadable]) -> FileError:
+def unusable_images_error(unusable: list[UnreadableImage]) -> FileError:
     """Error that names the unusable images, LISTED of them at most."""
     more = [f"  {b.path}: {b.problem}" for b in unusable[1:LISTED]] + (
         [f"  and {len(unusable) - LISTED} more"] if len(unusable) > LISTED else []
@@ -57,13 +57,13 @@ def unusable_images_error(unusable: list[Unreadable]) -> FileError:
     return FileError(unusable[0].path, "\n".join([first, *more]))
 
 
-def undecodable_images(folder: Path, exposures: Exposures) -> list[Unreadable]:
+def undecodable_images(folder: Path, exposures: Exposures) -> list[UnreadableImage]:
     """Images of exposures that cannot be decoded."""
     found = []
     for frame, camera, name in zip(exposures.frame.tolist(), exposures.camera, exposures.image):
         problem = _undecodable(folder / name) if name else None
         if problem:
-            found.append(Unreadable(frame, camera, folder / name, problem))
+            found.append(UnreadableImage(frame, camera, folder / name, problem))
     return found
 
 
@@ -76,9 +76,9 @@ def _undecodable(path: Path) -> str | None:
 
 
 def load_exposures(
-    folder: Path, design: Design, table: Table, origin: Origin, skip_unreadable: bool = False
-) -> tuple[Exposures, list[Unreadable]]:
-    """Load (Exposures, [Unreadable]) from the rows of a frames.csv.
+    folder: Path, design: Design, table: Table, origin: TimeOrigin, skip_unreadable: bool = False
+) -> tuple[Exposures, list[UnreadableImage]]:
+    """Load (Exposures, [UnreadableImage]) from the rows of a frames.csv.
     skip_unreadable : whether images that cannot be used are left out, which takes decoding every one; else they are
         errors,
     all of them named in one. Raises FileError with line and column. every one; else they are errors, all of them
@@ -138,7 +138,7 @@ def load_exposures(
     ), bad
 
 
-def _unusable(folder: Path, name: str, frame: int, camera: Camera, line: int, decode: bool) -> Unreadable | None:
+def _unusable(folder: Path, name: str, frame: int, camera: Camera, line: int, decode: bool) -> UnreadableImage | None:
     """Unreadable of an image named in a line of frames.csv, or None. decode : whether it is decoded too"""
     look = _listed if remote_folders.is_remote(folder) else image_file_problem
     problem = (
@@ -148,7 +148,7 @@ def _unusable(folder: Path, name: str, frame: int, camera: Camera, line: int, de
     )
     if problem is None:
         return None
-    return Unreadable(int(frame), camera.name, folder / name, f"{problem} (frames.csv, line {line})")
+    return UnreadableImage(int(frame), camera.name, folder / name, f"{problem} (frames.csv, line {line})")
 
 
 def _listed(path: Path, _: Camera) -> str | None:

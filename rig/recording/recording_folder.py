@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.errors import FileError, RigError
 from rig.formats import csv_table, remote_folders
 from rig.formats.checked_entries import name_problem
@@ -16,11 +16,11 @@ from rig.formats.csv_table import Table
 from rig.formats.output_files import require_complete_folder
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design
-from rig.model.mechanism_kinds import target_bodies
-from rig.recording.exposures_and_images import Exposures, Unreadable, load_exposures
+from rig.model.mechanism_kinds_and_hexapod_properties import target_bodies
+from rig.recording.exposures_and_images import Exposures, UnreadableImage, load_exposures
 from rig.recording.recording_tables import Corners, Poses, load_corners, load_instrument_poses, load_poses
-from rig.recording.time_origin import Origin, parse_exact_decimal
-from rig.report.pages.html_elements import result_html
+from rig.recording.time_origin import TimeOrigin, parse_exact_decimal
+from rig.report.pages.html_and_svg_elements import result_html
 
 LIMB = re.compile(r"m[1-9]\d*")  # a channel of a measuring limb, m, read only where there are rows about an exposure
 PAYLOAD = "payload_mass_kg"  # channel of sensors.csv, column of a plan in time: what the platform carries
@@ -84,9 +84,9 @@ class Recording:
     sensors: Sensors | None
     corners: Corners | None
     poses: Poses | None
-    origin: Origin = Origin()
-    skipped: tuple[Unreadable, ...] = ()
-    parts: tuple["Part", ...] = ()
+    origin: TimeOrigin = TimeOrigin()
+    skipped: tuple[UnreadableImage, ...] = ()
+    parts: tuple["RecordingPart", ...] = ()
     stages: dict[int, Poses] = field(default_factory=dict)
 
     @property
@@ -95,9 +95,9 @@ class Recording:
         return " + ".join(part.recording.name for part in self.parts) or self.folder.resolve().name
 
     @property
-    def apart(self) -> tuple["Part", ...]:
+    def apart(self) -> tuple["RecordingPart", ...]:
         """The recordings that it consists of: itself, where it is one."""
-        return self.parts or (Part(self, 0, 0.0),)
+        return self.parts or (RecordingPart(self, 0, 0.0),)
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
@@ -135,7 +135,7 @@ class Recording:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Part:
+class RecordingPart:
     """One of several recordings together. recording : as it stands; frames : added to its frames' numbers; t : s, added
     to its times.
     """
@@ -212,36 +212,36 @@ def _stages(folder: Path, design: Design, known: set[int]) -> dict[int, Poses]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Wanted:
+class WantedPoses:
     """Poses that a machine is to take. poses : Poses; t : (n,) s from the first, when each is to be held, or None where
     nobody says
     origin : of the owner's clock, by which times are told"""
 
     poses: Poses
     t: Floats | None = None
-    origin: Origin = Origin()
+    origin: TimeOrigin = TimeOrigin()
 
 
-def load_wanted_poses(path: str | Path) -> Wanted:
-    """Load wanted poses (Wanted) from a table frame,x,y,z,rx,ry,rz with or without t. Raises FileError.
+def load_wanted_poses(path: str | Path) -> WantedPoses:
+    """Load WantedPoses from a table frame,x,y,z,rx,ry,rz with or without t. Raises FileError.
     Raises FileError with line and column.
     """
     poses, rows = load_poses(path, are_commands=True), csv_table.read(path, ("frame",))
     if "t" not in rows.columns:
-        return Wanted(poses, None, Origin())
+        return WantedPoses(poses, None, TimeOrigin())
     origin = _origin(rows)
-    return Wanted(poses, _increasing(rows, origin), origin)
+    return WantedPoses(poses, _increasing(rows, origin), origin)
 
 
-def load_sensors(path: str | Path, origin: Origin) -> Sensors:
+def load_sensors(path: str | Path, origin: TimeOrigin) -> Sensors:
     """Load Sensors from a sensors.csv, times relative to an Origin. Raises FileError with line and column."""
     return _sensor_rows(csv_table.read(path, ("t",)), origin)
 
 
-def _origin(rows: Table) -> Origin:
+def _origin(rows: Table) -> TimeOrigin:
     """The Origin that stands at 0 at the first row of a table with times."""
-    rows.times("t", Origin())  # which checks them
-    return Origin(parse_exact_decimal(rows.text("t")[0]))
+    rows.times("t", TimeOrigin())  # which checks them
+    return TimeOrigin(parse_exact_decimal(rows.text("t")[0]))
 
 
 def _command_rows(path: Path, design: Design) -> Table | None:
@@ -252,7 +252,7 @@ def _command_rows(path: Path, design: Design) -> Table | None:
     return csv_table.read(path, ("t", *design.mechanism.axes))
 
 
-def _commands(rows: Table, design: Design, exposures: Exposures, origin: Origin) -> Commands:
+def _commands(rows: Table, design: Design, exposures: Exposures, origin: TimeOrigin) -> Commands:
     path, t = rows.path, _increasing(rows, origin)
     for column in rows.columns:
         if (
@@ -286,7 +286,7 @@ def _commands(rows: Table, design: Design, exposures: Exposures, origin: Origin)
     return Commands(t, rows.matrix(design.mechanism.axes))
 
 
-def _increasing(rows: Table, origin: Origin) -> Floats:
+def _increasing(rows: Table, origin: TimeOrigin) -> Floats:
     t, shown = rows.times("t", origin), rows.text("t")
     back = np.flatnonzero(np.diff(t) <= 0)
     if len(back):
@@ -295,7 +295,7 @@ def _increasing(rows: Table, origin: Origin) -> Floats:
     return t
 
 
-def _sensors(path: Path, origin: Origin, exposures: Exposures) -> Sensors | None:
+def _sensors(path: Path, origin: TimeOrigin, exposures: Exposures) -> Sensors | None:
     if not remote_folders.exists(path):
         return None
     rows = csv_table.read(path, ("t",))
@@ -305,7 +305,7 @@ def _sensors(path: Path, origin: Origin, exposures: Exposures) -> Sensors | None
     return sensors
 
 
-def _sensor_rows(rows: Table, origin: Origin) -> Sensors:
+def _sensor_rows(rows: Table, origin: TimeOrigin) -> Sensors:
     t, channels = _increasing(rows, origin), tuple(name for name in rows.columns if name != "t")
     for name in channels:
         if name_problem(name):
@@ -313,7 +313,7 @@ def _sensor_rows(rows: Table, origin: Origin) -> Sensors:
     return Sensors(t, {name: rows.numbers(name) for name in channels})
 
 
-def _covers(rows: Table, t: Floats, exposures: Exposures, origin: Origin) -> None:
+def _covers(rows: Table, t: Floats, exposures: Exposures, origin: TimeOrigin) -> None:
     """Raise FileError where exposures lie farther outside a log, at t (n,) s, than its rows are apart: nobody knows
     what was then.
     One row alone states what never changed."""

@@ -25,7 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.arrays import Integers
+from rig.array_types import Integers
 from rig.compute.worker_processes import worker_count
 from rig.errors import FileError, NotEnoughData, RigError
 from rig.formats.input_files import short_repr

@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.errors import FileError
 from rig.formats import csv_table, remote_folders
 from rig.formats.checked_entries import LARGEST_RIG
@@ -18,7 +18,7 @@ from rig.formats.output_files import write_bytes, write_text
 from rig.model.design import Design, Instrument
 from rig.model.pose import TRIANGLE, angle_sigmas, covariance_from_triangle, pose, pose_to_vector, roll_pitch_yaw
 from rig.recording.exposures_and_images import Exposures
-from rig.recording.time_origin import Origin
+from rig.recording.time_origin import TimeOrigin
 
 POSE_COLUMNS = ("x", "y", "z", "rx", "ry", "rz")
 DISTANCE = "distance"  # column of a drawn wire's length, m
@@ -277,7 +277,7 @@ def write_corners(path: Path, corners: Corners) -> None:
     write_table(path, header, (form % row for row in zip(*columns)))
 
 
-def copy_frames_commands_and_sensors(source: Path, target: Path, exposures: Exposures, origin: Origin) -> None:
+def copy_frames_commands_and_sensors(source: Path, target: Path, exposures: Exposures, origin: TimeOrigin) -> None:
     """Copy frames.csv (without image names), commands.csv and sensors.csv from one folder to another.
 
     origin : Origin that the folder's times are told by

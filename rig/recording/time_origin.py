@@ -9,7 +9,7 @@ from decimal import Context, Decimal, InvalidOperation
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 
 DIGITS = Context(prec=60, traps=[])
 LATEST = 1e11  # s, in the year 5138; a greater figure is in another unit
@@ -17,7 +17,7 @@ UNITS = (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9))
 
 
 @dataclass(frozen=True, slots=True)
-class Origin:
+class TimeOrigin:
     """offset : s, what the owner's clock shows at the recording's start, t = 0."""
 
     offset: Decimal = Decimal(0)

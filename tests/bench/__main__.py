@@ -3,7 +3,7 @@
 import sys
 
 from tests.bench import masks, truth
-from tests.bench.named import ALL, NAMED
+from tests.bench.benchmark_list import ALL, NAMED
 
 
 def main() -> None:

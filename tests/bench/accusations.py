@@ -17,7 +17,7 @@ from rig.formats.rig_toml import design_file
 from rig.model.design import Camera
 from rig.model.pose import exp
 from rig.planning import plan
-from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
 from vision.checks import find_corner_mistakes
@@ -52,7 +52,7 @@ def setup(number: int, folder: Path, frames: int | None = None) -> Setup:
     count, cubes, radius = int(rng.integers(2, 6)), int(rng.integers(3, 6)), float(rng.uniform(0.15, 0.6))
     frames = int(rng.choice([4, 6, 10, 24, 60])) if frames is None else frames
     noise, lensless = float(np.exp(rng.uniform(np.log(0.03), np.log(0.3)))), number % 2 == 0
-    text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(
+    text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(
         radius, cameras=count, width=width, height=height, cubes=cubes
     )
     folder.mkdir(parents=True, exist_ok=True)
@@ -61,7 +61,7 @@ def setup(number: int, folder: Path, frames: int | None = None) -> Setup:
     secret = secret_machine.draw_machine(stated, rng, float(rng.uniform(0.5, 3.0)))
     cameras = tuple(_real(camera, rng, lensless, min(1.0, radius / 0.3)) for camera in secret.true.cameras)
     secret = replace(secret, true=replace(secret.true, cameras=cameras))
-    done = recording_simulation.simulate(secret, plan.build_plan(stated, f"sobol:{frames}", number), rng)
+    done = recording_simulation.simulate_world(secret, plan.build_plan(stated, f"sobol:{frames}", number), rng)
     recording_simulation.write_recording(done, folder, text, rng, noise)
     read = recording_folder.load_recording(folder)
     assert read.corners is not None

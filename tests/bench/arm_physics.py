@@ -17,12 +17,12 @@ import numpy as np
 from calib.diagnosis.arm_findings_refit import refit_arm_with_findings
 from calib.diagnosis.platform_findings_refit import findings_of_diagnosis
 from calib.files.calibration_from_recording import calibration_with_provenance
-from calib.models.arm import error_model
+from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import arm_workspace_claim, certify_arm
 from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.recording_samples import sample_recording
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_notation import parse_effect
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
@@ -33,7 +33,7 @@ from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
 from synthetic import recording_simulation, secret_machine
 from synthetic.secret_machine import World
-from tests.calib.diagnosing import diagnosis_of
+from tests.calib.diagnose_recording import diagnosis_of
 
 ARMS, ROUTE, POSES, REACH = 3, "sobol:150", 60, 0.7
 NEAR_SINGULAR = 0.02  # least over greatest singular value; where a wrist is near it, a micrometre may be out of reach
@@ -104,7 +104,10 @@ def _recorded(folder: Path, text: str, seed: int, effects: tuple[Effect, ...]) -
     design, rng = design_file.load_design(folder / "rig.toml"), np.random.default_rng(seed)
     secret = secret_machine.draw_machine(design, rng, 1.0, effects)
     recording_simulation.write_recording(
-        recording_simulation.simulate(secret, plan.build_plan(design, ROUTE, seed), rng), folder / "rec", text, rng
+        recording_simulation.simulate_world(secret, plan.build_plan(design, ROUTE, seed), rng),
+        folder / "rec",
+        text,
+        rng,
     )
     return recording_folder.load_recording(folder / "rec"), secret
 
@@ -131,12 +134,12 @@ def _driven(rec: Recording, secret: World, physics: bool) -> tuple[np.ndarray, n
     )
     seen = np.stack([sampled.samples.commanded.min(axis=0), sampled.samples.commanded.max(axis=0)], axis=1)
     q = sobol_configurations(seen, 2 * POSES, REACH, 17)
-    values = np.linalg.svd(error_model.joint_jacobian(q, secret.true.mechanism), compute_uv=False)
-    T = error_model.predicted_target_poses(
+    values = np.linalg.svd(error_model_and_observations.joint_jacobian(q, secret.true.mechanism), compute_uv=False)
+    T = error_model_and_observations.predicted_target_poses(
         q[values[:, -1] > NEAR_SINGULAR * values[:, 0]][:POSES], done.correction.fitted
     )  # its own idea of how the hand is turned
     made = commands_along_route(calibration, T, np.zeros(len(seen)))
-    run = motion_simulation.run_machine(
+    run = motion_simulation.simulate_machine_run(
         secret.true, made.route.commands(np.round(made.values, 10)), made.route.times, secret.effects
     )
     error = _rms((pose_difference(T, run.T_base_platform) ** 2).reshape(-1, 2, 3))

@@ -12,15 +12,15 @@ import numpy as np
 from scipy.stats import chi2
 
 from calib.files import calibration_file
-from calib.models.arm import error_model, instrument_placement
-from calib.models.arm.identification import identify_arm, independent_arm_parameters
-from calib.models.arm.instrument_observations import pose_observations
+from calib.models.arm import error_model_and_observations, instrument_placement
+from calib.models.arm.error_model_and_observations import pose_observations
+from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameters
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import arm as mechanism
-from rig.model.mechanisms import arm_dynamics, six_joint_inverse
-from rig.posture import force_transmission, null_space_search, wrench_from_torques
-from rig.posture.force_transmission import TransmissionObjective
-from tests.calib import arm_worlds as worlds
+from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics, closed_form_and_numerical_arm_inverse
+from rig.posture import force_transmission_and_exertable_wrench, null_space_search, wrench_estimation_from_torques
+from rig.posture.force_transmission_and_exertable_wrench import TransmissionObjective
+from tests.calib import secret_arms as worlds
 from tests.cli import RIG
 from tests.conftest import SHARED
 from tests.rig import pinocchio_arm
@@ -43,7 +43,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
 def _forward():
     for name, arm in (("UR10", UR10), ("Panda", PANDA), ("random, Hayati", random_arm(np.random.default_rng(0), 7))):
         q = configurations(arm, 10_000, np.random.default_rng(1))
-        ours, theirs = mechanism.frames(q, arm)[:, -1], pinocchio_arm.poses(arm, q)
+        ours, theirs = mechanism.link_frames(q, arm)[:, -1], pinocchio_arm.poses(arm, q)
         yield (
             f"{name}: forward against pinocchio, 10 000 configurations, worst",
             f"{np.abs(ours - theirs)[:, :3, 3].max():.1e} m, {np.abs(ours - theirs)[:, :3, :3].max():.1e}",
@@ -54,7 +54,7 @@ def _forward():
 def _closed_forms():
     rng = np.random.default_rng(2)
     for name, arm in ARMS.items():
-        six = six_joint_inverse.six_joint_arm(arm)
+        six = closed_form_and_numerical_arm_inverse.six_joint_arm(arm)
         q = near_singular(rng.uniform(-np.pi, np.pi, (100_000, 6)), rng)
         closure, missed, found = check(six, q)
         yield (
@@ -68,7 +68,13 @@ def _closed_forms():
             "",
         )
         T = mechanism.forward(q, arm)
-        times = [_timed(lambda six=six, T=T: six_joint_inverse.inverse(T, six), time.process_time) for _ in range(5)]
+        times = [
+            _timed(
+                lambda six=six, T=T: closed_form_and_numerical_arm_inverse.closed_form_inverse(T, six),
+                time.process_time,
+            )
+            for _ in range(5)
+        ]
         numeric = (
             _timed(
                 lambda T=T, q=q, arm=arm: mechanism.solve_inverse(T[:2000], arm, q[:2000] + 0.05, starts=0),
@@ -113,7 +119,7 @@ def _identification():
     rng = np.random.default_rng(50)
     true = worlds.secret(UR10, rng)
     q = configurations(UR10, 200, rng, 0.5)
-    want = error_model.predicted_target_poses(q, true)
+    want = error_model_and_observations.predicted_target_poses(q, true)
     for name, seen in (
         ("tracker, 6D probe, 20 um", pose_observations(worlds.tracked(true, UR10, 120, rng))),
         ("CMM, ball, 20 um", worlds.touched(true, UR10, 120, rng)),
@@ -125,7 +131,7 @@ def _identification():
     ):
         start = UR10 if seen.kind != "distance" else type(UR10)(UR10.joints, UR10.limits, tool=worlds.TOOL)
         found = identify_arm(seen, instrument_placement.place_arm(seen, start, True, seen.kind != "distance"))
-        got = error_model.predicted_target_poses(q, found.arm)
+        got = error_model_and_observations.predicted_target_poses(q, found.arm)
         error = np.linalg.norm(got.translation, axis=1) - np.linalg.norm(want.translation, axis=1)
         error = np.abs(error) if seen.kind == "distance" else np.linalg.norm(got.translation - want.translation, axis=1)
         what = "length" if seen.kind == "distance" else "position"
@@ -227,15 +233,24 @@ def _postures():
 def _wrenches():
     rng = np.random.default_rng(5)
     q = configurations(PANDA, 20_000, rng, 0.9)
-    q = q[force_transmission.transmission_measure(q, PANDA, TransmissionObjective()) > 1e-4]
-    own = arm_dynamics.Links(rng.uniform(1, 4, 7), 0.1 * rng.normal(size=(7, 3)), np.tile(0.02 * np.eye(3), (7, 1, 1)))
+    q = q[force_transmission_and_exertable_wrench.transmission_measure(q, PANDA, TransmissionObjective()) > 1e-4]
+    own = arm_dynamics_and_step_by_step_kinematics.LinkMasses(
+        rng.uniform(1, 4, 7), 0.1 * rng.normal(size=(7, 3)), np.tile(0.02 * np.eye(3), (7, 1, 1))
+    )
     gravity, (v, a) = np.array([0, 0, -9.80665]), rng.normal(size=(2, *q.shape))
     true = rng.normal(size=(len(q), 6)) * [20, 20, 20, 3, 3, 3]
     half = 0.1 * (np.eye(7) + 0.3 * rng.normal(size=(7, 7)))
     pushed = np.einsum("mai,ma->mi", mechanism.jacobian(q, PANDA, "base"), true)
-    measured = arm_dynamics.joint_torques(q, v, a, PANDA, own, gravity) - pushed + rng.normal(size=q.shape) @ half.T
-    found = wrench_from_torques.estimate_wrench(
-        wrench_from_torques.external_joint_torques(measured, q, v, a, PANDA, own, gravity), q, PANDA, half @ half.T
+    measured = (
+        arm_dynamics_and_step_by_step_kinematics.joint_torques(q, v, a, PANDA, own, gravity)
+        - pushed
+        + rng.normal(size=q.shape) @ half.T
+    )
+    found = wrench_estimation_from_torques.estimate_wrench(
+        wrench_estimation_from_torques.external_joint_torques(measured, q, v, a, PANDA, own, gravity),
+        q,
+        PANDA,
+        half @ half.T,
     )
     error = found.value - true
     inside = np.einsum("mi,mij,mj->m", error, np.linalg.inv(found.covariance), error) < chi2.ppf(0.95, 6)

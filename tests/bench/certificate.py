@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.promise_and_conformity import CONFORMS, FAILS
+from calib.certification.pose_error_promise_and_conformity import CONFORMS, FAILS
 from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.calib.certificate.trials import share_kept, trial, wrong_decisions
 
 RIGS = 500
@@ -29,7 +29,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3))
+        path.write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3))
         design = design_file.load_design(path)
     for name, (level, kinds, noise) in CASES.items():
         start = time.process_time()

@@ -17,15 +17,15 @@ from scipy.spatial.transform import RigidTransform
 from rig.formats.rig_toml import design_file
 from rig.model.design import Marker, Sensor, Target
 from rig.model.pose import pose, pose_difference
-from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from rig.recording.exposures_and_images import read_image
-from tests.bench import bound
+from tests.bench import corner_bound
 from tests.cli import RIG
 from tests.conftest import SHARED
-from tests.vision.scenes import nees, scene
+from tests.vision.drawn_observations import nees, scene
 from vision.corners.marker_detection import detect_markers
-from vision.recording_adjustment import measure
+from vision.recording_adjustment import measure_observations
 from vision.targets import marker_map
 
 INSIDE = {2: 5.991, 6: 12.592}  # chi-square that 95 % stay below
@@ -37,7 +37,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3))
+        path.write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3))
         design = design_file.load_design(path)
         if SHARED.is_dir():
             yield from _first_light(Path(folder) / "first-light")
@@ -123,9 +123,9 @@ def _subpix_errors(folder, true):
 
 
 def _grid(design):
-    listed = tuple(Marker(k, 1.0, pose([0, 0, 0], [0, 0, 0]), 0.9 / 7) for k in range(bound.QUADS))
-    markers = marker_map(replace(design, targets=(Target("t", "platform", bound.NAME, listed=listed),)))
-    found = list(bound.cells(markers))
+    listed = tuple(Marker(k, 1.0, pose([0, 0, 0], [0, 0, 0]), 0.9 / 7) for k in range(corner_bound.QUADS))
+    markers = marker_map(replace(design, targets=(Target("t", "platform", corner_bound.NAME, listed=listed),)))
+    found = list(corner_bound.cells(markers))
     for exact, what in ((True, "exact pictures"), (False, "pictures of 8 x 8 rays a pixel, in 8 bits")):
         ratios, insides, theirs, lost, worst = [], {}, [], 0, (0, "")
         for _, blur, noise, tilt, side, limit, error, inside, other, left_out in (
@@ -151,14 +151,18 @@ def _grid(design):
             ", ".join(f"{100 * np.mean(v):.1f}" for v in insides.values()) + " %",
             "",
         )
-        yield f"{what}: left out with a reason", f"{lost} of {len(theirs) * bound.QUADS * bound.DRAWS}", ""
+        yield (
+            f"{what}: left out with a reason",
+            f"{lost} of {len(theirs) * corner_bound.QUADS * corner_bound.DRAWS}",
+            "",
+        )
 
 
 def _recordings(design):
     inside, common = [], []
     for seed in range(RECORDINGS):
         observations, stated, _, T = scene(design, 5000 + seed, frames=FRAMES)
-        m = measure(observations, stated, marker_map(design))
+        m = measure_observations(observations, stated, marker_map(design))
         inside.append(nees(pose_difference(m.T_base_platform, T[m.frames]), m.covariance) < INSIDE[6])
         common.append(inside[-1].mean())
     share, spread = 100 * np.mean(common), 100 * np.std(common) / np.sqrt(RECORDINGS)
@@ -172,15 +176,15 @@ def _recordings(design):
 def _speed(folder):
     from rig.errors import MissingLibrary
     from synthetic import rig_meshes as scenes
+    from synthetic.ideal_image_renderer import SAMPLES, Renderer
     from synthetic.image_sensor import expose_image
-    from synthetic.renderer import SAMPLES, Renderer
 
     detector, rng = _subpix(), np.random.default_rng(0)
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     for width, height in ((1280, 1024), (2448, 2048)):
         (folder / "rig.toml").write_text(
-            hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, width=width, height=height)
+            hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, width=width, height=height)
         )
         design = design_file.load_design(folder / "rig.toml")
         markers, home = marker_map(design), design.mechanism.home

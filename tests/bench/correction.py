@@ -12,7 +12,7 @@ from scipy.interpolate import RegularGridInterpolator
 from calib.correction.correction import Correction, require_reachable
 from calib.correction.interpolation.grid import Simplex
 from rig.model.mechanisms import hexapod
-from tests.bench.forward import mechanism_of_bench
+from tests.bench.forward_kinematics import mechanism_of_bench
 
 LEVELS, QUERIES = 4, 1_000_000
 

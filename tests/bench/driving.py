@@ -15,7 +15,7 @@ from rig.driving.protocols.protocol_interface import Segment
 from rig.driving.serial_port import SerialPort
 from rig.driving.strut_driver import Driver
 from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.planning.layout import hexapod_layout_and_camera_placement
 
 COUNT = 300
 
@@ -24,7 +24,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3)
+        text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3)
         path.write_text(text + '\n[controller]\nprotocol = "grblhal"\nport = "set below"\nmax_speed = 0.01\n')
         zero = home_lengths(design_file.load_design(path).mechanism).tolist()
         path.write_text(path.read_text() + f"zero = {zero}\n")

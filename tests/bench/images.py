@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 
 from calib.diagnosis.effect_signal import platform_effect_signal_to_noise
-from calib.diagnosis.report.report_entries import diagnosis_report, write_diagnosis
+from calib.diagnosis.report.report_entries import diagnosis_report, write_diagnosis_folder
 from calib.samples.recording_samples import Sampled, sample_recording
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
 from synthetic import blind_cases, diagnosis_score
-from tests.calib.diagnosing import diagnosis_of
-from tests.vision.scenes import nees
+from tests.calib.diagnose_recording import diagnosis_of
+from tests.vision.drawn_observations import nees
 from tests.vision.test_recording_adjustment import joint_chi2
 from vision.corner_observations import Observations
 from vision.predict import Sightings, State, predict_sightings
@@ -173,7 +173,7 @@ def diagnosed(recorded: Recording, sampled: Sampled, out: Path) -> Path:
     """The diagnosis.json of a recording that was measured before."""
     out.mkdir(parents=True, exist_ok=True)
     found = diagnosis_of(recorded, sampled=sampled)
-    write_diagnosis(out, found, recorded, diagnosis_report(found))
+    write_diagnosis_folder(out, found, recorded, diagnosis_report(found))
     return out / "diagnosis.json"
 
 

@@ -16,20 +16,20 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.api.next_experiment import Experiment, available_plans, choose_experiment, evaluate_experiment
 from calib.diagnosis.recording_diagnosis import Diagnosis
-from calib.experiment.experiment_choice import Experiment, available_plans, choose_experiment, evaluate_experiment
-from calib.experiment.experiment_information import NAME
+from calib.experiment.experiment_questions_and_information import NAME
 from calib.experiment.platform_questions import platform_questions as questions
-from rig.effects.texts.effect_notation import parse_effect, require_existing_place
+from rig.effects.texts.effect_text_and_dict import parse_effect, require_existing_place
 from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design
 from rig.planning import plan
-from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
 from synthetic import recording_simulation, secret_machine
-from tests.calib.diagnosing import diagnosis_of
+from tests.calib.diagnose_recording import diagnosis_of
 from vision.combined_recordings import combine_recordings
 
 NOISE, LOOKS, BUDGET = 0.04, 8, 120.0  # px; recordings at the most; min
@@ -101,7 +101,7 @@ class Case:
     def recorded(self, name, route) -> Recording:
         rng = np.random.default_rng([self.seed, *name.encode()])
         recording_simulation.write_recording(
-            recording_simulation.simulate(self.world, route, rng), self.folder / name, self.text, rng, NOISE
+            recording_simulation.simulate_world(self.world, route, rng), self.folder / name, self.text, rng, NOISE
         )
         return recording_folder.load_recording(self.folder / name)
 
@@ -244,7 +244,7 @@ def _rig(path, kind) -> tuple[Design, str]:
     """(Design, text of rig.toml) of a rig whose poses an instrument measures, or which cameras see, or with a heavy
     platform.
     """
-    text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3) + ("" if kind == "corners" else POSES)
+    text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3) + ("" if kind == "corners" else POSES)
     if kind == "heavy":
         text = re.sub(r"mass = [\d.]+", f"mass = {HEAVY}", text, count=1)
     path.write_text(text)

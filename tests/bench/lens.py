@@ -18,21 +18,21 @@ from scipy.spatial.transform import RigidTransform
 from rig.formats.rig_toml import design_file
 from rig.model.design import Camera
 from rig.model.pose import exp
-from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from tests.conftest import SHARED
-from tests.vision.scenes import scene
-from vision.bundle.adjustment_validation import crossvalidate_adjustment
+from tests.vision.drawn_observations import scene
+from vision.bundle.adjustment_validation_and_determinacy import crossvalidate_adjustment
 from vision.bundle.bundle_adjustment import adjust_bundle
 from vision.bundle.marker_displacements import compare_stated_and_adjusted_places
 from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.bundle.unknowns_and_estimate import offset_from_stated, update_estimate
-from vision.corner_observations import observations_from_corners, whitener
+from vision.corner_observations import observations_from_corners, whitener_of_observations
 from vision.corners.marker_detection import detect_markers
 from vision.lenses import calibration_board as boards
 from vision.lenses.lens_calibration import calibrate_lens, cross_validate_lens, observations_from_board_views
 from vision.predict import State, predict_corners
-from vision.recording_adjustment import measure
+from vision.recording_adjustment import measure_observations
 from vision.targets import MarkerMap, marker_map
 
 BOARD = "charuco:5x7:0.036195:0.018256:DICT_6X6_250"
@@ -131,7 +131,9 @@ def _adjustment():
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
         path.write_text(
-            hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=3, width=1280, height=1024, cubes=4)
+            hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(
+                0.3, cameras=3, width=1280, height=1024, cubes=4
+            )
         )
         design = design_file.load_design(path)
     observations, stated, _, T = scene(design, 1, frames=380)
@@ -183,7 +185,7 @@ def _adjustment():
 
 
 def _cost(observations, state):
-    W = whitener(observations)
+    W = whitener_of_observations(observations)
     return float((W(observations.uv - predict_corners(observations, state)[0]) ** 2).sum())
 
 
@@ -192,7 +194,7 @@ def _scipys(observations, begin, stated):
     stated : State as stated.
     """
     u, estimate = adjustment_unknowns(observations, begin, stated, EVERYTHING)
-    W, k, frames = whitener(observations), u.basis.shape[1], len(observations.frames)
+    W, k, frames = whitener_of_observations(observations), u.basis.shape[1], len(observations.frames)
 
     def residual(p):
         moved = update_estimate(estimate, u, u.basis @ p[:k], p[k:].reshape(frames, u.local))
@@ -219,7 +221,8 @@ def _block():
     markers = marker_map(block.design)
     observed = observations_from_corners(block.corners, frames, block.design, markers)
     plain, free = (
-        measure(observed, block.design, markers, groups, t=t) for groups in (("lenses",), ("lenses", "markers"))
+        measure_observations(observed, block.design, markers, groups, t=t)
+        for groups in (("lenses",), ("lenses", "markers"))
     )
     found, held = compare_stated_and_adjusted_places(free, t), crossvalidate_adjustment(free.used(), free.adjustment)
     yield (

@@ -25,7 +25,7 @@ from calib.diagnosis.report.diagnosis_report import Report
 from docs.make.results import SCHEMA
 from rig.errors import RigError
 from rig.recording import recording_folder, recording_frames
-from tests.bench.made_by import commit, machine, release
+from tests.bench.result_provenance import commit, machine, release
 from tests.truth import FAULTS, PLANS, SIGHTS, Case, draw, record
 from tests.truth.draw_faults import fits
 from tests.truth.wild import spoilt

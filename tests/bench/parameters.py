@@ -29,12 +29,12 @@ from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference
 from rig.planning import configuration_sets, plan
-from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
-from tests.calib.designs import worst_jacobian
-from tests.calib.streams import found_within, learnt, missed_step, stream
-from tests.calib.worlds import sampled
+from tests.calib.noisy_samples import sampled
+from tests.calib.pose_streams import found_within, learnt, missed_step, stream
+from tests.calib.random_hexapods import worst_jacobian
 from tests.conftest import SHARED
 from tests.rig.genhexkins import forward as genhex_forward
 
@@ -46,7 +46,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3))
+        path.write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3))
         design = design_file.load_design(path)
     yield "J_p against differences, 1000 random machines and poses, worst", f"{worst_jacobian(1000, 0):.1e}", "<= 1e-6"
     yield from _batch(design)
@@ -202,17 +202,20 @@ def _exports(design):
 
 def _limbs():
     with tempfile.TemporaryDirectory() as folder:
-        text, path = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, limbs=6), Path(folder) / "rig.toml"
+        text, path = (
+            hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6),
+            Path(folder) / "rig.toml",
+        )
         path.write_text(text)
         design, rng = design_file.load_design(path), np.random.default_rng(0)
-        done = recording_simulation.simulate(
+        done = recording_simulation.simulate_world(
             secret_machine.draw_machine(design, rng), plan.build_plan(design, "axes:9,sobol:150"), rng
         )
         recording_simulation.write_recording(done, Path(folder) / "rec", text, rng, noise=0.04)
         read = recording_folder.load_recording(Path(folder) / "rec")
         frames, lengths = measuring_limbs.limb_readings(read)
         samples, nominal = (
-            measuring_limbs.samples_by_limbs(sample_recording(read).samples, frames, lengths),
+            measuring_limbs.samples_with_limb_readings_as_commands(sample_recording(read).samples, frames, lengths),
             measuring_limbs.limb_hexapod(design),
         )
     T, expected = measuring_limbs.held_out_limb_poses(samples, nominal, 1e-6)

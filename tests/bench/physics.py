@@ -16,8 +16,8 @@ import numpy as np
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
 from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_and_two_strut_layout
-from tests.calib.physical import three_ways
+from rig.planning.layout import hexapod_layout_and_camera_placement
+from tests.calib.rigs_with_unmodelled_physics import three_ways
 
 RIGS = 3
 # four hours, in which the room changes: one that does not tells nothing of it, and
@@ -55,7 +55,7 @@ def measured(name, rigs=RIGS, route=ROUTE, text=None) -> np.ndarray:
     out = []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3) if text is None else text
+        text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3) if text is None else text
         path.write_text(text)
         design = design_file.load_design(path)
         for k in range(rigs):

@@ -5,8 +5,8 @@ import sys
 from datetime import UTC, datetime
 
 from docs.make import results
-from tests.bench.made_by import ROOT, commit, machine, release
-from tests.bench.named import ALL, NAMED
+from tests.bench.benchmark_list import ALL, NAMED
+from tests.bench.result_provenance import ROOT, commit, machine, release
 
 
 def keep(name: str) -> None:

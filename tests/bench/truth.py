@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from docs.make.results import SCHEMA
-from tests.bench.made_by import machine, release
+from tests.bench.result_provenance import machine, release
 from tests.bench.truth_summary import figures_in_words
 from tests.bench.truth_trial import WAYS, Trial, tried
 from tests.truth import FAULTS, PLANS, SIGHTS, STRENGTHS

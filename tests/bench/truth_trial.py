@@ -15,7 +15,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from rig.cli import command_line
-from tests.bench.made_by import commit
+from tests.bench.result_provenance import commit
 from tests.truth import (
     SIGHTS,
     Case,

@@ -11,8 +11,8 @@ import numpy as np
 
 from calib.drift.visit_history import History, add_visit
 from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_and_two_strut_layout
-from tests.calib.drifting import SIX, changed, rig
+from rig.planning.layout import hexapod_layout_and_camera_placement
+from tests.calib.daily_visits import SIX, changed, rig
 
 RIGS, WEEK, QUIET = 10, 7, 20  # rigs; quiet visits before a change; quiet visits of each rig in all, beside those
 SOON = 2  # visits after a change by which it is to be noticed
@@ -24,7 +24,7 @@ def rows(rigs=RIGS, quiet=QUIET) -> Iterator[tuple[str, str, str]]:
     start = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         base = Path(folder)
-        (base / "rig.toml").write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3))
+        (base / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3))
         design, text = design_file.load_design(base / "rig.toml"), (base / "rig.toml").read_text()
         for seed in range(rigs):
             one, rng = rig(design, text, seed, base / f"{seed}"), np.random.default_rng([seed, 1])

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.effects.texts.effect_notation import parse_effect
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.model.pose import exp
 from rig.planning import plan
-from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
+from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
 from rig.recording.recording_tables import Poses
 from synthetic import recording_simulation, secret_machine
@@ -21,7 +21,7 @@ ROUTE = "sobol:60,ladder:4,moving:12"
 def posed(folder, design, effects, seed, route=ROUTE):
     """Recording of a secret hexapod whose poses an instrument measured."""
     rng = np.random.default_rng(seed)
-    done = recording_simulation.simulate(
+    done = recording_simulation.simulate_world(
         secret_machine.draw_machine(design, rng, 1.0, tuple(map(parse_effect, effects))),
         plan.build_plan(design, route, seed),
         rng,

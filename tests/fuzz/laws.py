@@ -17,8 +17,7 @@ from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_nu
 from rig.formats.output_files.atomic_file import escape_unprintable
 from rig.formats.rig_toml import design_file
 from rig.formats.structured_files import Places, first_repeated_key, toml_entries
-from rig.model.controller_settings import SCHEMES, port_problem
-from rig.model.design import Actuator
+from rig.model.design import SCHEMES, Actuator, port_problem
 from rig.report.pages import run_page_server
 
 PLAIN = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")

@@ -8,13 +8,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.certification.held_out_errors import Figures, HeldOut
 from calib.correction.correction import Correction
 from calib.files import calibration_file
 from calib.online.information_filter import Online
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.texts.effect_notation import (
+from rig.effects.texts.effect_text_and_dict import (
     effect_from_dict,
     parse_effect,
     require_existing_place,
@@ -27,7 +27,7 @@ from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.rig_toml import design_file
 from rig.model.pose import TRIANGLE
 from rig.planning import plan
-from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from rig.recording.exposures_and_images import load_exposures
 from rig.recording.image_file_check import image_file_problem
@@ -49,11 +49,11 @@ class Reader:
 
 def readers(folder: Path) -> list[Reader]:
     """All of them. folder : where what they read beside their input is kept"""
-    text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=2, width=640, height=480, cubes=2)
+    text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=2, width=640, height=480, cubes=2)
     (folder / "rig.toml").write_text(text)
     design = design_file.load_design(folder / "rig.toml")
     rng = np.random.default_rng(1)
-    done = recording_simulation.simulate(
+    done = recording_simulation.simulate_world(
         secret_machine.draw_machine(design, rng, 1.0, (parse_effect("backlash:strut2:gap=4e-5"),)),
         plan.build_plan(design, "sobol:3"),
         rng,

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.model.controller_settings import PROTOCOLS, Controller
+from rig.model.design import PROTOCOLS, Controller
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def protocol(request):
 def ready(driven_design, protocol):
     """(driver, emulator, clock, home lengths) of a rig that is homed."""
     from rig.driving.emulators.emulator_opening import home_lengths
-    from tests.rig.judge import bench
+    from tests.rig.moves_with_faults import bench
 
     driver, emulator, clock = bench(driven_design, protocol, (), 1)
     driver.open()

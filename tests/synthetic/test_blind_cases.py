@@ -14,10 +14,10 @@ from rig.cli import blind as command
 from rig.cli import command_line
 from rig.cli.shared import blind_case_process
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
-from rig.effects.framework.effect_validity import check_effect
-from rig.effects.texts.effect_notation import parse_effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.errors import FileError
-from rig.model import manufacturing_tolerances, motion_simulation
+from rig.model import marker_and_sensor_tolerances, motion_simulation
 from rig.planning import plan
 from rig.recording import recording_folder
 from synthetic import (
@@ -80,8 +80,8 @@ def test_every_effect_out_of_the_catalogue_changes_what_is_seen_and_is_in_no_cat
     foreign = unlisted_physics.draw_unlisted_effect(design, route.t[-1], rng)
     assert foreign.name == kind.name and kind.name not in BY_NAME
     secret = secret_machine.draw_machine(design, rng, 1.0, (foreign,))
-    bent = recording_simulation.simulate(secret, route, np.random.default_rng(5))
-    plain = recording_simulation.simulate(replace(secret, effects=()), route, np.random.default_rng(5))
+    bent = recording_simulation.simulate_world(secret, route, np.random.default_rng(5))
+    plain = recording_simulation.simulate_world(replace(secret, effects=()), route, np.random.default_rng(5))
     found, uv = recording_simulation.visible_markers(bent)
     moved = uv - recording_simulation.predict_sightings(
         found,
@@ -94,7 +94,7 @@ def test_every_effect_out_of_the_catalogue_changes_what_is_seen_and_is_in_no_cat
 @pytest.mark.parametrize("disturb", unlisted_physics.DISTURBANCES, ids=lambda disturb: disturb.__name__)
 def test_every_disturbance_adds_noise_and_no_shift(disturb, design):
     rng = np.random.default_rng(3)
-    done = recording_simulation.simulate(
+    done = recording_simulation.simulate_world(
         secret_machine.draw_machine(design, rng), plan.build_plan(design, "sobol:30"), rng
     )
     clean = recording_simulation.noisy_corners(done, 0.0, rng)
@@ -133,7 +133,7 @@ def test_the_truth_is_closed_to_a_diagnosis(tmp_path):
             "else p.read_text())"
         )
         code = (
-            "from rig.cli.shared.blind_case_process import forbid_own_reading_of_folder as forbid; "
+            "from rig.cli.shared.blind_case_process import forbid_this_process_to_read_folder as forbid; "
             f"forbid({str(tmp_path / 'truth')!r}); {look}"
         )
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
@@ -340,7 +340,7 @@ def test_strength_is_the_signal_after_calibration_has_had_its_share(design, rig_
 
     effects = (parse_effect("backlash:strut2:gap=5e-5"), parse_effect("scale_error:strut3:scale=1e-12"))
     rng = np.random.default_rng(8)
-    done = recording_simulation.simulate(
+    done = recording_simulation.simulate_world(
         secret_machine.draw_machine(design, rng, 1.0, effects), plan.build_plan(design, "sobol:30,ladder:1", 1), rng
     )
     found = []
@@ -403,13 +403,13 @@ def test_a_case_in_images_draws_optics_and_prints_its_markers_within_tolerance()
     )
     for t in cases:
         (hidden,), (*_, printed) = t.hidden, t.simulation.world.effects
-        assert blind_image_settings.is_drawable(type(hidden)) and hidden in t.simulation.world.effects
+        assert blind_image_settings.is_renderable(type(hidden)) and hidden in t.simulation.world.effects
         assert (
             printed.name == "printing"
-            and np.std(printed.offsets) < manufacturing_tolerances.PLACES.sigma * 1.3
+            and np.std(printed.offsets) < marker_and_sensor_tolerances.PLACES.sigma * 1.3
             and np.any(printed.offsets)
         )
-        assert np.abs(printed.scales).max() < 6 * manufacturing_tolerances.SIDES.sigma
+        assert np.abs(printed.scales).max() < 6 * marker_and_sensor_tolerances.SIDES.sigma
         assert 0.0005 < t.noise < 0.05 and len(blind_cases.simulated_corners(t).frame) > 40
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rig.cli import command_line
-from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
+from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
 
 NOISE = 0.03  # px

@@ -10,7 +10,7 @@ import pytest
 
 from rig.driving.cameras import CameraError, open_camera
 from rig.driving.clock import SimulatedClock, SystemClock
-from rig.effects.texts.effect_notation import parse_effect
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.errors import RigError
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Sensor
@@ -36,11 +36,11 @@ def told(design):
 
 def test_what_is_shown_is_the_true_pose_with_what_the_way_did_to_it(secret, told):
     shown = emulated_cameras.EmulatedCameras(secret, Images(Sensor()), 1, lambda: told, SimulatedClock(105.0))
-    T = motion_simulation.run_machine(
+    T = motion_simulation.simulate_machine_run(
         secret.true, Commands(told[0] - 100, told[1]), [5.0], secret.effects, None
     ).T_base_platform[0]
     np.testing.assert_allclose(shown.pose(105.0), T.as_matrix(), atol=1e-12)
-    other = motion_simulation.run_machine(
+    other = motion_simulation.simulate_machine_run(
         secret.true, Commands(told[0][-2:] - 103, told[1][-1:].repeat(2, axis=0)), [2.0], secret.effects, None
     ).T_base_platform[0]
     assert np.abs(pose_difference(T, other)).max() > 5e-5, "the way does matter here"
@@ -84,9 +84,9 @@ def test_history_is_read_as_it_grows_and_standing_takes_no_room(tmp_path):
 
 def test_measuring_limbs_read_the_pose(design, told, tmp_path):
     from rig.formats.rig_toml import design_file
-    from rig.planning.layout import hexapod_and_two_strut_layout
+    from rig.planning.layout import hexapod_layout_and_camera_placement
 
-    (tmp_path / "rig.toml").write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, limbs=6))
+    (tmp_path / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6))
     secret = secret_machine.draw_machine(design_file.load_design(tmp_path / "rig.toml"), np.random.default_rng(3))
     shown = emulated_cameras.EmulatedCameras(secret, Images(Sensor()), 1, lambda: told, SimulatedClock(105.0))
     limbs, T = secret.true.insitu, shown.pose(105.0)

@@ -22,7 +22,7 @@ def seen(opengl, design):
         ),
     )
     rng = np.random.default_rng(4)
-    return recording_simulation.simulate(
+    return recording_simulation.simulate_world(
         secret_machine.draw_machine(small, rng), plan.build_plan(small, "sobol:2", 1), rng
     )
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synthetic.printed_pattern import Footprint, white_share
+from synthetic.marker_pattern_drawing import Footprint, white_share
 
 
 def sampled(cells, seen, count=600):

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from rig.effects.texts.effect_notation import parse_effect
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.errors import FileError, RigError
 from rig.model import motion_simulation
 from rig.model.design import Sensor
 from rig.model.pose import pose_difference
 from rig.planning import plan
 from rig.recording import recording_folder
-from synthetic import image_simulation, recording_simulation, renderer, rig_meshes, secret_machine
+from synthetic import ideal_image_renderer, image_simulation, recording_simulation, rig_meshes, secret_machine
 from synthetic.occlusion import is_occluded
 from tests.conftest import SHARED
 from vision.reading.recording_corners import collect_corners
@@ -24,7 +24,7 @@ from vision.targets import marker_map
 @pytest.fixture(scope="module")
 def done(design):
     rng = np.random.default_rng(4)
-    return recording_simulation.simulate(
+    return recording_simulation.simulate_world(
         secret_machine.draw_machine(design, rng, 1.0, (parse_effect("backlash:strut2:gap=5e-5"),)),
         plan.build_plan(design, "sobol:8,moving:6"),
         rng,
@@ -34,7 +34,7 @@ def done(design):
 def test_what_is_written_is_read_back(done, tmp_path, rig_text):
     recording_simulation.write_recording(done, tmp_path / "rec", rig_text, np.random.default_rng(0), noise=0.0)
     found = recording_folder.load_recording(tmp_path / "rec")
-    again = motion_simulation.run_machine(
+    again = motion_simulation.simulate_machine_run(
         done.world.true, found.commands, found.exposures.times()[1], done.world.effects, found.sensors
     )
     np.testing.assert_allclose(pose_difference(again.T_base_platform, done.run.T_base_platform), 0, atol=1e-9)
@@ -49,7 +49,7 @@ def test_truth_makes_the_same_machine_again(done, tmp_path, design):
     secret_machine.write_truth(tmp_path / "t.json", done.world, done.run.T_base_platform)
     again = secret_machine.world_from_truth(tmp_path / "t.json", design)
     assert again.effects == done.world.effects
-    T = motion_simulation.run_machine(
+    T = motion_simulation.simulate_machine_run(
         again.true, done.plan.commands, done.plan.t, again.effects, done.sensors
     ).T_base_platform
     np.testing.assert_allclose(pose_difference(T, done.run.T_base_platform), 0, atol=1e-12)
@@ -68,7 +68,7 @@ def test_same_seed_same_recording(design, tmp_path, rig_text):
     texts = []
     for name in "ab":
         rng = np.random.default_rng(9)
-        s = recording_simulation.simulate(
+        s = recording_simulation.simulate_world(
             secret_machine.draw_machine(design, rng), plan.build_plan(design, "sobol:3", 9), rng
         )
         recording_simulation.write_recording(s, tmp_path / name, rig_text, rng, noise=0.05)
@@ -98,7 +98,9 @@ def test_what_is_hidden_is_hidden_by_solids(design):
 @pytest.mark.slow
 def test_corners_of_a_picture_are_those_of_the_simulation(design, rig_text, tmp_path, opengl):
     rng = np.random.default_rng(2)
-    s = recording_simulation.simulate(secret_machine.draw_machine(design, rng), plan.build_plan(design, "sobol:1"), rng)
+    s = recording_simulation.simulate_world(
+        secret_machine.draw_machine(design, rng), plan.build_plan(design, "sobol:1"), rng
+    )
     recording_simulation.write_recording(
         s,
         tmp_path / "rec",
@@ -116,7 +118,7 @@ def test_corners_of_a_picture_are_those_of_the_simulation(design, rig_text, tmp_
 
 def test_a_picture_in_motion_is_the_mean_of_its_moments(design, tmp_path, opengl):
     rng = np.random.default_rng(3)
-    s = recording_simulation.simulate(
+    s = recording_simulation.simulate_world(
         secret_machine.draw_machine(design, rng), plan.build_plan(design, "moving:1"), rng
     )
     images = image_simulation.Images(Sensor(exposure=0.1, exposures=3), processes=1)
@@ -136,7 +138,7 @@ def test_a_picture_in_motion_is_the_mean_of_its_moments(design, tmp_path, opengl
         for row in (0, 512, 1023):  # every row is that of a picture taken at its own moment
             late = (row - 512) * 3e-5
             then = [T[0] for T in s.at_times(np.array([s.plan.t[0] + late]))]
-            fine = row * renderer.SAMPLES
+            fine = row * ideal_image_renderer.SAMPLES
             np.testing.assert_allclose(
                 rolled[fine], image_simulation._view(rolling, s.plan.t[0] + late, then)[fine], atol=0.02
             )
@@ -147,8 +149,8 @@ def test_a_picture_in_motion_is_the_mean_of_its_moments(design, tmp_path, opengl
 
 def test_effects_that_cannot_be_drawn_are_refused():
     with pytest.raises(RigError, match="edge_bias is not drawn"):
-        image_simulation.check_drawable([parse_effect("edge_bias:cameras:bias=0.1")])
-    image_simulation.check_drawable(
+        image_simulation.require_renderable([parse_effect("edge_bias:cameras:bias=0.1")])
+    image_simulation.require_renderable(
         [parse_effect("camera_bump:cam1:motion=1e-4/0/0/0/0/0,time=3"), parse_effect("backlash:1:gap=1e-5")]
     )
 
@@ -176,7 +178,7 @@ def test_our_machine_moves_as_the_shared_recordings_did(name):
         for e in truth["effects"]
         if e["parameters"]
     ]
-    T = motion_simulation.run_machine(
+    T = motion_simulation.simulate_machine_run(
         replace(found.design, mechanism=mechanism), found.commands, found.exposures.times()[1], effects, found.sensors
     ).T_base_platform
     errors = pose_difference(T, RigidTransform.from_matrix(np.array(truth["poses"]).reshape(-1, 4, 4)))

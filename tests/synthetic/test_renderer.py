@@ -13,12 +13,12 @@ from scipy.spatial.transform import RigidTransform
 from rig.errors import MissingLibrary
 from rig.model.design import Camera, Marker, Sensor, Target
 from rig.model.pose import pose
-from synthetic import renderer as render
+from synthetic import ideal_image_renderer as render
 from synthetic import rig_meshes
 from synthetic.image_sensor import expose_image
-from tests.synthetic.edges import edge_corners
+from tests.synthetic.corners_by_edge_lines import edge_corners
 from vision.corners.marker_detection import fit_read_markers
-from vision.corners.marker_reader import ReadMarkers
+from vision.corners.whole_image_marker_reader import ReadMarkers
 from vision.predict import State, markers_facing_cameras, predict_sightings
 from vision.targets import marker_map
 
@@ -129,7 +129,7 @@ def test_each_camera_has_its_own_resolution(design, opengl):
 
 def test_without_opengl_one_clear_line(tmp_path):
     code = (
-        "import sys\nsys.modules['OpenGL.GL'] = None\nfrom synthetic.renderer import import_pyrender\nfrom "
+        "import sys\nsys.modules['OpenGL.GL'] = None\nfrom synthetic.ideal_image_renderer import import_pyrender\nfrom "
         "rig.errors import MissingLibrary\n"
         "try: import_pyrender()\nexcept MissingLibrary as e: print(e)"
     )

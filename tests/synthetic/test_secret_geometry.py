@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from rig.cli import command_line
-from rig.effects.texts.effect_notation import parse_effect
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.formats.rig_toml.design_file import load_design
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
-from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
+from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
 from synthetic.secret_machine import world_from_truth
-from tests.test_one_more_effect import RIGS
+from tests.rig.effects.test_added_effect import RIGS
 
 SIGMA = (2e-5, 1e-4)  # m, rad
 
@@ -47,11 +47,12 @@ def test_an_instrument_sees_what_the_machine_did(tmp_path, kind, effect, place):
     found, world, tree = simulated(tmp_path, kind, "--effect", effect, place=place)
     frames, t = found.exposures.times()
     assert found.poses.frame.tolist() == frames.tolist() and world.effects == (parse_effect(effect),)
-    run = motion_simulation.run_machine(world.true, found.commands, t, world.effects, found.sensors)
+    run = motion_simulation.simulate_machine_run(world.true, found.commands, t, world.effects, found.sensors)
     off = pose_difference(run.T_base_platform, found.poses.T_base_platform)
     np.testing.assert_allclose(off.std(axis=0), np.repeat(SIGMA, 3), rtol=0.25)
     without = pose_difference(
-        motion_simulation.run_machine(world.true, found.commands, t).T_base_platform, found.poses.T_base_platform
+        motion_simulation.simulate_machine_run(world.true, found.commands, t).T_base_platform,
+        found.poses.T_base_platform,
     )
     assert (
         np.abs(without[:, :3]).max() > 20 * SIGMA[0] if kind == "arm" else np.abs(without[:, :3]).max() > 3 * SIGMA[0]

@@ -12,7 +12,7 @@ import pytest
 
 from calib.models.platform.identification import pose_parameter_jacobian
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.texts.effect_notation import parse_effect
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.model import motion_simulation
 from rig.model.pose import exp
 from rig.planning import plan
@@ -73,7 +73,7 @@ SWALLOWED = {
 def signatures(design):
     rng = np.random.default_rng(0)
     route = plan.build_plan(design, "standard", 1)
-    s = recording_simulation.simulate(secret_machine.draw_machine(design, rng, 0.0), route, rng)
+    s = recording_simulation.simulate_world(secret_machine.draw_machine(design, rng, 0.0), route, rng)
     markers, T = marker_map(design), s.run.T_base_platform
     found = markers_facing_cameras(State(design.cameras, T, {}), markers, np.cos(np.radians(70)))
     found = found.take(
@@ -100,7 +100,7 @@ def signatures(design):
     for text in EFFECTS:
         effect = parse_effect(text)
         rolls = effect.name == "rolling_shutter"
-        run = motion_simulation.run_machine(design, route.commands, route.t, [effect], s.sensors, rates=rolls)
+        run = motion_simulation.simulate_machine_run(design, route.commands, route.t, [effect], s.sensors, rates=rolls)
         seen = predict_sightings(
             found,
             State(design.cameras, run.T_base_platform, {}),

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.errors import RigError
 from rig.model.pose import exp
 from rig.recording import recording_folder
-from tests.loops import rig
+from tests.closed_loops import rig
 from vision.combined_recordings import _apart
 from vision.pose_uncertainty_prediction import predict_pose_uncertainty
 from vision.recording_measurement import measure_recording

@@ -7,9 +7,9 @@ import pytest
 
 from rig.errors import NotEnoughData
 from rig.model.pose import exp, pose_difference
-from tests.vision.scenes import known, nees, scene, standing
-from vision.corner_observations import corner_covariance_rows, whitener
-from vision.recording_adjustment import measure
+from tests.vision.drawn_observations import known, nees, scene, standing
+from vision.corner_observations import corner_correlation_rows, whitener_of_observations
+from vision.recording_adjustment import measure_observations
 from vision.targets import marker_map
 
 
@@ -24,7 +24,7 @@ def joint_chi2(m, errors):
 @pytest.mark.slow  # by default with cameras adjusted, which takes in all of it
 def test_covariance_is_true_with_cameras_known(design):
     observations, stated, true, T = scene(design, 21, frames=1500)
-    m = measure(observations, known(stated, true), marker_map(design), free=())
+    m = measure_observations(observations, known(stated, true), marker_map(design), free=())
     assert len(m.frames) == 1500
     assert m.noise == pytest.approx(0.04, rel=0.01)
     assert np.mean(nees(pose_difference(m.T_base_platform, T), m.covariance)) == pytest.approx(6, rel=0.05)
@@ -33,7 +33,7 @@ def test_covariance_is_true_with_cameras_known(design):
 def recordings(design, seeds, frames):
     for seed in seeds:
         observations, stated, _, T = scene(design, seed, frames=frames)
-        m = measure(observations, stated, marker_map(design))
+        m = measure_observations(observations, stated, marker_map(design))
         yield m, pose_difference(m.T_base_platform, T)
 
 
@@ -56,7 +56,7 @@ def test_covariance_of_each_pose_is_true_over_many_recordings(design):
 
 def test_stated_covariance_is_brought_to_the_scatter_seen(design):
     observations, stated, true, T = scene(design, 2, frames=40, noise=0.08)
-    m = measure(
+    m = measure_observations(
         replace(observations, stated=True, covariance=0.01**2 * np.tile(np.eye(2), (len(observations), 1, 1))),
         stated,
         marker_map(design),
@@ -69,7 +69,7 @@ def test_errors_that_come_back_in_every_frame_are_not_averaged_away(design):
     ratios = []
     for seed in range(30, 42):
         observations, stated, true, T = scene(design, seed, frames=30, noise=0.01)
-        m = measure(standing(observations, np.random.default_rng(seed), 0.03), stated, marker_map(design))
+        m = measure_observations(standing(observations, np.random.default_rng(seed), 0.03), stated, marker_map(design))
         assert m.standing == pytest.approx(0.03, rel=0.35)
         ratios.append(joint_chi2(m, pose_difference(m.T_base_platform, T)) / len(T))
     assert 4 < np.mean(ratios) < 8
@@ -83,7 +83,7 @@ def test_outliers_are_set_aside_and_leave_no_trace(design):
     for size in (3.0, 300.0):
         uv = observations.uv.copy()
         uv[rows] += size * np.sign(rng.normal(size=(len(rows), 2)))
-        m = measure(replace(observations, uv=uv), stated, marker_map(design))
+        m = measure_observations(replace(observations, uv=uv), stated, marker_map(design))
         assert not m.inliers[rows].any() and m.inliers.sum() >= len(observations) - len(rows) - 3
         poses.append(m.T_base_platform)
     np.testing.assert_allclose(pose_difference(*poses), 0, atol=1e-7)
@@ -95,7 +95,7 @@ def test_a_frame_that_cannot_be_solved_is_reported_and_not_filled_in(design):
     first = np.flatnonzero(on & (frame == 3))[0]
     lonely = (observations.marker == observations.marker[first]) & (observations.camera == observations.camera[first])
     kept = observations.take(~(on & (frame == 2)) & ~(on & (frame == 3) & ~lonely))
-    m = measure(kept, stated, marker_map(design))
+    m = measure_observations(kept, stated, marker_map(design))
     assert m.frames.tolist() == [0, 1, 4, 5, 6, 7, 8, 9]
     assert "no marker" in m.unsolved[2] and "single sighting" in m.unsolved[3]
     assert np.abs(pose_difference(m.T_base_platform, T[m.frames])).max() < 1e-3
@@ -111,7 +111,7 @@ def test_a_camera_that_the_base_does_not_place_joins_by_the_others_poses(design,
     base = np.unique(o.marker[(o.camera == 0) & ~o.on_platform])
     seen = observations.take((o.camera != 0) | o.on_platform | np.isin(o.marker, base[:left]))
     away = replace(first, pose=first.pose * exp(np.array([0.12, -0.08, 0.07, 0.1, -0.1, 0.1])))
-    m = measure(seen, replace(stated, cameras=(away, *stated.cameras[1:])), marker_map(design))
+    m = measure_observations(seen, replace(stated, cameras=(away, *stated.cameras[1:])), marker_map(design))
     off = m.design.cameras[0].pose.inv() * true.cameras[0].pose
     assert (
         len(m.frames) == 8
@@ -124,7 +124,7 @@ def test_a_camera_that_the_base_does_not_place_joins_by_the_others_poses(design,
 def test_nothing_solved_is_an_error_with_reasons(design):
     observations, stated, *_ = scene(design, 6, frames=3)
     with pytest.raises(NotEnoughData, match="none of 3 frames.*no marker"):
-        measure(observations.take(~observations.on_platform), stated, marker_map(design))
+        measure_observations(observations.take(~observations.on_platform), stated, marker_map(design))
 
 
 def test_a_cube_turned_round_is_cast_out_whole(design):
@@ -134,7 +134,7 @@ def test_a_cube_turned_round_is_cast_out_whole(design):
     marker[observations.marker == 0], marker[observations.marker == 2] = 2, 0
     markers = marker_map(design)
     points = markers.corners[marker, observations.corner]
-    m = measure(replace(observations, marker=marker, points=points), stated, markers)
+    m = measure_observations(replace(observations, marker=marker, points=points), stated, markers)
     swapped = np.isin(observations.marker, (0, 2))
     assert not m.inliers[swapped].any() and m.inliers[~swapped].mean() > 0.99
     assert np.abs(pose_difference(m.T_base_platform, T)).max() < 5e-4
@@ -152,7 +152,7 @@ def correlated(observations, rng, sigma):
     uv = o.uv + (factor @ rng.normal(size=(len(first), 8, 1))).reshape(-1, 2)
     C = np.tile(factor @ factor.T, (len(first), 1, 1))
     own = np.stack([C[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)], axis=1).reshape(-1, 2, 2)
-    return replace(o, uv=uv, covariance=own, correlation=corner_covariance_rows(C).reshape(-1, 2, 8), stated=True)
+    return replace(o, uv=uv, covariance=own, correlation=corner_correlation_rows(C).reshape(-1, 2, 8), stated=True)
 
 
 @pytest.mark.slow
@@ -161,8 +161,8 @@ def test_corners_of_a_marker_are_weighed_together(design):
     for seed in range(60, 76):
         observations, stated, _, T = scene(design, seed, frames=24, noise=0.0)
         noisy = correlated(observations, np.random.default_rng(seed), 0.04)
-        m = measure(noisy, stated, marker_map(design))
-        without = measure(replace(noisy, correlation=None), stated, marker_map(design))
+        m = measure_observations(noisy, stated, marker_map(design))
+        without = measure_observations(replace(noisy, correlation=None), stated, marker_map(design))
         errors = [pose_difference(one.T_base_platform, T) for one in (m, without)]
         together.append(joint_chi2(m, errors[0]) / len(T))
         apart.append(joint_chi2(without, errors[1]) / len(T))
@@ -175,9 +175,9 @@ def test_corners_of_a_marker_are_weighed_together(design):
 def test_a_corner_set_aside_leaves_the_others_their_own_correlation(design):
     observations, *_ = scene(design, 3, frames=2, noise=0.0)
     noisy = correlated(observations, np.random.default_rng(0), 0.04)
-    W = whitener(noisy.take(np.arange(len(noisy)) % 4 != 1))
+    W = whitener_of_observations(noisy.take(np.arange(len(noisy)) % 4 != 1))
     R = np.linalg.inv(W.mixing[0].T @ W.mixing[0])
-    full = np.linalg.inv(whitener(noisy).mixing[0].T @ whitener(noisy).mixing[0])
+    full = np.linalg.inv(whitener_of_observations(noisy).mixing[0].T @ whitener_of_observations(noisy).mixing[0])
     there = [0, 1, 4, 5, 6, 7]
     np.testing.assert_allclose(R[np.ix_(there, there)], full[np.ix_(there, there)], atol=1e-12)
     np.testing.assert_allclose(R[2:4], np.eye(8)[2:4], atol=1e-12)

@@ -11,7 +11,7 @@ from typing import cast
 
 import numpy as np
 
-from rig.arrays import Booleans, Floats
+from rig.array_types import Booleans, Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Camera
 from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, schur_complement, solve_step
@@ -25,7 +25,7 @@ from vision.bundle.unknowns_and_estimate import (
     offset_from_stated,
     update_estimate,
 )
-from vision.corner_observations import Observations, Whitener, merge_repeated_corners, whitener
+from vision.corner_observations import Observations, Whitener, merge_repeated_corners, whitener_of_observations
 from vision.predict import State, predict_corners
 
 MAX_ITERATIONS = 120
@@ -120,7 +120,7 @@ def adjust_bundle(
             f"{len(observations)} corners cannot determine {int(u.used.sum()) + u.basis.shape[1]} unknowns"
         )
     few, spare = merge_repeated_corners(observations, state)
-    W = whitener(few)
+    W = whitener_of_observations(few)
     damping, cost, blocks = 0.0, np.inf, None
     for _ in range(MAX_ITERATIONS):
         if blocks is None:
@@ -186,7 +186,7 @@ def _finish(
     away = offset_from_stated(estimate, stated, u)
     blocks = normal_equations(few, derivatives, u, away)
     uv, _ = predict_corners(observations, estimate.state)
-    residual = whitener(observations)(observations.uv - uv)
+    residual = whitener_of_observations(observations)(observations.uv - uv)
     gain, reduced, _ = schur_complement(blocks)
     factor = u.basis @ _inverse_root(u.basis.T @ reduced @ u.basis, u)
     given = np.linalg.inv(blocks.local)[:, :6, :6] * POSE_SCALE**2

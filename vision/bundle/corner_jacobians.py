@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rig.arrays import Booleans, Floats, Integers
-from rig.compute.numba_kernels import njit
+from rig.array_types import Booleans, Floats, Integers
+from rig.compute.numba_kernels_and_lazy_exports import njit
 from vision import lens
 from vision.corner_observations import Observations
 from vision.predict import State, iterate_observed_cameras, observed_points_base, points_in_camera_frame

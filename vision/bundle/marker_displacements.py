@@ -7,15 +7,15 @@ import numpy as np
 from scipy import special
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Floats, Integers
-from rig.effects.framework.place import Place
+from rig.array_types import Floats, Integers
+from rig.effects.framework.effect_data_types import Place
 from rig.model.design import Marker
 from rig.model.pose import log
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, solve_step
 from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.bundle.unknowns_and_estimate import offset_from_stated
-from vision.corner_observations import Observations, whitener
+from vision.corner_observations import Observations, whitener_of_observations
 from vision.pose.ambiguous_poses import MOST, neighbour_rotation_scatter, pose_from_neighbours, rotation_angle
 from vision.predict import State, predict_corners
 from vision.targets import MarkerMap
@@ -110,7 +110,7 @@ def are_stated_places_doubtful(measurement: Measured, markers: MarkerMap) -> boo
     a, kept = measurement.adjustment, measurement.used()
     state = replace(a.state, markers=markers)
     u, estimate = adjustment_unknowns(kept, state, replace(a.stated, markers=markers), (*a.free, "markers"))
-    W = whitener(kept)
+    W = whitener_of_observations(kept)
     residual, derivatives = linearise(kept, estimate, u, W)
     away = offset_from_stated(estimate, replace(a.stated, markers=markers), u)
     blocks = normal_equations(kept, derivatives, u, away)

@@ -10,8 +10,8 @@ from functools import partial
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri
 
-from rig.arrays import Floats
-from rig.compute.parallel_map import thread_map
+from rig.array_types import Floats
+from rig.compute.parallel_map_and_dask_cluster import thread_map
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, schur_complement, solve_step
 from vision.bundle.printing_errors import KINDS, NAMES, Printing
@@ -24,7 +24,7 @@ from vision.corner_observations import (
     group_sums,
     merge_observation_groups,
     observations_of_frames,
-    whitener,
+    whitener_of_observations,
 )
 from vision.predict import State
 
@@ -86,7 +86,7 @@ def adjust_with_estimated_printing_errors(
         a = adjust_bundle(weighed, replace(a.state, markers=a.stated.markers), free, stated=a.stated, printing=printing)
         good = is_within_gate(kept, a.state)
     cost = (
-        a.cost - (a.whitened**2).sum() + (whitener(kept.take(used))(a.residuals) ** 2).sum()
+        a.cost - (a.whitened**2).sum() + (whitener_of_observations(kept.take(used))(a.residuals) ** 2).sum()
     )  # standing errors in it, as in fit.scale
     scale = float(np.sqrt(cost / a.dof))
     inliers = fit.inliers.copy()
@@ -113,7 +113,7 @@ def _told(observations: Observations, a: Adjustment, free: tuple[str, ...]) -> _
     """_Told of observations weighed as standing_error has it, linearised at an Adjustment."""
     one = _merged(observations, a.state)
     u, estimate = adjustment_unknowns(one, a.state, a.stated, free, printing=TRIAL)
-    residual, derivatives = linearise(one, estimate, u, whitener(one))
+    residual, derivatives = linearise(one, estimate, u, whitener_of_observations(one))
     away = offset_from_stated(estimate, a.stated, u)
     blocks = normal_equations(one, derivatives, u, away)
     _, reduced, _ = schur_complement(blocks)

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.arrays import Floats
-from rig.model.manufacturing_tolerances import PLACES, SIDES
+from rig.array_types import Floats
+from rig.model.marker_and_sensor_tolerances import PLACES, SIDES
 from rig.model.pose import exp, log
 from vision.targets import MarkerMap
 
@@ -90,8 +90,8 @@ def apply_printing_errors(markers: MarkerMap, prints: Prints, step: Floats) -> M
     )
 
 
-def fill_printing_offsets(markers: MarkerMap, stated: MarkerMap, prints: Prints, offsets: Floats) -> None:
-    """Fill offsets (s,) with the printing errors that take the stated markers to these, m, rad and shares.
+def fill_printing_error_offsets(markers: MarkerMap, stated: MarkerMap, prints: Prints, offsets: Floats) -> None:
+    """Fill offsets (s,) with the printing errors by which markers differ from the stated ones, m, rad and shares.
 
     Only each marker's whole side shows in images: of it the part that all have in common is what its prior and theirs
     make likeliest.

@@ -7,7 +7,7 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Booleans, Floats, Integers
+from rig.array_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.corner_observations import (

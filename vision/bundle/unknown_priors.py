@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.model.design import Camera
-from rig.model.manufacturing_tolerances import SIDES
+from rig.model.marker_and_sensor_tolerances import SIDES
 from rig.model.pose import skew
 from vision import lens
 from vision.bundle.printing_errors import NAMES, NONE, SIDE, Printing, Prints
@@ -20,7 +20,7 @@ from vision.bundle.unknowns_and_estimate import (
     Estimate,
     Unknowns,
     do_cameras_hold_base,
-    marker_motions_on_targets,
+    marker_motions_relative_to_targets,
     target_motion_from_stated,
 )
 from vision.corner_observations import Observations
@@ -174,7 +174,9 @@ def adjustment_unknowns(
     start = Estimate(
         state, None, {name: target_motion_from_stated(name, state.placed, stated.placed, found) for name in targets}
     )
-    return found, replace(start, marker_moves=marker_motions_on_targets(start, stated, found)) if markers else start
+    return found, replace(
+        start, marker_moves=marker_motions_relative_to_targets(start, stated, found)
+    ) if markers else start
 
 
 def _anchored(observations: Observations) -> set[int]:

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.arrays import Booleans, Floats, Integers
+from rig.array_types import Booleans, Floats, Integers
 from rig.model.pose import exp, log
-from vision.bundle.printing_errors import NONE, Prints, apply_printing_errors, fill_printing_offsets
+from vision.bundle.printing_errors import NONE, Prints, apply_printing_errors, fill_printing_error_offsets
 from vision.predict import State
 from vision.targets import MarkerMap
 
@@ -62,11 +62,11 @@ def target_motion_from_stated(name: str, markers: MarkerMap, stated: MarkerMap, 
     return middle.inv() * align_points(stated.corners[own].reshape(-1, 3), markers.corners[own].reshape(-1, 3)) * middle
 
 
-def marker_motions_on_targets(estimate: Estimate, stated: State, unknowns: Unknowns) -> RigidTransform:
-    """Motions (m,) of markers on their targets, beyond the targets' motion; identity for held markers."""
+def marker_motions_relative_to_targets(estimate: Estimate, stated: State, unknowns: Unknowns) -> RigidTransform:
+    """Motions (m,) of markers relative to their targets, without the targets' motion; identity for held markers."""
     own = (
         stated.placed.T_body_marker.inv()
-        * marker_motions_with_targets(estimate, unknowns).inv()
+        * marker_motions_caused_by_targets(estimate, unknowns).inv()
         * estimate.state.placed.T_body_marker
     )
     held = np.array([row not in unknowns.markers for row in range(len(estimate.state.placed.id))])
@@ -94,10 +94,10 @@ def update_estimate(estimate: Estimate, unknowns: Unknowns, shared_step: Floats,
     }
     markers, marker_moves, target_moves = state.markers, estimate.marker_moves, dict(estimate.target_moves)
     if unknowns.markers or unknowns.targets:
-        before = marker_motions_with_targets(estimate, unknowns)
+        before = marker_motions_caused_by_targets(estimate, unknowns)
         for name, columns in unknowns.targets.items():
             target_moves[name] = target_moves[name] * exp(step[columns])
-        after = marker_motions_with_targets(replace(estimate, target_moves=target_moves), unknowns)
+        after = marker_motions_caused_by_targets(replace(estimate, target_moves=target_moves), unknowns)
         own = np.zeros((len(state.placed.id), 6))
         for row, columns in unknowns.markers.items():
             own[row] = step[columns]
@@ -113,8 +113,8 @@ def update_estimate(estimate: Estimate, unknowns: Unknowns, shared_step: Floats,
     )
 
 
-def marker_motions_with_targets(estimate: Estimate, unknowns: Unknowns) -> RigidTransform:
-    """Motions (m,) of markers that the motion of their targets causes, in the body's frame."""
+def marker_motions_caused_by_targets(estimate: Estimate, unknowns: Unknowns) -> RigidTransform:
+    """Motions (m,) of markers caused by the motion of their targets, in the body's frame."""
     matrices = np.tile(np.eye(4), (len(estimate.state.placed.id), 1, 1))
     for name, T in estimate.target_moves.items():
         own = np.array([target == name for target in estimate.state.placed.target])
@@ -145,7 +145,7 @@ def offset_from_stated(estimate: Estimate, stated: State, unknowns: Unknowns) ->
     for name, columns in unknowns.targets.items():
         out[columns] = log(estimate.target_moves[name])
     if unknowns.prints.rows:
-        fill_printing_offsets(estimate.state.placed, stated.placed, unknowns.prints, out)
+        fill_printing_error_offsets(estimate.state.placed, stated.placed, unknowns.prints, out)
     return out / unknowns.scale
 
 
@@ -189,7 +189,7 @@ def align_with_datums(estimate: Estimate, stated: State, unknowns: Unknowns) -> 
             )
         return Estimate(moved, estimate.marker_moves, target_moves)
     found = Estimate(moved, estimate.marker_moves, target_moves)
-    return replace(found, marker_moves=marker_motions_on_targets(found, stated, unknowns))
+    return replace(found, marker_moves=marker_motions_relative_to_targets(found, stated, unknowns))
 
 
 def align_points(points: Floats, target_points: Floats) -> RigidTransform:

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.model.design import Camera
 from vision import lens
 from vision.checks.corner_convention_trials import SampledRecording
@@ -69,63 +69,65 @@ def alternative_camera_poses(pose: RigidTransform) -> Iterator[tuple[str, RigidT
         )
 
 
-def exchanged_camera_trials(seen: SampledRecording) -> Iterator[Candidate]:
+def exchanged_camera_trials(sample: SampledRecording) -> Iterator[Candidate]:
     """Trials with the corners, or all stated figures, of two cameras exchanged."""
-    names = [camera.name for camera in seen.design.cameras]
+    names = [camera.name for camera in sample.design.cameras]
     for a, b in combinations(names, 2):
         other = {a: b, b: a}
         yield (
             f"cameras {a} and {b} are exchanged: what corners.csv or frames.csv gives as one's is the other's",
             "Exchange the names, in rig.toml or in frames.csv and corners.csv",
-            seen.with_corners(camera=[other.get(name, name) for name in seen.corners.camera]),
+            sample.with_corners(camera=[other.get(name, name) for name in sample.corners.camera]),
         )
 
 
-def alternative_camera_pose_trials(seen: SampledRecording) -> Iterator[Candidate]:
+def alternative_camera_pose_trials(sample: SampledRecording) -> Iterator[Candidate]:
     """Trials with alternative conventions of camera poses, of all cameras and then of each."""
-    cameras = seen.design.cameras
+    cameras = sample.design.cameras
     for k, (what, _) in enumerate(alternative_camera_poses(cameras[0].pose)):
         turned = [list(alternative_camera_poses(camera.pose))[k][1] for camera in cameras]
         yield (
             f"rig.toml: cameras: {what.replace('its', 'their')}",
             BEFORE,
-            seen.with_cameras(tuple(replace(camera, pose=pose) for camera, pose in zip(cameras, turned))),
+            sample.with_cameras(tuple(replace(camera, pose=pose) for camera, pose in zip(cameras, turned))),
         )
         for i, camera in enumerate(cameras if len(cameras) > 1 else ()):
             yield (
                 f"rig.toml: camera {camera.name}: {what}",
                 BEFORE,
-                seen.with_cameras((*cameras[:i], replace(camera, pose=turned[i]), *cameras[i + 1 :])),
+                sample.with_cameras((*cameras[:i], replace(camera, pose=turned[i]), *cameras[i + 1 :])),
             )
 
 
-def alternative_lens_trials(seen: SampledRecording) -> Iterator[Candidate]:
+def alternative_lens_trials(sample: SampledRecording) -> Iterator[Candidate]:
     """Trials with alternative lenses: matrix and distortion in another order, sign or image size."""
-    cameras = seen.design.cameras
+    cameras = sample.design.cameras
     for what, do, other in _LENSES:
         mended = [other(camera) for camera in cameras]
         if all(_same(a, b) for a, b in zip(mended, cameras)):
             continue
         said = f"rig.toml: {what} of all cameras" if len(cameras) > 1 else f"rig.toml: camera {cameras[0].name}: {what}"
-        yield said, do, seen.with_cameras(tuple(mended))
+        yield said, do, sample.with_cameras(tuple(mended))
         for i, camera in enumerate(cameras if len(cameras) > 1 else ()):
             if not _same(mended[i], camera):
                 yield (
                     f"rig.toml: camera {camera.name}: {what}",
                     do,
-                    seen.with_cameras((*cameras[:i], mended[i], *cameras[i + 1 :])),
+                    sample.with_cameras((*cameras[:i], mended[i], *cameras[i + 1 :])),
                 )
 
 
-def focal_length_mistakes(seen: SampledRecording, adjusted: tuple[Camera, ...]) -> Iterator[Candidate]:
+def focal_length_mistakes(sample: SampledRecording, adjusted: tuple[Camera, ...]) -> Iterator[Candidate]:
     """Focal length mistakes: adjusted focal lengths far from the stated ones.
     adjusted : the Cameras of Seen, adjusted to its corners
     """
-    ratios = {k: float(a.matrix[0, 0] / b.matrix[0, 0]) for k, (a, b) in enumerate(zip(adjusted, seen.design.cameras))}
+    ratios = {
+        k: float(a.matrix[0, 0] / b.matrix[0, 0]) for k, (a, b) in enumerate(zip(adjusted, sample.design.cameras))
+    }
     off = {k: ratio for k, ratio in ratios.items() if ZOOMS[0] < ratio < ZOOMS[1] and abs(ratio - 1) > ZOOMED}
     if not off:
         return
-    cameras, mean = seen.design.cameras, float(np.median(list(off.values())))
+    cameras, mean = sample.design.cameras, float(np.median(list(off.values())))
     of = (
         "all cameras"
         if len(off) == len(cameras) > 1
@@ -134,7 +136,7 @@ def focal_length_mistakes(seen: SampledRecording, adjusted: tuple[Camera, ...]) 
     yield (
         f"rig.toml: the focal length is about {abs(1 / mean - 1):.0%} too {'large' if mean < 1 else 'small'}, of {of}",
         "State it in pixels, of these images",
-        seen.with_cameras(tuple(_focal(off[k])(camera) if k in off else camera for k, camera in enumerate(cameras))),
+        sample.with_cameras(tuple(_focal(off[k])(camera) if k in off else camera for k, camera in enumerate(cameras))),
     )
 
 
@@ -155,17 +157,17 @@ def distortion_difference(a: Camera, b: Camera) -> float:
     return float(np.sqrt((gap**2).sum(axis=1).mean()))
 
 
-def find_matching_lens_convention(seen: SampledRecording, adjusted: tuple[Camera, ...]) -> Candidate | None:
+def find_matching_lens_convention(sample: SampledRecording, adjusted: tuple[Camera, ...]) -> Candidate | None:
     """The convention of the stated lenses that matches the adjusted ones, or None.
 
     adjusted : the Cameras of Seen, adjusted from lenses of which nothing is known
     """
     found = [
         one
-        for one in alternative_lens_trials(seen)
+        for one in alternative_lens_trials(sample)
         if all(is_same_lens(a, b) for a, b in zip(one[2].design.cameras, adjusted))
     ]
-    return found[0] if found and not all(is_same_lens(a, b) for a, b in zip(seen.design.cameras, adjusted)) else None
+    return found[0] if found and not all(is_same_lens(a, b) for a, b in zip(sample.design.cameras, adjusted)) else None
 
 
 def is_same_lens(a: Camera, b: Camera) -> bool:

@@ -6,12 +6,12 @@ from typing import TypedDict, Unpack
 
 import numpy as np
 
-from rig.arrays import Booleans, Floats, Integers
+from rig.array_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Camera, Design, Target
 from rig.recording.recording_tables import Corners
 from vision.corner_observations import observations_from_corners
-from vision.recording_adjustment import Measurement, measure
+from vision.recording_adjustment import Measurement, measure_observations
 from vision.recording_measurement import unsolved_frames_with_enough_markers
 from vision.targets import marker_map
 
@@ -101,21 +101,21 @@ def _select_corners(corners: Corners, mask: Booleans) -> Corners:
     )
 
 
-def measure_trial(seen: SampledRecording, free: tuple[str, ...] = ("poses", "lenses")) -> Trial:
+def measure_trial(sample: SampledRecording, free: tuple[str, ...] = ("poses", "lenses")) -> Trial:
     """Measured Trial of sampled frames, cameras and lenses adjusted as by `rig measure`.
     free : see vision.bundle.bundle_adjustment
     """
-    known = np.isin(seen.corners.marker, [number for target in seen.design.targets for number in target.ids])
-    corners = seen.corners if known.all() else _select_corners(seen.corners, known)
+    known = np.isin(sample.corners.marker, [number for target in sample.design.targets for number in target.ids])
+    corners = sample.corners if known.all() else _select_corners(sample.corners, known)
     if not len(corners.frame):
-        return Trial(LOST, seen, None, None)
-    markers = marker_map(seen.design)
+        return Trial(LOST, sample, None, None)
+    markers = marker_map(sample.design)
     try:
-        measured = measure(
-            observations_from_corners(corners, seen.frames, seen.design, markers), seen.design, markers, free
+        measured = measure_observations(
+            observations_from_corners(corners, sample.frames, sample.design, markers), sample.design, markers, free
         )
     except (NotEnoughData, RigError, np.linalg.LinAlgError):
-        return Trial(LOST, seen, None, None)
+        return Trial(LOST, sample, None, None)
     o = measured.observations
     miss = np.minimum(np.nan_to_num(np.linalg.norm(measured.residuals, axis=1), nan=LOST), LOST)
     poor = sorted(
@@ -123,7 +123,7 @@ def measure_trial(seen: SampledRecording, free: tuple[str, ...] = ("poses", "len
     )  # too little to see is nobody's mistake
     told = ~np.isin(o.frames[o.frame], poor)
     share = (miss[told] ** 2).sum() + LOST**2 * (~known).sum()
-    return Trial(float(np.sqrt(share / max(told.sum() + (~known).sum(), 1))), seen, measured, miss)
+    return Trial(float(np.sqrt(share / max(told.sum() + (~known).sum(), 1))), sample, measured, miss)
 
 
 Candidate = tuple[str, str, SampledRecording]
@@ -139,13 +139,13 @@ ORDERS = {
 }
 
 
-def all_camera_corner_trials(seen: SampledRecording) -> Iterator[Candidate]:
+def all_camera_corner_trials(sample: SampledRecording) -> Iterator[Candidate]:
     """Trials of corrected corner conventions, all cameras alike, and of shifted marker ids.
     Yields (what, what to do, Seen with it undone).
     """
-    yield from _of(seen, [("", np.ones(len(seen.corners.frame), bool))])
-    c = seen.corners
-    ids = sorted(number for target in seen.design.targets for number in target.ids)
+    yield from _of(sample, [("", np.ones(len(sample.corners.frame), bool))])
+    c = sample.corners
+    ids = sorted(number for target in sample.design.targets for number in target.ids)
     for by in (1, -1):
         moved = c.marker + by
         if np.isin(moved, ids).mean() > 0.7:
@@ -154,15 +154,17 @@ def all_camera_corner_trials(seen: SampledRecording) -> Iterator[Candidate]:
                 f"count from {min(ids) - by} where "
                 f"rig.toml counts from {min(ids)}",
                 f"{'Add' if by > 0 else 'Subtract'} 1, or state the ids that are printed",
-                seen.with_corners(marker=moved),
+                sample.with_corners(marker=moved),
             )
 
 
-def single_camera_corner_trials(seen: SampledRecording) -> Iterator[Candidate]:
+def single_camera_corner_trials(sample: SampledRecording) -> Iterator[Candidate]:
     """Trials of corrected corner conventions, of a single camera at a time."""
-    names = np.array(seen.corners.camera)
-    if len(seen.design.cameras) > 1:
-        yield from _of(seen, [(f" of camera {camera.name}", names == camera.name) for camera in seen.design.cameras])
+    names = np.array(sample.corners.camera)
+    if len(sample.design.cameras) > 1:
+        yield from _of(
+            sample, [(f" of camera {camera.name}", names == camera.name) for camera in sample.design.cameras]
+        )
 
 
 def _of(seen: SampledRecording, parts: list[tuple[str, Floats]]) -> Iterator[Candidate]:

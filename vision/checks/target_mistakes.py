@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.arrays import Floats, Pixels
+from rig.array_types import Floats, Pixels
 from rig.model.design import Camera, Target
 from vision.checks.corner_convention_trials import SampledRecording, Trial
 from vision.targets import SQUARE, marker_map
@@ -77,15 +77,15 @@ def _alone(uv: Floats, camera: Camera, side: float) -> Pixels | None:
     return found[2][0].ravel() if found[0] else None
 
 
-def marker_size_trials(seen: SampledRecording) -> Iterator[tuple[str | None, float, SampledRecording]]:
+def marker_size_trials(sample: SampledRecording) -> Iterator[tuple[str | None, float, SampledRecording]]:
     """Trials with other marker sizes, of all targets (None) or of one body: (body, ratio, Seen)."""
-    told = {body: share for body, (share, pairs) in _marker_scale_ratios(seen).items() if pairs >= PAIRS}
+    told = {body: share for body, (share, pairs) in _marker_scale_ratios(sample).items() if pairs >= PAIRS}
     firsts = sorted({round(share, 3) for share in told.values() if abs(share - 1) > PRINTED / 2})
     for first in firsts:
         for share in first * np.array([1.0, 0.99, 1.01]):
-            yield None, float(share), scale_marker_sides(seen, float(share))
+            yield None, float(share), scale_marker_sides(sample, float(share))
     for body, share in told.items() if len(told) > 1 and firsts else ():
-        yield body, share, scale_marker_sides(seen, share, body)
+        yield body, share, scale_marker_sides(sample, share, body)
 
 
 def _named(target: Target) -> dict[str, float]:
@@ -100,10 +100,10 @@ def _named(target: Target) -> dict[str, float]:
     return out
 
 
-def scale_marker_sides(seen: SampledRecording, factor: float, body: str | None = None) -> SampledRecording:
-    """Seen with marker sides scaled by a factor, of all targets or of one body's."""
-    return seen.with_targets(
-        tuple(t if body not in (None, t.body) else _resized(t, factor) for t in seen.design.targets)
+def scale_marker_sides(sample: SampledRecording, factor: float, body: str | None = None) -> SampledRecording:
+    """Scale the marker sides of a frame sample by a factor, of all targets or of one body's."""
+    return sample.with_targets(
+        tuple(t if body not in (None, t.body) else _resized(t, factor) for t in sample.design.targets)
     )
 
 
@@ -134,20 +134,20 @@ def size_ratio_text(share: float, target: Target | None) -> str:
 
 
 def best_size_ratio(
-    seen: SampledRecording, ratio: float, body: str | None, misfit: Callable[[SampledRecording], float]
+    sample: SampledRecording, ratio: float, body: str | None, misfit: Callable[[SampledRecording], float]
 ) -> float:
     """Size ratio near one with the least misfit (px), at the vertex of a parabola through three trials."""
     by = 0.004
-    squares = [misfit(scale_marker_sides(seen, ratio * (1 + k * by), body)) ** 2 for k in (-1, 0, 1)]
+    squares = [misfit(scale_marker_sides(sample, ratio * (1 + k * by), body)) ** 2 for k in (-1, 0, 1)]
     bend = squares[0] - 2 * squares[1] + squares[2]
     return ratio * (1 + by * float(np.clip((squares[0] - squares[2]) / (2 * bend), -4, 4))) if bend > 0 else ratio
 
 
-def exchanged_target_trials(seen: SampledRecording, names: list[str] | None = None) -> Iterator[Candidate]:
+def exchanged_target_trials(sample: SampledRecording, names: list[str] | None = None) -> Iterator[Candidate]:
     """Trials with targets exchanged, or moved to the other body.
     Of all targets, bodies and poses too. names : those meant, all by default
     """
-    targets = seen.design.targets
+    targets = sample.design.targets
     meant = [i for i, t in enumerate(targets) if names is None or t.name in names]
     for i, k in combinations(meant, 2):
         a, b = targets[i], targets[k]
@@ -160,7 +160,7 @@ def exchanged_target_trials(seen: SampledRecording, names: list[str] | None = No
             yield (
                 f"rig.toml: cubes {a.name} and {b.name} are exchanged",
                 "Exchange the cubes, or their faces in rig.toml",
-                seen.with_targets(tuple(swapped)),
+                sample.with_targets(tuple(swapped)),
             )
         elif a.listed and b.listed and len(a.listed) == len(b.listed):
             swapped = list(targets)
@@ -169,7 +169,7 @@ def exchanged_target_trials(seen: SampledRecording, names: list[str] | None = No
             yield (
                 f"rig.toml: targets {a.name} and {b.name} are exchanged",
                 "Exchange them, or their ids in rig.toml",
-                seen.with_targets(tuple(swapped)),
+                sample.with_targets(tuple(swapped)),
             )
     other = {"base": "platform", "platform": "base"}
     for i in meant:
@@ -177,32 +177,32 @@ def exchanged_target_trials(seen: SampledRecording, names: list[str] | None = No
         yield (
             f"rig.toml: target {t.name} stands on the {other[t.body]}, not on the {t.body}",
             "Mend its body",
-            seen.with_targets((*targets[:i], replace(t, body=other[t.body]), *targets[i + 1 :])),
+            sample.with_targets((*targets[:i], replace(t, body=other[t.body]), *targets[i + 1 :])),
         )
     if names is not None:
         return
     yield (
         "rig.toml: body of all targets is exchanged (base for platform)",
         "Exchange body",
-        seen.with_targets(tuple(replace(t, body=other[t.body]) for t in targets)),
+        sample.with_targets(tuple(replace(t, body=other[t.body]) for t in targets)),
     )
     for what, change in _POSES:
         if all(t.pose is not None for t in targets):
             yield (
                 f"rig.toml: the targets' poses: {what}",
                 "State cube in body: m, rotation vector in rad",
-                seen.with_targets(tuple(replace(t, pose=change(t.pose)) for t in targets)),
+                sample.with_targets(tuple(replace(t, pose=change(t.pose)) for t in targets)),
             )
 
 
-def single_target_trials(seen: SampledRecording, name: str) -> Iterator[Candidate]:
-    """Trials of a single target: turned, faces renamed, another pose convention, another size."""
-    targets = seen.design.targets
+def single_target_trials(sample: SampledRecording, name: str) -> Iterator[Candidate]:
+    """Trials with a single target changed: turned, faces renamed, another pose convention, another size."""
+    targets = sample.design.targets
     i = [t.name for t in targets].index(name)
     t = targets[i]
 
     def put(other: Target) -> SampledRecording:
-        return seen.with_targets((*targets[:i], other, *targets[i + 1 :]))
+        return sample.with_targets((*targets[:i], other, *targets[i + 1 :]))
 
     if t.pose is not None:
         for R in _cube_turns():
@@ -232,24 +232,26 @@ def single_target_trials(seen: SampledRecording, name: str) -> Iterator[Candidat
             )
 
 
-def turned_face_trials(seen: SampledRecording, name: str) -> Iterator[Candidate]:
+def turned_face_trials(sample: SampledRecording, name: str) -> Iterator[Candidate]:
     """Trials with one face of a cube turned."""
-    target = next(t for t in seen.design.targets if t.name == name)
+    target = next(t for t in sample.design.targets if t.name == name)
     for face, number in target.faces:
-        mine = seen.corners.marker == number
+        mine = sample.corners.marker == number
         if not mine.any():
             continue
         for quarters in (2, 1, 3):
             yield (
                 f"rig.toml: face {face} of cube {name} (marker {number}) is turned by {90 * quarters} degrees",
                 "Turn the sheet on that face, or leave its marker out of rig.toml",
-                seen.with_corners(corner=np.where(mine, (seen.corners.corner + quarters) % 4, seen.corners.corner)),
+                sample.with_corners(
+                    corner=np.where(mine, (sample.corners.corner + quarters) % 4, sample.corners.corner)
+                ),
             )
 
 
-def exchanged_face_trials(seen: SampledRecording, name: str) -> Iterator[Candidate]:
+def exchanged_face_trials(sample: SampledRecording, name: str) -> Iterator[Candidate]:
     """Trials with two faces of one cube exchanged."""
-    targets = seen.design.targets
+    targets = sample.design.targets
     i = [t.name for t in targets].index(name)
     t = targets[i]
     for a, b in combinations(range(len(t.faces)), 2):
@@ -258,7 +260,7 @@ def exchanged_face_trials(seen: SampledRecording, name: str) -> Iterator[Candida
         yield (
             f"rig.toml: faces {t.faces[a][0]} and {t.faces[b][0]} of cube {name} are exchanged",
             "Exchange them",
-            seen.with_targets((*targets[:i], replace(t, faces=tuple(swapped)), *targets[i + 1 :])),
+            sample.with_targets((*targets[:i], replace(t, faces=tuple(swapped)), *targets[i + 1 :])),
         )
 
 
@@ -273,15 +275,17 @@ def is_correction_within_one_cube(stated: SampledRecording, corrected: SampledRe
     )
 
 
-def cube_edge_trials(seen: SampledRecording) -> Iterator[Candidate]:
+def cube_edge_trials(sample: SampledRecording) -> Iterator[Candidate]:
     """Trials with the edges of all cubes larger or smaller than stated."""
     for by in EDGES:
-        if all(not t.edge or t.edge + by > (t.marker or 0.0) for t in seen.design.targets):
+        if all(not t.edge or t.edge + by > (t.marker or 0.0) for t in sample.design.targets):
             yield (
                 f"rig.toml: the edge of all cubes is stated about {abs(by) * 1e3:.0f} mm too "
                 f"{'small' if by > 0 else 'large'}",
                 "Measure a cube from face to face, in metres",
-                seen.with_targets(tuple(replace(t, edge=t.edge + by) if t.edge else t for t in seen.design.targets)),
+                sample.with_targets(
+                    tuple(replace(t, edge=t.edge + by) if t.edge else t for t in sample.design.targets)
+                ),
             )
 
 

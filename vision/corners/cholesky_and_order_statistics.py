@@ -2,7 +2,7 @@
 
 import math
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from vision.corners.numba_compilation import kernel
 
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import ndtr
 
-from rig.arrays import Floats, Integers
-from vision.corners.cell_whiteness import GRID
+from rig.array_types import Floats, Integers
+from vision.corners.cell_white_share import GRID
 from vision.corners.square_fit_residuals import PROFILED
 
 FIRST_WIDTH = 0.8  # px

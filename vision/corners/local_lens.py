@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.model.design import Camera
 from vision import lens
 from vision.corners.numba_compilation import kernel

@@ -1,4 +1,4 @@
-"""Image -> marker corners with covariance: markers that are read, or expected, are placed by the fit of the whole
+"""Detection of markers in an image: corners with covariance, read or expected, by the fit of the whole
 square.
 """
 
@@ -12,11 +12,11 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Floats, Integers, Pixels
+from rig.array_types import Floats, Integers, Pixels
 from rig.model.design import Camera
 from vision.corners import edge_pixels, local_lens, square_fit, square_gauss_newton, square_sides
 from vision.corners.edge_spread import LEVELS, NO_PROFILE, PLAIN_EDGE_SPREAD, EdgeSpread
-from vision.corners.marker_reader import ExcludedMarker, ReadMarkers, opencv_detector, read_markers
+from vision.corners.whole_image_marker_reader import ExcludedMarker, ReadMarkers, opencv_detector, read_markers
 from vision.predict import markers_expected_in_image
 from vision.targets import MarkerMap, marker_cells
 
@@ -178,14 +178,14 @@ def fit_read_markers(
     marker_map: MarkerMap,
     read: ReadMarkers,
     spread: EdgeSpread = PLAIN_EDGE_SPREAD,
-    reach: float = REACH,
+    search_distance: float = REACH,
     verify: bool = False,
     profile: Floats | None = None,
 ) -> Detection:
-    """Detection of markers that are Read.
+    """Fit the squares of markers that were read in an image: their Detection, corners with covariance.
 
     full : (height, width) in 255ths of white; spread : Spread of the camera's edges
-    reach : px that the sides may be away from the guess; 0 for one that is better than what profiles across them show
+    search_distance : px that the sides may be away from the guess; 0 for one that is better than what profiles across them show
     verify : whether a marker's bits are read before it is believed to be there; where they are not, nothing is said of
         it
     profile : see vision.corners.edge_spread, added to
@@ -194,7 +194,9 @@ def fit_read_markers(
     rows = marker_map.rows(numbers) if len(numbers) else np.zeros(0, int)
     patterns = [_pattern(marker_map.dictionary[row], number) for row, number in zip(rows.tolist(), numbers.tolist())]
     sizes = np.array([len(cells) for cells, _ in patterns], int)
-    manner = square_fit.FitSettings(float(reach), 0 if verify else -1, ITERATIONS, spread.tables, LEVELS, spread.width)
+    manner = square_fit.FitSettings(
+        float(search_distance), 0 if verify else -1, ITERATIONS, spread.tables, LEVELS, spread.width
+    )
     parts, left_out = [], list(read.left_out)
     for size in np.unique(sizes):
         index = np.flatnonzero(sizes == size)
@@ -202,7 +204,7 @@ def fit_read_markers(
         cells, outlooks = (np.array([patterns[i][k] for i in index]) for k in (0, 1))
         printed = _Printed(cells, outlooks, margin)
         manner = manner._replace(wrong=(int(size) - 2) ** 2 // CORRECTED if verify else -1)
-        squares = _cut_out(full, camera, guess[index], printed, spread, reach)
+        squares = _cut_out(full, camera, guess[index], printed, spread, search_distance)
         fits = _fit(squares, guess[index], manner, NO_PROFILE if profile is None else profile)
         reasons = _reasons(fits, guess[index], int(size))
         good = np.array([not reason for reason in reasons], bool)

@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from rig.compute.numba_kernels import CompilerOptions, Kernel, kernel_cache_folder
+from rig.compute.numba_kernels_and_lazy_exports import CompilerOptions, Kernel, kernel_cache_folder
 
 # all of fast mathematics but the promise that nothing is infinite or no number
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}

@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.arrays import Floats, Singles
-from vision.corners.cell_whiteness import Tables, edge_whiteness
+from rig.array_types import Floats, Singles
+from vision.corners.cell_white_share import Tables, edge_white_share
 from vision.corners.cholesky_and_order_statistics import cholesky_factor, cholesky_solve
 from vision.corners.edge_pixels import KINDS, LEVEL, MEETING, EdgePixels
 from vision.corners.numba_compilation import inlined_kernel, kernel
 from vision.corners.square_gauss_newton import LIGHT, UNKNOWNS, Square, Work
-from vision.corners.strip_whiteness import ROWS, STRIP
+from vision.corners.strip_white_share import ROWS, STRIP
 
 SIDE = 0.1  # of the information that the best seen cell's side has; one with less does not count
 SIDES = (
@@ -111,7 +111,7 @@ def add_to_residual_profile(
         h = sign * (X - at_edge) / (s * w * math.sqrt(Xu * Xu + Xv * Xv))
         white, black = light[0] + light[1] * xi + light[2] * yi, light[3] + light[4] * xi + light[5] * yi
         at = int(math.floor((h / PROFILED + 1) * bins / 2))
-        p, e = edge_whiteness(table, h)
+        p, e = edge_white_share(table, h)
         more = bowed[0] * xi * xi + bowed[1] * xi * yi + bowed[2] * yi * yi
         share = (pixels.greys[k] - black - more * (p + (1 - p) * light[3] / light[0])) / (white - black) - p
         if 0 <= at < bins and abs(share) * (white - black) < limit:
@@ -191,13 +191,13 @@ class Bow(NamedTuple):
 
 
 @kernel
-def remove_uneven_illumination(pixels: EdgePixels, square: Square, weight_sum: float, work: Work, found: Bow) -> float:
+def remove_uneven_illumination(pixels: EdgePixels, square: Square, weight_sum: float, work: Work, bow: Bow) -> float:
     """Remove uneven illumination from a settled fit by one last step of its Square and residuals.
 
     pixels : EdgePixels, of all of which work holds rows; weight_sum : sum of their weights; found : Bow, overwritten
     Returns the weighted square of the residuals that is left, grey levels
     """
-    gain, own, sizes, light = found.gain, found.own, found.sizes, square.light
+    gain, own, sizes, light = bow.gain, bow.own, bow.sizes, square.light
     H, L, x, rows, count = work.H, work.L, work.x, work.rows, pixels.first[KINDS]
     left = H[ROWS - 1, ROWS - 1]
     for k in range(UNKNOWNS):

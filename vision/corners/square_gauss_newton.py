@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.arrays import Floats
-from vision.corners.cell_whiteness import Tables
+from rig.array_types import Floats
+from vision.corners.cell_white_share import Tables
 from vision.corners.cholesky_and_order_statistics import cholesky_factor, cholesky_solve
 from vision.corners.edge_pixels import KINDS, EdgePixels
 from vision.corners.numba_compilation import inlined_kernel, kernel
-from vision.corners.strip_whiteness import ROWS, STRIP, Seen, strip_whiteness
+from vision.corners.strip_white_share import ROWS, STRIP, Seen, strip_white_share
 
 UNKNOWNS = 15
 LIGHT = 9  # the first unknown of the greys
@@ -93,7 +93,7 @@ def accumulate_normal_equations(
     for start in range(0, count, STRIP):
         size = min(STRIP, count - start)
         strip = work.rows[start // STRIP].reshape(ROWS * STRIP)
-        strip_whiteness(pixels, start, size, seen, tables, strip)
+        strip_white_share(pixels, start, size, seen, tables, strip)
         counted = _greys(pixels, start, size, square.light, limit if lit else UNLIMITED, strip, work.sizes)
         weights, doubted = weights + counted.weights, doubted + counted.doubted
         _multiply(strip, size, 0 if lit else LIGHT - 1, H)

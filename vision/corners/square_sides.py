@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from rig.arrays import Floats, Pixels
+from rig.array_types import Floats, Pixels
 from vision.corners.cholesky_and_order_statistics import order_statistic
 from vision.corners.local_lens import pixel_to_ideal
 from vision.corners.numba_compilation import inlined_kernel, kernel
@@ -76,7 +76,7 @@ def _line(where: Floats, offsets: Floats, found: int) -> tuple[float, float]:
 
 
 @kernel
-def fit_sides(crop: Floats, box: Floats, quad: Floats, size: int, reach: float) -> None:
+def fit_sides(crop: Floats, box: Floats, quad: Floats, size: int, search_distance: float) -> None:
     """Fit the sides of a quad (4, 2) px, in place, to the dark-to-bright steps in profiles across them.
 
     A side is moved by a line through the steps found within reach (px) and within the border of black, one of `size`
@@ -84,7 +84,7 @@ def fit_sides(crop: Floats, box: Floats, quad: Floats, size: int, reach: float) 
     """
     lines = np.empty((4, 3))  # nx x + ny y = d
     where, offsets = np.empty(PROFILES), np.empty(PROFILES)
-    profile = np.empty(2 * int(math.ceil(reach)) + 1)
+    profile = np.empty(2 * int(math.ceil(search_distance)) + 1)
     dark, bright = _black_and_white(crop, box, quad)
     if bright - dark < FAINTEST:
         return
@@ -97,7 +97,7 @@ def fit_sides(crop: Floats, box: Floats, quad: Floats, size: int, reach: float) 
         across = 0.0
         for q in range(2, 4):
             across -= 0.5 * ((quad[(k + q) % 4, 0] - quad[k, 0]) * nx + (quad[(k + q) % 4, 1] - quad[k, 1]) * ny)
-        near = min(reach, 0.9 * max(across, 1.0) / size)
+        near = min(search_distance, 0.9 * max(across, 1.0) / size)
         steps, found = int(math.ceil(near)), 0
         for q in range(PROFILES):
             t = 0.06 + 0.88 * (q + 0.5) / PROFILES

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from rig.arrays import Floats, Pixels
+from rig.array_types import Floats, Pixels
 
 ITERATIONS = 40
 SETTLING = 8  # iterations
@@ -58,8 +58,8 @@ class Share(NamedTuple):
     by_rho: Floats
 
 
-def crossing_whiteness(h: Floats, k: Floats, rho: float) -> Share:
-    """Whiteness at a crossing of two blurred edges, white where h and k have the same sign.
+def crossing_white_share(h: Floats, k: Floats, rho: float) -> Share:
+    """White share at a crossing of two blurred edges, white where h and k have the same sign.
 
     h, k : (n,) distances to the edges in blur widths; rho : correlation, the cosine between the edges' normals
     """
@@ -130,7 +130,7 @@ class _Settled(NamedTuple):
 
 
 def fit_chessboard_corner(
-    image: Pixels, guess: Floats, axes: Floats, white: bool, straight: Straight, reach: float
+    image: Pixels, guess: Floats, axes: Floats, white: bool, straight: Straight, clear_width: float
 ) -> Junction | str:
     """Fitted chessboard corner (Junction), or the reason (text) why none was found.
 
@@ -153,7 +153,7 @@ def fit_chessboard_corner(
         return "seen too obliquely"
     # board x's line is the edge at which y changes sign: its normal is that of the x direction
     settled = _settle(
-        pixels, np.array([*origin, *angles, FIRST_BLUR]), _Extent(sizes.mean(), reach * sizes[::-1] * sine)
+        pixels, np.array([*origin, *angles, FIRST_BLUR]), _Extent(sizes.mean(), clear_width * sizes[::-1] * sine)
     )
     if isinstance(settled, str):
         return settled
@@ -209,7 +209,7 @@ def _linearise(pixels: _Pixels, p: Floats, light: Floats | None, extent: _Extent
     # the y line's sign is turned so that both are positive in the quadrant between the axes
     turn = np.array([1.0, -1.0]) * np.sign(np.sin(p[3] - p[2]))
     h, k = (turn * across[use] / p[4]).T
-    w, dh, dk, dr = crossing_whiteness(h, k, turn[0] * turn[1] * np.cos(p[3] - p[2]))
+    w, dh, dk, dr = crossing_white_share(h, k, turn[0] * turn[1] * np.cos(p[3] - p[2]))
     if not pixels.white:
         w, dh, dk, dr = 1 - w, -dh, -dk, -dr
     grey, near = pixels.grey[use], d[use] / extent.size

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.arrays import Booleans, Floats
+from rig.array_types import Booleans, Floats
 from rig.errors import NotEnoughData
 from rig.model.design import Camera
 from vision import lens
@@ -146,12 +146,12 @@ def cross_validate_lens(observations: Observations, width: int, height: int, ter
     return HeldOut(terms, float(np.sqrt(total / (2 * count))), tuple(by_image), count)
 
 
-def choose_lens_model(held: Sequence[HeldOut]) -> HeldOut:
-    """Choose the lens model: the simplest HeldOut within one standard error of the best.
-    held : one per model, simplest first
+def choose_simplest_adequate_lens_model(held_out_errors: Sequence[HeldOut]) -> HeldOut:
+    """Choose the simplest lens model whose held-out error is within one standard error of the best.
+    held_out_errors : one per model, simplest first
     """
-    best = min(held, key=lambda one: one.rms)
-    for one in held:
+    best = min(held_out_errors, key=lambda one: one.rms)
+    for one in held_out_errors:
         worse = np.square(one.by_image) - np.square(best.by_image)
         if worse.mean() <= worse.std(ddof=1) / np.sqrt(len(worse)):
             return one

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 
 FAR = 0.5  # s to the frame before or after, beyond which it says nothing
 AROUND = 20  # frames looked at on either side
@@ -29,15 +29,15 @@ class Reach:
     beside: float
 
 
-def choose_poses_by_neighbours(found: Poses, candidates: dict[int, Sequence[Floats]], t: Floats) -> Poses:
+def choose_poses_by_neighbours(solved_poses: Poses, candidates: dict[int, Sequence[Floats]], t: Floats) -> Poses:
     """Ambiguous poses chosen by neighbouring frames: {frame: T_world_body (4, 4)}.
 
-    found : {frame: (4, 4)} solved; candidates : {frame: ((4, 4), ...)} candidates; t : (F,) s
+    solved_poses : {frame: (4, 4)} solved; candidates : {frame: ((4, 4), ...)} candidates; t : (F,) s
     One candidate must lie within what neighbours predict solved frames to, and every other beyond it and WORSE times as
     far.
     A frame so decided is a neighbour in its turn.
     """
-    reach, known = neighbour_rotation_scatter(found, t), dict(found)
+    reach, known = neighbour_rotation_scatter(solved_poses, t), dict(solved_poses)
     chosen: Poses = {}
     if reach is None:
         return chosen
@@ -58,15 +58,15 @@ def choose_poses_by_neighbours(found: Poses, candidates: dict[int, Sequence[Floa
     return chosen
 
 
-def rotation_outliers(found: Poses, t: Floats) -> dict[int, str]:
+def rotation_outliers(solved_poses: Poses, t: Floats) -> dict[int, str]:
     """Rotation outliers {frame: reason} among solved poses (4, 4): flips against well-predicted neighbours."""
-    reach = neighbour_rotation_scatter(found, t)
+    reach = neighbour_rotation_scatter(solved_poses, t)
     odd: dict[int, str] = {}
     if reach is None:
         return odd
-    for f, T in found.items():
-        if None not in _near(found, f, t):
-            expected, limit = pose_from_neighbours(found, f, t, reach)
+    for f, T in solved_poses.items():
+        if None not in _near(solved_poses, f, t):
+            expected, limit = pose_from_neighbours(solved_poses, f, t, reach)
             if expected is not None and rotation_angle(expected, T) > max(2 * limit, MOST):
                 odd[f] = (
                     f"it turns by {np.degrees(rotation_angle(expected, T)):.0f} degrees against the frames "
@@ -75,29 +75,29 @@ def rotation_outliers(found: Poses, t: Floats) -> dict[int, str]:
     return odd
 
 
-def neighbour_rotation_scatter(found: Poses, t: Floats) -> Reach | None:
+def neighbour_rotation_scatter(solved_poses: Poses, t: Floats) -> Reach | None:
     """Scatter (Reach) of rotation about what neighbouring solved frames predict; None with too few.
     t : (F,) s
     """
     between, beside = [], []
-    for f, T in found.items():
-        before, after = _near(found, f, t)
+    for f, T in solved_poses.items():
+        before, after = _near(solved_poses, f, t)
         if before is not None and after is not None:
-            between.append(rotation_angle(_between(found, before, after, f, t), T) / (t[after] - t[before]) ** 2)
-            beside.append(rotation_angle(found[before], T) / (t[f] - t[before]))
+            between.append(rotation_angle(_between(solved_poses, before, after, f, t), T) / (t[after] - t[before]) ** 2)
+            beside.append(rotation_angle(solved_poses[before], T) / (t[f] - t[before]))
     if len(between) < ENOUGH:
         return None
     return Reach(MARGIN * np.quantile(between, 0.9), MARGIN * np.quantile(beside, 0.9))
 
 
-def pose_from_neighbours(found: Poses, f: int, t: Floats, scatter: Reach) -> tuple[Floats | None, float]:
+def pose_from_neighbours(solved_poses: Poses, f: int, t: Floats, scatter: Reach) -> tuple[Floats | None, float]:
     """((4, 4) pose of frame f from solved neighbours, rad that it may be off); (None, inf) without any."""
-    before, after = _near(found, f, t)
+    before, after = _near(solved_poses, f, t)
     ways = [(scatter.beside * abs(t[f] - t[k]), k) for k in (before, after) if k is not None]
     limit, nearest = min(ways, default=(np.inf, None))
     if before is not None and after is not None and scatter.between * (t[after] - t[before]) ** 2 < limit:
-        return _between(found, before, after, f, t), max(LEAST, scatter.between * (t[after] - t[before]) ** 2)
-    return None if nearest is None else found.get(nearest), max(LEAST, limit)
+        return _between(solved_poses, before, after, f, t), max(LEAST, scatter.between * (t[after] - t[before]) ** 2)
+    return None if nearest is None else solved_poses.get(nearest), max(LEAST, limit)
 
 
 def _near(found: Poses, f: int, t: Floats) -> list[int | None]:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Booleans, Floats, Integers
+from rig.array_types import Booleans, Floats, Integers
 from rig.model.design import Camera
 from vision import lens
 from vision.pose.pose_refinement import AHEAD, GATE, refine_pose

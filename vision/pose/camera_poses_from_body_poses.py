@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.model.design import Camera
 from rig.model.pose import transform_points
 from vision.pose.body_pose import CONSENSUS, View, locate_body

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Booleans, Floats, Integers
-from rig.compute.parallel_map import parallel_map
+from rig.array_types import Booleans, Floats, Integers
+from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.model.design import Camera
 from vision.corner_observations import Observations
 from vision.pose.ambiguous_poses import Poses, choose_poses_by_neighbours, rotation_outliers

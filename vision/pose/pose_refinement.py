@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from rig.arrays import Booleans, Floats, Integers
-from rig.compute.numba_kernels import njit
-from rig.model.rotation_increment import rotate_increment
+from rig.array_types import Booleans, Floats, Integers
+from rig.compute.numba_kernels_and_lazy_exports import njit
+from rig.model.pose import rotate_increment
 
 GATE = 5.0  # standard deviations; beyond, a corner is an outlier
 ITERATIONS = 25
@@ -21,7 +21,7 @@ def refine_pose(
     focal: Floats,
     matrix: Floats,
     inliers: Booleans,
-    least: float,
+    least_scale: float,
     J: Floats,
     square: Floats,
 ) -> float:
@@ -37,7 +37,7 @@ def refine_pose(
     points, ideal, covariance, camera = corners
     n = len(points)
     root, r, seen = np.zeros((n, 3)), np.zeros((n, 2)), np.isfinite(ideal[:, 0])
-    finest = _roots(covariance, focal, camera, seen, root, least)
+    finest = _roots(covariance, focal, camera, seen, root, least_scale)
     inliers &= seen
     hard, calm, scale = False, False, np.nan
     for iteration in range(ITERATIONS):

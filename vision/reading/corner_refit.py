@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.compute.dask_cluster import path_on_workers
+from rig.compute.parallel_map_and_dask_cluster import path_on_workers
 from rig.model.design import Camera
 from rig.recording.exposures_and_images import read_image
 from rig.recording.recording_folder import Recording
@@ -17,7 +17,7 @@ from rig.recording.recording_tables import Corners
 from vision.corners import local_lens
 from vision.corners.edge_spread import PLAIN_EDGE_SPREAD
 from vision.corners.marker_detection import Detection, fit_read_markers, grey_images_for_reader_and_fit
-from vision.corners.marker_reader import ReadMarkers
+from vision.corners.whole_image_marker_reader import ReadMarkers
 from vision.reading.parallel_images import map_images_in_processes
 from vision.reading.recording_corners import Collected, corners_from_detections, group_corners_by_image
 from vision.targets import MarkerMap
@@ -74,7 +74,7 @@ def refit_corners(
             marker_map,
             read,
             spread.get(camera, PLAIN_EDGE_SPREAD),
-            reach=0.0,
+            search_distance=0.0,
         )
 
     found = map_images_in_processes(one, images, progress)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.errors import NotConverged, NotEnoughData
 from rig.model import mechanisms
 from rig.model.design import Camera, Design
@@ -17,8 +17,8 @@ from vision.corner_observations import observations_from_corners
 from vision.pose.body_pose import FINEST
 from vision.pose.frame_poses import Views, locate_frames
 from vision.predict import State, predict_corners
-from vision.reading.marker_identity import find_suspicious_markers
-from vision.recording_adjustment import Measurement, measure
+from vision.reading.marker_identity_mistakes import find_suspicious_markers
+from vision.recording_adjustment import Measurement, measure_observations
 from vision.targets import MarkerMap
 
 WORTH_FOLLOWING = 3.0  # px, RMS over a frame, within which a command must predict what is seen to be worth following
@@ -64,7 +64,9 @@ def learn_expected_places(
     if len(frames) < LEAST or len(repeated_ids) or markers.stage.any():
         return None
     try:
-        m = measure(observations_from_corners(corners, frames, design, markers, correlation), design, markers)
+        m = measure_observations(
+            observations_from_corners(corners, frames, design, markers, correlation), design, markers
+        )
     except NotEnoughData:
         return None
     if m.unsolved or find_suspicious_markers(m, markers):

@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import cv2
 
-from rig.compute.parallel_map import parallel_map
+from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.compute.worker_processes import executor_map, worker_count
 
 EACH = 2  # images for each process, below which it is not worth starting any

@@ -9,17 +9,17 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Floats, Integers, Pixels
-from rig.compute.dask_cluster import path_on_workers
+from rig.array_types import Floats, Integers, Pixels
+from rig.compute.parallel_map_and_dask_cluster import path_on_workers
 from rig.errors import FileError
 from rig.model.design import Camera, Design
 from rig.recording.exposures_and_images import read_image, undecodable_images, unusable_images_error
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
-from vision.corner_observations import corner_covariance_rows
+from vision.corner_observations import corner_correlation_rows
 from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, EdgeSpread, empty_profile, learn_edge_spread
 from vision.corners.marker_detection import Detection, detect_markers, fit_read_markers, grey_images_for_reader_and_fit
-from vision.corners.marker_reader import ReadMarkers, read_markers
+from vision.corners.whole_image_marker_reader import ReadMarkers, read_markers
 from vision.predict import markers_expected_in_image
 from vision.reading import expected_marker_places
 from vision.reading.parallel_images import map_images_in_processes, map_images_in_threads
@@ -138,7 +138,9 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
 
     def bent(k: int) -> Detection:
         camera = cameras[work[k][1].name]
-        return fit_read_markers(whole[k][0], camera, marker_map, found[k].read, spread[camera.name], reach=0.0)
+        return fit_read_markers(
+            whole[k][0], camera, marker_map, found[k].read, spread[camera.name], search_distance=0.0
+        )
 
     adjusted = [
         k for k in taught if work[k][1].name in cameras
@@ -246,7 +248,9 @@ def learn_camera_edge_spread(
         def again(item: tuple[Floats, ReadMarkers], spread: EdgeSpread = spread) -> tuple[Detection, Floats]:
             full, read = item
             profile = empty_profile()
-            return fit_read_markers(full, camera, marker_map, read, spread, reach=0.0, profile=profile), profile
+            return fit_read_markers(
+                full, camera, marker_map, read, spread, search_distance=0.0, profile=profile
+            ), profile
 
         done = map_images_in_threads(again, seen, None)
         blur = np.concatenate([d.blur for d, _ in done])
@@ -326,18 +330,18 @@ def search_missed_markers(
     )
 
 
-def corners_from_detections(found: Sequence[Found]) -> tuple[Corners, Floats]:
+def corners_from_detections(detections: Sequence[Found]) -> tuple[Corners, Floats]:
     """Corners of Detections, rows (frame, camera name, Detection), and their correlation (n, 2, 8)."""
-    sizes = [len(d.marker) for *_, d in found]
-    covariance = np.concatenate([d.covariance for *_, d in found] or [np.zeros((0, 8, 8))])
+    sizes = [len(d.marker) for *_, d in detections]
+    covariance = np.concatenate([d.covariance for *_, d in detections] or [np.zeros((0, 8, 8))])
     own = np.stack([covariance[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)], axis=1).reshape(-1, 2, 2)
-    names = [name for (_, name, _), size in zip(found, sizes) for _ in range(4 * size)]
-    marker = np.concatenate([d.marker for *_, d in found] or [np.zeros(0, int)])
-    uv = np.concatenate([d.corners for *_, d in found] or [np.zeros((0, 4, 2))]).reshape(-1, 2)
-    frame = np.repeat(np.array([number for number, *_ in found], int), 4 * np.array(sizes, int))
+    names = [name for (_, name, _), size in zip(detections, sizes) for _ in range(4 * size)]
+    marker = np.concatenate([d.marker for *_, d in detections] or [np.zeros(0, int)])
+    uv = np.concatenate([d.corners for *_, d in detections] or [np.zeros((0, 4, 2))]).reshape(-1, 2)
+    frame = np.repeat(np.array([number for number, *_ in detections], int), 4 * np.array(sizes, int))
     return (
         Corners(frame, names, np.repeat(marker, 4), np.tile(np.arange(4), len(marker)), uv, own),
-        corner_covariance_rows(covariance).reshape(-1, 2, 8),
+        corner_correlation_rows(covariance).reshape(-1, 2, 8),
     )
 
 

@@ -6,14 +6,14 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Pixels
+from rig.array_types import Pixels
 from rig.driving.cameras import CameraError
 from rig.driving.cameras.grab_and_settling import CLIPPED
 from rig.errors import RigError
 from rig.formats.output_files import write_bytes
 from rig.model.design import Camera
 from vision.corners.marker_detection import grey_images_for_reader_and_fit
-from vision.corners.marker_reader import read_markers
+from vision.corners.whole_image_marker_reader import read_markers
 from vision.predict import markers_expected_in_image
 from vision.targets import MarkerMap, marker_cells
 
@@ -22,8 +22,10 @@ CELL = 8  # px of a cell before it is drawn as it is seen
 COMPRESSION = 1  # of the PNG files
 
 
-def draw_markers(cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap) -> dict[str, Pixels]:
-    """Draw markers as each camera sees them: {camera: (height, width) uint8}, without occlusion."""
+def render_marker_images(
+    cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap
+) -> dict[str, Pixels]:
+    """Render images of the markers as each camera sees them: {camera: (height, width) uint8}, without occlusion."""
     return {camera.name: _picture(camera, T_base_platform, markers) for camera in cameras}
 
 

@@ -18,9 +18,9 @@ import scipy
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dpotrf, dpotri
 
-from calib.correction.interpolation.field import Known, merge_repeats
-from rig.arrays import Booleans, Floats
-from rig.compute.numba_kernels import njit
+from calib.correction.interpolation.field_and_combinations import FieldSamples, merge_repeats
+from rig.array_types import Booleans, Floats
+from rig.compute.numba_kernels_and_lazy_exports import njit
 
 
 class Likelihood:
@@ -198,7 +198,7 @@ class RadialMap:
     exact: ClassVar[bool] = False
 
     @classmethod
-    def fit(cls, known: Known, like: "RadialMap | None" = None) -> Self:
+    def fit(cls, known: FieldSamples, like: "RadialMap | None" = None) -> Self:
         """The field through samples anywhere; output i may have a function of its own along axis i. Raises ValueError
         for more outputs than axes.
 

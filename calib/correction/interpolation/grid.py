@@ -16,9 +16,13 @@ from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from calib.correction.interpolation.field import Known, WeightedField, Weights, average_samples
-from calib.correction.interpolation.grid_kernels import Tables, compiled_simplex_kernels, n_linear_interpolation_kernel
-from rig.arrays import Floats, Integers
+from calib.correction.interpolation.delaunay_and_grid_kernels import (
+    Tables,
+    compiled_simplex_kernels,
+    n_linear_interpolation_kernel,
+)
+from calib.correction.interpolation.field_and_combinations import FieldSamples, WeightedField, Weights, average_samples
+from rig.array_types import Floats, Integers
 from rig.errors import RigError
 from rig.model.mechanisms.hexapod_kernels import EACH, run_in_threads
 
@@ -100,7 +104,7 @@ class Grid(WeightedField):
         object.__setattr__(self, "tables", _tables(self))
 
     @classmethod
-    def fit(cls, known: Known) -> Self:
+    def fit(cls, known: FieldSamples) -> Self:
         """The field of samples that fill a grid; those beside it are left out, repeats of a vertex averaged.
 
         Raises RigError where the samples fill no grid

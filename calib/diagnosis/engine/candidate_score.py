@@ -7,10 +7,10 @@ from typing import Generic
 import numpy as np
 
 from calib.diagnosis.engine.chance_probability import residual_dispersion, scan_p_value
-from calib.diagnosis.engine.frame_inner_products import FrameProducts, Solved, normal_of_weighted_directions
+from calib.diagnosis.engine.frame_inner_products import FrameProducts, Solved, normal_equations_by_direction_weights
 from calib.diagnosis.engine.linear_model import LinearModel
 from calib.diagnosis.engine.selection_inputs import C, Node, Role, UsualRange
-from rig.arrays import Floats
+from rig.array_types import Floats
 
 BEYOND = 0.3  # standard deviation of the logarithm of a parameter above what rigs show
 WRONG_SIGN = 12.0  # minus twice the logarithm of the chance that a parameter has the sign that rigs do not show
@@ -87,9 +87,9 @@ class Alternative(Generic[C]):
     cosine: float
 
 
-def score_with_likelihood_ratio(score: Score[C], ratio: float, frames: int) -> Score[C]:
-    """Score with a fit's likelihood ratio in place of its delta chi-square where that is larger."""
-    delta = ratio * max(1 - score.freedom / frames, 0.0) / score.dispersion
+def score_raised_to_likelihood_ratio(score: Score[C], likelihood_ratio: float, frames: int) -> Score[C]:
+    """Score with its delta chi-square raised to a fit's likelihood ratio, where that is larger."""
+    delta = likelihood_ratio * max(1 - score.freedom / frames, 0.0) / score.dispersion
     if delta <= score.delta_chi2:
         return score
     return replace(score, delta_chi2=delta, p_value=float(score.p_value * np.exp(-(delta - score.delta_chi2) / 2)))
@@ -101,30 +101,30 @@ def best_node_score(
     solved: Solved,
     products: FrameProducts,
     weights_at: Callable[[int], Floats],
-    least: float = -np.inf,
+    least_delta_chi2: float = -np.inf,
 ) -> Score[C]:
     """Score of the best node of a candidate's grid.
 
     solved : Solved, one for each node; weights_at : a function of the best node's index, its weights (F, a, q)
-    least : of delta chi-square; of what explains less no dispersion is asked, and its chance counts as certain
+    least_delta_chi2 : of delta chi-square; of what explains less no dispersion is asked, and its chance counts as certain
     """
     best = int(np.argmax(solved.delta_chi2 - solved.rank * np.log(model.size)))
-    if solved.delta_chi2[best] < least:
+    if solved.delta_chi2[best] < least_delta_chi2:
         return insignificant_score(candidate, solved, best)
     return score_at_node(model, candidate, best, candidate.grid[best], solved, products, weights_at(best))
 
 
-def insignificant_score(candidate: C, solved: Solved, best: int) -> Score[C]:
-    """Score of a candidate so insignificant that its dispersion is not computed."""
+def insignificant_score(candidate: C, solved: Solved, solved_index: int) -> Score[C]:
+    """Score of an insignificant candidate, at its best node, its dispersion not computed."""
     return Score(
         candidate,
-        dict(candidate.grid[best]),
-        candidate.allowed(solved.coefficients[best]),
-        float(solved.delta_chi2[best]),
+        dict(candidate.grid[solved_index]),
+        candidate.allowed(solved.coefficients[solved_index]),
+        float(solved.delta_chi2[solved_index]),
         1.0,
-        int(np.ceil(solved.rank[best])) + candidate.extra,
+        int(np.ceil(solved.rank[solved_index])) + candidate.extra,
         1.0,
-        float(solved.seen[best]),
+        float(solved.seen[solved_index]),
         solved.delta_chi2,
     )
 
@@ -132,23 +132,25 @@ def insignificant_score(candidate: C, solved: Solved, best: int) -> Score[C]:
 def score_at_node(
     model: LinearModel,
     candidate: C,
-    best: int,
+    solved_index: int,
     node: Node,
     solved: Solved,
     products: FrameProducts,
     weights: Floats,
-    cluster: int = 1,
+    correlated_frames: int = 1,
 ) -> Score[C]:
-    """Score of one node, the `best` of those solved. weights : (F, a, q) there"""
-    coefficients, rank, deltas = solved.coefficients[best], solved.rank[best], solved.delta_chi2
+    """Score of a candidate at one node of its grid, that of solved_index in solved. weights : (F, a, q) there"""
+    coefficients, rank, deltas = solved.coefficients[solved_index], solved.rank[solved_index], solved.delta_chi2
     allowed = candidate.allowed(coefficients)
     if (
         allowed != coefficients
     ).any():  # what the data want is forbidden: it counts for as much as it explains at the bound
-        normal = normal_of_weighted_directions(products, weights[None])
+        normal = normal_equations_by_direction_weights(products, weights[None])
         coefficients = allowed
         deltas = np.minimum(deltas, 2 * normal.b[0] @ allowed - allowed @ normal.G[0] @ allowed)
-    found = residual_dispersion(model, products, weights, coefficients if len(coefficients) else np.ones(1), cluster)
+    found = residual_dispersion(
+        model, products, weights, coefficients if len(coefficients) else np.ones(1), correlated_frames
+    )
     curve = deltas / found.ratio
     same = (
         solved.rank == rank
@@ -158,11 +160,11 @@ def score_at_node(
         candidate,
         dict(node),
         coefficients,
-        float(curve[best]),
+        float(curve[solved_index]),
         p,
         int(np.ceil(rank)) + candidate.extra,
         found.ratio,
-        float(solved.seen[best]),
+        float(solved.seen[solved_index]),
         curve,
     )
 

@@ -15,7 +15,7 @@ from scipy.special import gammaln
 
 from calib.diagnosis.engine.frame_inner_products import SWALLOWED, FrameProducts
 from calib.diagnosis.engine.linear_model import LinearModel
-from rig.arrays import Floats
+from rig.array_types import Floats
 
 Z95 = 1.959964  # normal quantile of a 95 % interval
 # degrees of freedom below which clusters show nothing of how they differ: what lies in one or two is judged frame by
@@ -52,7 +52,7 @@ def scan_p_value(deltas: Floats, rank: float, freedom: float) -> float:
 
 
 def residual_dispersion(
-    model: LinearModel, products: FrameProducts, weights: Floats, coefficients: Floats, cluster: int = 1
+    model: LinearModel, products: FrameProducts, weights: Floats, coefficients: Floats, correlated_frames: int = 1
 ) -> Dispersion:
     """Dispersion of a candidate of weights (F, a, q) and coefficients (q,); cluster : frames in a row that are taken
     together.
@@ -77,8 +77,8 @@ def residual_dispersion(
         return Dispersion(1.0, 1.0)
     shares = half.T @ squares @ half
     expected, freedom = _expected(shares)
-    if cluster > 1:
-        starts = np.arange(0, F, cluster)
+    if correlated_frames > 1:
+        starts = np.arange(0, F, correlated_frames)
         several = _expected(np.add.reduceat(shares, starts, axis=0))
         if several[1] >= FEW:
             (expected, freedom), contributions = several, np.add.reduceat(contributions, starts, axis=0)

@@ -9,7 +9,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from calib.diagnosis.engine.linear_model import LinearModel
 from calib.samples.pose_samples import time_block_folds
-from rig.arrays import Booleans, Floats, Integers
+from rig.array_types import Booleans, Floats, Integers
 
 FOLDS = 5
 STRETCHES = 30  # over which a gain is judged
@@ -47,14 +47,14 @@ def time_stretch_folds(count: int, folds: int) -> Integers:
     return time_block_folds(count, min(folds, max(count // FEWEST, 2)))
 
 
-def frame_folds(frames: int, sudden: bool, sides: Sequence[Booleans] = ()) -> Integers:
+def frame_folds(frames: int, has_sudden_effects: bool, sides: Sequence[Booleans] = ()) -> Integers:
     """(F,) fold of each frame: a stretch of time; with sudden effects, several stretches spread over both sides.
     sides : each (F,) bool, what is
     before such a moment or after it; of one that is within a single stretch, the later half is held out with the
     next.
     """
     count = min(FOLDS, frames // FEWEST)
-    if not sudden:
+    if not has_sudden_effects:
         return time_block_folds(frames, count)
     fold = time_block_folds(frames, min(SHORTER * FOLDS, frames // FEWEST)) % count
     for own in map(np.flatnonzero, sides):
@@ -64,14 +64,14 @@ def frame_folds(frames: int, sudden: bool, sides: Sequence[Booleans] = ()) -> In
 
 
 def held_out_residuals(
-    model: LinearModel, residuals: tuple[Floats, ...], fold: Integers, only: int | None = None
+    model: LinearModel, residuals: tuple[Floats, ...], fold: Integers, single_fold: int | None = None
 ) -> HeldOut:
     """HeldOut of residuals (one (m,) for each block, as they are with the nuisances at the model's values): nuisances
     fitted on other folds.
 
     model : with an explicit basis, else ValueError is raised; what was known beforehand is known in every fold, and is
         judged by the fit to all
-    only : the one fold to hold out, the others' rows staying as they are; None for each in turn
+    single_fold : the one fold to hold out, the others' rows staying as they are; None for each in turn
     """
     if model.half is not None:
         raise ValueError("only a model whose nuisances' basis is explicit can hold frames out")
@@ -79,10 +79,10 @@ def held_out_residuals(
     held = sum(Q[at].T @ Q[at] for Q, at in zip(basis, known)) + RIDGE * np.eye(model.columns.count)
     pulled = sum(Q[at].T @ y[at] for Q, y, at in zip(basis, residuals, known))
     rights = {h: model.right(fold == h, residuals) for h in np.unique(fold).tolist()}
-    grams = {h: model.gram(fold == h) for h in rights if h != only}
+    grams = {h: model.gram(fold == h) for h in rights if h != single_fold}
     everything = sum(rights.values()) + pulled
     out = [y[block.frames_rows].copy() for block, y in zip(model.blocks, residuals)]
-    for hold in rights if only is None else [only]:
+    for hold in rights if single_fold is None else [single_fold]:
         size = np.linalg.solve(
             sum(gram for h, gram in grams.items() if h != hold) + held,
             sum(right for h, right in rights.items() if h != hold) + pulled,
@@ -93,10 +93,10 @@ def held_out_residuals(
     return HeldOut(tuple(out), tuple(y[at] - Q[at] @ everything for Q, y, at in zip(basis, residuals, known)))
 
 
-def sizes_without_columns(
+def make_refit_without_columns(
     grams: Sequence[Floats], rights: Sequence[Floats], information: Floats
 ) -> Callable[[Integers], list[Floats]]:
-    """A function: indices of omitted columns -> for each fold, the fitted sizes (p,) of all columns.
+    """Make a function that refits each fold without some columns (indices): the fitted sizes (p,) of all.
 
     grams, rights : for each fold, (p, p) its whitened columns' products with each other and (p,) with the residual
     information : (p, p) of all folds, priors included
@@ -128,14 +128,14 @@ def signed_rank_gain_in_standard_errors(square_reductions: Floats) -> float:
     return float(ranks @ np.sign(by) / np.sqrt(n * (n + 1) * (2 * n + 1) / 6))
 
 
-def summed_gain_in_standard_errors(square_reductions: Floats, beforehand: float = 0.0) -> float:
+def summed_gain_in_standard_errors(square_reductions: Floats, prior_reduction: float = 0.0) -> float:
     """Gain of held-out stretches in standard errors, by the sum of square reductions (n,).
 
-    beforehand : what squares fall by that belong to no frame: a misfit that the prior on a nuisance alone shows is no
+    prior_reduction : what squares fall by that belong to no frame: a misfit that the prior on a nuisance alone shows is no
         stretch's, and has no rank
     """
     by = np.bincount(
         time_block_folds(len(square_reductions), min(20, len(square_reductions) // 2)), weights=square_reductions
     )
     error = np.sqrt(len(by)) * by.std(ddof=1) if len(by) > 1 else np.inf
-    return float((by.sum() + beforehand) / max(error, 1e-300))
+    return float((by.sum() + prior_reduction) / max(error, 1e-300))

@@ -1,10 +1,10 @@
-"""Findings confirmed: each admitted term against alternatives and smooth functions, with the others."""
+"""Confirmation of findings: each admitted term tested against all candidates and smooth functions."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Generic
 
-from calib.diagnosis.engine.candidate_score import Alternative, Score, score_with_likelihood_ratio
+from calib.diagnosis.engine.candidate_score import Alternative, Score, score_raised_to_likelihood_ratio
 from calib.diagnosis.engine.lack_of_fit import LackOfFit
 from calib.diagnosis.engine.linear_model import column_cosine
 from calib.diagnosis.engine.problem_interface import AliasedNodes, Fit, Model, Problem, Progress
@@ -30,19 +30,19 @@ def is_indistinguishable(alternative: Alternative[C], policy: SelectionPolicy) -
 
 
 def find_alternatives(
-    problem: Problem[Fit, Model, C], model: Model, own: Score[C], progress: Callable[[int, int], None] | None
+    problem: Problem[Fit, Model, C], model: Model, finding_score: Score[C], progress: Callable[[int, int], None] | None
 ) -> list[Alternative[C]]:
-    """[Alternative] to a Score on a model without it, by weight, the best of each name and place."""
+    """Find the [Alternative] to a finding's Score on a model without it, by weight, the best of each place."""
     policy, linear = problem.policy, problem.linear(model)
-    size, here = linear.size, (own.candidate.name, own.candidate.place)
-    reach = max(2 * policy.alike, policy.near * own.delta_chi2 * own.dispersion)
-    scores = problem.search(model, problem.candidates, max(own.raw_delta_bic(size) - reach, 0.0), progress)
-    column = problem.column(model, own)
+    size, here = linear.size, (finding_score.candidate.name, finding_score.candidate.place)
+    reach = max(2 * policy.alike, policy.near * finding_score.delta_chi2 * finding_score.dispersion)
+    scores = problem.search(model, problem.candidates, max(finding_score.raw_delta_bic(size) - reach, 0.0), progress)
+    column = problem.column(model, finding_score)
 
     def alternative(score: Score[C]) -> Alternative[C]:
         return Alternative(
             score,
-            own.evidence(size) - score.evidence(size),
+            finding_score.evidence(size) - score.evidence(size),
             column_cosine(linear, column, problem.column(model, score)),
         )
 
@@ -51,11 +51,15 @@ def find_alternatives(
     for s in scores:
         place = s.candidate.name, s.candidate.place
         if place == here:
-            others = problem.aliases(model, own, s) if isinstance(problem, AliasedNodes) else []
+            others = problem.aliases(model, finding_score, s) if isinstance(problem, AliasedNodes) else []
             found = [alternative(a) for a in others]
             out += [a for a in found if a.behind < 2 * policy.alike and abs(a.cosine) >= policy.akin]
             continue
-        if place in listed or own.evidence(size) - s.evidence(size) > reach or s.p_value > policy.alternative_alpha:
+        if (
+            place in listed
+            or finding_score.evidence(size) - s.evidence(size) > reach
+            or s.p_value > policy.alternative_alpha
+        ):
             continue
         listed.add(place)
         out.append(alternative(s))
@@ -66,11 +70,11 @@ def refit_alternatives(
     problem: Problem[Fit, Model, C],
     fit: Fit,
     number: int,
-    own: Score[C],
+    finding_score: Score[C],
     alternatives: list[Alternative[C]],
     hidden: bool = False,
 ) -> list[Refit[Fit, C]]:
-    """[Refit] of the first few that a scan does not tell from a finding: a scan takes for scatter what is not admitted
+    """Refit the first alternatives that a scan cannot separate: a scan takes for scatter what is not admitted
     yet, and so tells of a strong term far less than it could. hidden : whether the finding convinces by its fit alone,
     as they then may"""
     close = [a for a in alternatives if is_indistinguishable(a, problem.policy)][: problem.policy.refitted]
@@ -79,9 +83,9 @@ def refit_alternatives(
     size, bare, out = problem.size(fit), problem.remove_term(fit, number), []
     for a in close:
         new = problem.add_term(bare, a.score)
-        behind = problem.likelihood_ratio(new, fit) + a.score.complexity(size) - own.complexity(size)
+        behind = problem.likelihood_ratio(new, fit) + a.score.complexity(size) - finding_score.complexity(size)
         score = (
-            score_with_likelihood_ratio(
+            score_raised_to_likelihood_ratio(
                 a.score, problem.likelihood_ratio(bare, new), problem.linear(problem.residual(bare)).frames
             )
             if hidden
@@ -112,8 +116,8 @@ def labelled_progress(progress: Progress | None, label: str) -> Callable[[int, i
     return None if progress is None else lambda done, of: progress(label, done, of)
 
 
-def may_become_significant(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
-    """Whether a Score that does not convince may once it is fitted: it is not likely by chance, or explains much by
+def may_become_significant_when_fitted(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
+    """Whether a Score that is not significant may become so when fitted: unlikely by chance, or explains much by
     whichever frames.
     """
     return policy.hidden > 0 and (
@@ -133,8 +137,10 @@ def confirm_terms(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress 
         model, size = problem.without_term(fit, number), problem.size(fit)
         scanned, held = problem.rescored(model, fit, number), problem.given.holds(problem.terms(fit)[number])
         own = scanned
-        if not is_significant(own, count, size, policy) and may_become_significant(own, count, size, policy):
-            own = score_with_likelihood_ratio(
+        if not is_significant(own, count, size, policy) and may_become_significant_when_fitted(
+            own, count, size, policy
+        ):
+            own = score_raised_to_likelihood_ratio(
                 own, problem.likelihood_ratio(problem.remove_term(fit, number), fit), problem.linear(model).frames
             )
         if not held and not is_significant(own, count, size, policy):  # beside all others it is none

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 
 MOST_POWER = 3
 FINE = 0.25  # of a turn over a quantity's range, between frequencies that are tried

@@ -14,7 +14,7 @@ import scipy
 
 from calib.diagnosis.engine.formula_library import FINE, Atom, Library, Wave
 from calib.diagnosis.engine.reduced_least_squares import Reduced, Stack
-from rig.arrays import Floats
+from rig.array_types import Floats
 
 MOST = 4  # atoms
 CLASSES = 5  # of atoms: a quantity, a higher power, a product, a sinusoid, one that another quantity swells

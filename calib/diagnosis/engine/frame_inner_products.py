@@ -16,7 +16,7 @@ import numpy as np
 from scipy.fft import next_fast_len
 from scipy.sparse import csr_array
 
-from rig.arrays import Booleans, Floats
+from rig.array_types import Booleans, Floats
 
 SWALLOWED = 1e-7  # share of a direction's square that the nuisances must leave for it to count as seen
 
@@ -81,8 +81,8 @@ class Solved(NamedTuple):
         )
 
 
-def normal_of_weighted_directions(products: FrameProducts, weights: Floats) -> Normal:
-    """Normal of candidates whose columns weigh the directions by weights (k, F, a, q)."""
+def normal_equations_by_direction_weights(products: FrameProducts, weights: Floats) -> Normal:
+    """Normal equations of candidates that weight each direction in each frame by weights (k, F, a, q)."""
     k, F, a, q = weights.shape
     rows = np.swapaxes(weights.reshape(k, F * a, q), 1, 2)
     b = rows @ products.beta.ravel()
@@ -92,11 +92,11 @@ def normal_of_weighted_directions(products: FrameProducts, weights: Floats) -> N
     return Normal(b, G - K @ np.swapaxes(K, 1, 2), np.einsum("kqq->kq", G).copy())
 
 
-def normal_of_common_weights(products: FrameProducts, w: Floats) -> Normal:
-    """Normal of candidates that weigh all directions (a) alike by w (k, F), one column for each direction."""
-    b = w @ products.beta
-    K = products.onto(np.tensordot(w, products.kappa, 1))
-    G = np.tensordot(w**2, products.gamma, 1)
+def normal_equations_by_common_weights(products: FrameProducts, frame_weights: Floats) -> Normal:
+    """Normal equations of candidates that weight all directions (a) of a frame alike, by frame weights (k, F)."""
+    b = frame_weights @ products.beta
+    K = products.onto(np.tensordot(frame_weights, products.kappa, 1))
+    G = np.tensordot(frame_weights**2, products.gamma, 1)
     return Normal(b, G - K @ np.swapaxes(K, 1, 2), np.einsum("kqq->kq", G).copy())
 
 
@@ -121,8 +121,8 @@ def solve_with_prior(normal: Normal, prior: Floats | float) -> Solved:
     return Solved((b * size[..., 0]).sum(axis=1), list(size[..., 0]), rank, np.ones(len(b)))
 
 
-def solve_fixed_size(normal: Normal) -> Solved:
-    """Solved candidates (q = 1) of fixed size, stated in their node: the coefficient is one."""
+def solve_with_unit_coefficient(normal: Normal) -> Solved:
+    """Solved candidates (q = 1) with a coefficient of one: their size is fixed in their node."""
     b, G, raw = normal.b[:, 0], normal.G[:, 0, 0], normal.raw[:, 0]
     seen = G / np.maximum(raw, 1e-300)
     return Solved(

@@ -11,12 +11,12 @@ from calib.diagnosis.engine.frame_inner_products import (
     SWALLOWED,
     FrameProducts,
     Normal,
-    normal_of_weighted_directions,
+    normal_equations_by_direction_weights,
     solve_normal_equations,
     solve_with_prior,
 )
 from calib.diagnosis.engine.linear_model import LinearModel
-from rig.arrays import Floats
+from rig.array_types import Floats
 
 ALPHA = 1e-4  # chance of calling anything unknown where there is nothing, over all tests
 LIKELY = 1e-3  # chance above which no dispersion is asked, since that only makes it likelier
@@ -76,12 +76,12 @@ class LackOfFit:
 
 
 def test_lack_of_fit(
-    model: LinearModel, products: FrameProducts, test: Test, cluster: int = 1, alpha: float = LIKELY
+    model: LinearModel, products: FrameProducts, test: Test, correlated_frames: int = 1, alpha: float = LIKELY
 ) -> LackOfFit | None:
     """LackOfFit by a Test of smooth functions, None where the nuisances contain its functions.
     taken out, tells their size. alpha : chance above which no dispersion is asked
     """
-    normal = normal_of_weighted_directions(products, test.weights[None])
+    normal = normal_equations_by_direction_weights(products, test.weights[None])
     solved = solve_normal_equations(normal) if test.prior is None else solve_with_prior(normal, test.prior)
     delta, rank = solved.delta_chi2, float(solved.rank[0])
     if rank == 0:
@@ -89,7 +89,7 @@ def test_lack_of_fit(
     p, spread = scan_p_value(delta, rank, np.inf), 1.0
     simpler = delta_chi2_by_column_count(normal) if test.prior is None and p <= alpha else ()
     if p <= alpha:
-        spread, freedom = residual_dispersion(model, products, test.weights, solved.coefficients[0], cluster)
+        spread, freedom = residual_dispersion(model, products, test.weights, solved.coefficients[0], correlated_frames)
         p = scan_p_value(delta / spread, rank, freedom)
     magnitude = float(np.sqrt(max(delta[0] - rank, 0.0) / test.information))
     return LackOfFit(
@@ -118,9 +118,9 @@ def delta_chi2_by_column_count(normal: Normal) -> tuple[tuple[float, int], ...]:
     return tuple(out)
 
 
-def significant_lack_of_fit(found: list[LackOfFit | None], alpha: float = ALPHA) -> list[LackOfFit]:
+def significant_lack_of_fit(lacks_of_fit: list[LackOfFit | None], alpha: float = ALPHA) -> list[LackOfFit]:
     """The LackOfFits that are significant over all tests, the most significant first, functions before scatter."""
-    held = [u for u in found if u is not None]
+    held = [u for u in lacks_of_fit if u is not None]
     functions = Counter(u.place for u in held if u.dispersion is not None)
     held = [
         replace(u, among=functions[u.place] if u.dispersion is not None else 1)
@@ -130,10 +130,10 @@ def significant_lack_of_fit(found: list[LackOfFit | None], alpha: float = ALPHA)
     return sorted(held, key=lambda u: (not u.depends_on, u.p_value if u.p_value > 0 else -u.delta_chi2))
 
 
-def first_of_each_place(found: list[LackOfFit]) -> list[LackOfFit]:
+def first_of_each_place(lacks_of_fit: list[LackOfFit]) -> list[LackOfFit]:
     """The first, most significant LackOfFit of each place, in order."""
     seen: dict[str, LackOfFit] = {}
-    for u in found:
+    for u in lacks_of_fit:
         seen.setdefault(u.place, u)
     return list(seen.values())
 
@@ -181,15 +181,15 @@ class Covariate:
         return max((s.share for s in self.before.values()), default=0.0)
 
 
-def explained_share(
-    model: LinearModel, block: int, parts: list[tuple[FrameProducts, Floats]], cluster: int = 1
+def share_explained_by_functions(
+    model: LinearModel, block: int, function_parts: list[tuple[FrameProducts, Floats]], correlated_frames: int = 1
 ) -> Share:
-    """Share of a block's squares that functions explain. parts : [(FrameProducts, (F, a, q) weights)] fitted one beside
+    """Share of a block's squares that functions explain. function_parts : [(FrameProducts, weights)], fitted beside
     the other
-    cluster : frames in a row whose errors may be alike"""
+    correlated_frames : frames in a row whose errors may be alike"""
     found = [
-        test_lack_of_fit(model, products, Test("", "", (), weights, 1.0), cluster, alpha=1.0)
-        for products, weights in parts
+        test_lack_of_fit(model, products, Test("", "", (), weights, 1.0), correlated_frames, alpha=1.0)
+        for products, weights in function_parts
     ]
     seen = [u for u in found if u is not None]
     if not seen:

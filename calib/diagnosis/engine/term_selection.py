@@ -5,14 +5,14 @@ from typing import Any, Generic
 
 import numpy as np
 
-from calib.diagnosis.engine.candidate_score import Score, score_with_likelihood_ratio
+from calib.diagnosis.engine.candidate_score import Score, score_raised_to_likelihood_ratio
 from calib.diagnosis.engine.finding_confirmation import (
     Finding,
     confirm_terms,
     is_finding_significant,
     is_significant,
     labelled_progress,
-    may_become_significant,
+    may_become_significant_when_fitted,
 )
 from calib.diagnosis.engine.lack_of_fit import LackOfFit
 from calib.diagnosis.engine.problem_interface import (
@@ -149,7 +149,7 @@ def _hidden(problem: Problem[Fit, Model, C], fit: Fit, model: Model, scores: lis
     strongest hides itself most, and what a scan sees of it is worth no more than its frames, however many numbers that
     has to pay for."""
     policy, linear = problem.policy, problem.linear(model)
-    scanned = [s for s in scores if may_become_significant(s, len(problem.candidates), linear.size, policy)]
+    scanned = [s for s in scores if may_become_significant_when_fitted(s, len(problem.candidates), linear.size, policy)]
     surest = sorted(scanned, key=lambda s: s.p_value)[: policy.tried]
     strongest = [
         s
@@ -157,7 +157,7 @@ def _hidden(problem: Problem[Fit, Model, C], fit: Fit, model: Model, scores: lis
         if not any(s is other for other in surest)
     ]
     fitted = [
-        score_with_likelihood_ratio(s, problem.likelihood_ratio(fit, problem.add_term(fit, s)), linear.frames)
+        score_raised_to_likelihood_ratio(s, problem.likelihood_ratio(fit, problem.add_term(fit, s)), linear.frames)
         for s in strongest + surest
     ]
     found = [s for s in fitted if is_significant(s, len(problem.candidates), linear.size, policy)]

@@ -6,11 +6,11 @@ import numpy as np
 
 from calib.diagnosis.engine.formula_library import Library, Quantity
 from calib.diagnosis.engine.formula_search import Formula
-from calib.diagnosis.problems.measured_evidence import Interval
+from calib.diagnosis.problems.evidence_interface import Interval
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.formula_quantities import POSE, quantities_of_motion
-from rig.effects.framework.machine_motion import Motion
-from rig.effects.texts.formula_effect_file import Term, Written
+from rig.effects.framework.machine_motion_and_play import Motion
+from rig.effects.texts.effect_file_from_formula import Term, Written
 
 NAME = "suggested"  # of the effect until a person gives it one
 # standard errors by which stretches held out must gain, as a name must: what shows in a few of them gains in few
@@ -44,22 +44,24 @@ class Suggestion:
     length: float
 
 
-def library_of_quantities(motion: Motion, axis: int | None, directions: int = 1, apart: bool = False) -> Library:
+def library_of_quantities(
+    motion: Motion, axis: int | None, directions: int = 1, exclude_axis_quantities: bool = False
+) -> Library:
     """Library of the quantities that vary: of one axis by its index, of all alike (None), or of the platform."""
     own = None if axis is None else f"travel of {motion.places[axis]}"
     out = []
-    for q in quantities_of_motion(motion, not apart):
+    for q in quantities_of_motion(motion, not exclude_axis_quantities):
         values = q.values(motion)
         values = values[:, [axis]] if axis is not None and values.shape[1] > 1 else values
         if q.name == own or np.ptp(values) <= STILL * np.abs(values).max(initial=0.0):
             continue
         turns = 0.0 if not q.waves else min(len(values) / SPARSE, 3 * TURNS) if q.name == "time" else TURNS
         out.append(Quantity(q.name, values, q.powers, turns))
-    return Library(tuple(out), directions, apart)
+    return Library(tuple(out), directions, exclude_axis_quantities)
 
 
-def formula_text(formula: Formula, library: Library, word: str, alike: bool) -> Written:
-    """Written, the text of a Formula in a Library. word : name of the axes; alike : whether it holds of all of them"""
+def formula_text(formula: Formula, library: Library, axis_word: str, same_for_all_axes: bool) -> Written:
+    """Text of a Formula (Written) in the quantities of its Library. axis_word : strut, joint or slide"""
     terms, at = [], 0
     for atom in formula.atoms:
         count, wave, turns = 1, None, 0.0
@@ -77,7 +79,7 @@ def formula_text(formula: Formula, library: Library, word: str, alike: bool) -> 
             )
         )
         at += count
-    return Written(word, tuple(terms), alike)
+    return Written(axis_word, tuple(terms), same_for_all_axes)
 
 
 def formula_quantities(formula: Formula | None, library: Library) -> tuple[str, ...]:

@@ -1,11 +1,11 @@
-"""What a machine's remainder may go with: every channel of its log, known or not, time, order, step, direction, speed,
+"""Covariates of a machine's remainder as functions: log channels, time, order, step, direction, speed,
 dwell, way travelled.
 """
 
 import numpy as np
 
-from rig.arrays import Floats
-from rig.effects.framework.machine_motion import Path
+from rig.array_types import Floats
+from rig.effects.framework.machine_motion_and_play import Path
 from rig.model.motion_simulation import ABOUT
 from rig.recording.recording_folder import Commands, Sensors
 
@@ -42,14 +42,14 @@ def separate_weights(functions: Floats, count: int) -> Floats:
     return np.einsum("faq,ab->fabq", wide, np.eye(count)).reshape(len(functions), count, -1)
 
 
-def scaled_to_unit_interval(x: Floats) -> Floats:
-    """x (F,) about its mean, scaled to the interval -1 .. 1."""
+def scaled_to_plus_minus_one(x: Floats) -> Floats:
+    """x (F,) about its mean, scaled to within plus or minus one."""
     return (x - x.mean()) / max(np.abs(x - x.mean()).max(), 1e-300)
 
 
 def scaled_powers(x: Floats, highest: int) -> Floats:
     """(F, highest) powers, from the first on, of a covariate x (F,), scaled to within -1 .. 1."""
-    return np.stack([scaled_to_unit_interval(x) ** n for n in range(1, highest + 1)], axis=1)
+    return np.stack([scaled_to_plus_minus_one(x) ** n for n in range(1, highest + 1)], axis=1)
 
 
 def time_cosines(t: Floats, count: int) -> Floats:

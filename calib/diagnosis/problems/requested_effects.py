@@ -96,15 +96,15 @@ class RequestedEffects:
 
 
 def require_assumed_effects_testable(
-    given: StatedTerms, candidates: Sequence[Candidate], not_asked: Sequence[NotAsked]
+    stated_terms: StatedTerms, candidates: Sequence[Candidate], untestable_effects: Sequence[NotAsked]
 ) -> StatedTerms:
     """The stated terms, unchanged. Raises RigError where the recording cannot test an assumed effect."""
     there = {(c.name, c.place) for c in candidates}
-    for name, place in given.assumed:
+    for name, place in stated_terms.assumed:
         if (name, place) not in there:
-            reasons = [s.reason for s in not_asked if s.effect == name]
+            reasons = [s.reason for s in untestable_effects if s.effect == name]
             raise RigError(
                 f"{name} at {place} is assumed, but this recording cannot be asked for it"
                 + (f": {reasons[0]}" if reasons else "")
             )
-    return given
+    return stated_terms

@@ -1,4 +1,4 @@
-"""Temperatures as they were, from a log that holds a thermometer's noise as well: noise in what an effect follows makes
+"""Smoothing of logged temperatures, which hold a thermometer's noise: noise in what an effect follows makes
 the effect look smaller, and leaves behind what no model explains (Fuller, Measurement error models, 1987, ch. 1)."""
 
 from dataclasses import replace
@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.recording.recording_folder import Sensors
 
 DEGREES = (

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.diagnosis.problems.arm.arm_evidence import ArmEvidence
+from calib.diagnosis.problems.arm.arm_recording_evidence import ArmEvidence
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report import finding_contributions
@@ -13,17 +13,16 @@ from calib.diagnosis.report.machine_outline import arm_outline_figures
 from calib.diagnosis.report.residual_figures import (
     SAME_ANGLE,
     held_out_gain_table,
-    repeat_rows,
+    position_error_statistics,
+    repeatability_rows,
     residual_scatter_figure,
-    residual_statistics,
 )
-from calib.report.pose_figures import mechanism_scene
-from calib.samples.effect_playback import FACTORS
+from calib.report.pose_figures_and_effect_displacements import FACTORS, mechanism_scene
 from rig.model import mechanisms
-from rig.model.mechanism_geometry import Arm, Chain
-from rig.report.pages.html_elements import heading, paragraph, table
-from rig.report.pages.plots import Series, plot_panel
-from rig.report.pages.view_3d import Effect, view_3d_html
+from rig.model.mechanism_geometry_classes import Arm, Chain
+from rig.report.pages.html_and_svg_elements import heading_html, paragraph_html, table_html
+from rig.report.pages.image_plane_and_3d_views import DrawnEffect, view_3d_html
+from rig.report.pages.plots import Series, plot_panel_svg
 
 PLAYED = 4  # findings that are shown in three dimensions
 ROWS = (
@@ -96,7 +95,7 @@ class ArmView:
 
     def in_space(self) -> list[str]:
         """The arm's poses, with what each finding at a joint does, linear in its size."""
-        d, fit, effects = self.diagnosis, self.fit, list[Effect]()
+        d, fit, effects = self.diagnosis, self.fit, list[DrawnEffect]()
         J = np.zeros((len(fit.arms), 6, fit.arms.q.shape[1]))
         J[:, : fit.arms.joints.shape[1]] = fit.arms.joints  # of positions alone, no rotation is known
         for finding in d.findings[:PLAYED]:
@@ -105,7 +104,7 @@ class ArmView:
                 once = J[:, :, candidate.joint] * fit.part(finding.number)[:, None]
                 sizes = tuple(f"{factor:g} times as found" for factor in FACTORS)
                 effects.append(
-                    Effect(
+                    DrawnEffect(
                         f"{candidate.name.replace('_', ' ')} at {candidate.place}",
                         sizes,
                         np.multiply.outer(FACTORS, once),
@@ -120,7 +119,7 @@ class ArmView:
             near = h.far <= SAME_ANGLE
             for label, left in zip(ROWS, (h.before, h.after, h.after[near], h.after[~near])):
                 if len(left):
-                    f = residual_statistics(left)
+                    f = position_error_statistics(left)
                     rows.append(
                         [
                             f"{label}, {h.stretches} stretches",
@@ -131,30 +130,30 @@ class ArmView:
                     )
         parts: list[str] = [
             self._errors(),
-            table(("held-out error", "mean, µm", "RMS", "95 %", "max", "mean, µrad", "N"), rows),
+            table_html(("held-out error", "mean, µm", "RMS", "95 %", "max", "mean, µrad", "N"), rows),
         ]
         if d.findings:
             parts += [
-                heading("What each finding brings on poses held out", 3),
+                heading_html("What each finding brings on poses held out", 3),
                 held_out_gain_table(d),
-                heading("What single poses suffer from", 3),
-                paragraph(
+                heading_html("What single poses suffer from", 3),
+                paragraph_html(
                     "The poses that all findings together displace most, for each finding a bar, the biggest first. "
                     "contributions.csv has them for every pose."
                 ),
-                finding_contributions.contribution_figure(self.evidence, d.selection),
+                finding_contributions.worst_pose_contribution_figure(self.evidence, d.selection),
             ]
         aside = self.evidence.frames_set_aside(d.selection)
         if len(aside):
             parts.append(
-                paragraph(
+                paragraph_html(
                     f"{len(aside)} poses agree with no model and count for next to nothing: frames "
                     f"{', '.join(map(str, aside))}."
                 )
             )
         if d.repeats is not None and any(u.depends_on == ("configuration",) for u in d.left):
             parts.append(
-                paragraph(
+                paragraph_html(
                     f"The same command brings {d.repeats.recurring_share:.0%} of what remains again: that is "
                     "no noise, and of no form that was tried."
                 )
@@ -164,7 +163,7 @@ class ArmView:
     def measurement(self) -> list[tuple[str, object]]:
         """Where poses came from, and how well they repeat."""
         d = self.diagnosis
-        again = repeat_rows(d)
+        again = repeatability_rows(d)
         if self.fit.scatter[0] > 0:
             beyond, _ = self.evidence.scatter_beyond_stated(d.selection)
             again.append(("beyond what the instrument states, poses scatter by", f"{beyond * 1e6:.1f} µm"))
@@ -186,4 +185,4 @@ class ArmView:
         if d.repeats is not None:
             ends = np.array([0.0, len(d.held[0].after) - 1.0])
             series.append(Series(ends, np.full(2, d.repeats.mean * 1e6), "the same command again", "line", -1))
-        return plot_panel("held-out errors", ("pose", "position error, µm"), series, log=True)
+        return plot_panel_svg("held-out errors", ("pose", "position error, µm"), series, log=True)

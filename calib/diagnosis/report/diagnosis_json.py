@@ -5,11 +5,11 @@ from dataclasses import dataclass, field, fields, is_dataclass
 
 from calib.diagnosis.engine.lack_of_fit import Covariate
 from calib.diagnosis.engine.selection_inputs import StatedTerms
+from calib.diagnosis.problems.evidence_interface import Value
 from calib.diagnosis.problems.formula_suggestion import Suggestion
-from calib.diagnosis.problems.measured_evidence import Value
-from rig.effects.texts.formula_effect_file import Written
-from rig.effects.texts.user_effect_files import Plugin
-from rig.recording.recording_folder import Part
+from rig.effects.texts.effect_file_from_formula import Written
+from rig.effects.texts.user_effect_file_loading import Plugin
+from rig.recording.recording_folder import RecordingPart
 
 SCHEMA = "diagnosis/1"
 NOTHING = 0.2  # of the misfit held out, added in squares, that a finding must take away to be more than significant
@@ -146,10 +146,10 @@ class SuggestionEntry:
     model: Written
 
 
-def suggestion_entries(found: Sequence[Suggestion]) -> tuple[SuggestionEntry, ...]:
-    """Entries of what is suggested, in its order."""
+def suggested_formula_entries(suggestions: Sequence[Suggestion]) -> tuple[SuggestionEntry, ...]:
+    """Entries of suggested formulas, in their order."""
     out = []
-    for s in found:
+    for s in suggestions:
         units = {p.name: p.unit for p in s.effect.parameters_at(s.place)}
         parameters = {name: Value(value, units[name], [low, high]) for name, (value, low, high) in s.intervals.items()}
         out.append(
@@ -182,10 +182,10 @@ class EffectsFile:
     effects: tuple[str, ...]
 
 
-def effects_files(own: tuple[Plugin, ...]) -> tuple[EffectsFile, ...]:
-    """Entries of files of effects, in their order."""
+def effect_file_entries(plugins: tuple[Plugin, ...]) -> tuple[EffectsFile, ...]:
+    """Entries of a user's effect files, in their order: file name, hash and effects."""
     return tuple(
-        EffectsFile(plugin.path.name, plugin.sha256, tuple(kind.name for kind in plugin.kinds)) for plugin in own
+        EffectsFile(plugin.path.name, plugin.sha256, tuple(kind.name for kind in plugin.kinds)) for plugin in plugins
     )
 
 
@@ -197,14 +197,14 @@ class CovariateEntry:
     explains: dict[str, ShareEntry]
 
 
-def covariate_entries(found: list[Covariate]) -> tuple[CovariateEntry, ...]:
+def covariate_entries(covariates: list[Covariate]) -> tuple[CovariateEntry, ...]:
     """Entries of ranked covariates, in their order."""
     return tuple(
         CovariateEntry(
             c.name,
             {what: ShareEntry(s.share, c.after[what].share, c.after[what].p_value) for what, s in c.before.items()},
         )
-        for c in found
+        for c in covariates
     )
 
 
@@ -219,7 +219,7 @@ class RecordingEntry:
     t_s: float
 
 
-def recording_entries(parts: tuple[Part, ...]) -> tuple[RecordingEntry, ...]:
+def recording_entries(parts: tuple[RecordingPart, ...]) -> tuple[RecordingEntry, ...]:
     """Entries of several recordings' parts; none for one alone."""
     return tuple(RecordingEntry(part.recording.name, part.frames, part.t) for part in parts)
 
@@ -234,7 +234,7 @@ def json_tree(value: object) -> object:
     return [json_tree(v) for v in value] if isinstance(value, (list, tuple)) else value
 
 
-def stated_beforehand(given: StatedTerms, effect: str, place: str) -> str | None:
-    r"""What was stated beforehand of an effect at a place: \"assumed\", \"before\", or nothing."""
+def kind_of_statement_beforehand(stated_terms: StatedTerms, effect: str, place: str) -> str | None:
+    r"""Kind of statement made beforehand of an effect at a place: assumed, seen before, or None."""
     site = (effect, place)
-    return ASSUMED if site in given.assumed else SEEN_BEFORE if site in given.before else None
+    return ASSUMED if site in stated_terms.assumed else SEEN_BEFORE if site in stated_terms.before else None

@@ -10,10 +10,16 @@ from calib.diagnosis.report.diagnosis_json import FindingEntry
 from calib.diagnosis.report.diagnosis_report import Report, diagnosis_verdict
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_elements import folding_section, heading, note, paragraph, table
-from rig.report.pages.page_and_svg_templates import Link, Page, write_page
-from rig.report.pages.plots import panel_row
-from rig.report.pages.view_3d import view_scripts
+from rig.report.pages.html_and_svg_elements import (
+    folding_section_html,
+    heading_html,
+    note_html,
+    paragraph_html,
+    table_html,
+)
+from rig.report.pages.image_plane_and_3d_views import view_scripts
+from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
+from rig.report.pages.plots import panel_row_html
 from vision.effect_sketches import effect_sketch
 
 DOTS = (
@@ -42,71 +48,75 @@ class View(Protocol):
         """[(what, value)] of how it was measured."""
 
 
-def machine_view(d: Diagnosis, recording: Recording, report: Report) -> View:
-    """View of a Diagnosis, by what was measured: only what that takes is imported. report : its Report"""
-    first = len(d.measured_findings)
-    entries = report.findings[first : first + len(d.findings)]
-    if d.evidence.family == "joints":
+def arm_or_platform_page_view(diagnosis: Diagnosis, recording: Recording, report: Report) -> View:
+    """Page view of a Diagnosis: ArmView or PlatformView, by what was measured. report : its Report"""
+    first = len(diagnosis.measured_findings)
+    entries = report.findings[first : first + len(diagnosis.findings)]
+    if diagnosis.evidence.family == "joints":
         from calib.diagnosis.report.arm_page_figures import ArmView
 
-        return ArmView(d, entries)
+        return ArmView(diagnosis, entries)
     from calib.diagnosis.report.platform_page_figures import PlatformView
 
-    return PlatformView(d, entries, recording)
+    return PlatformView(diagnosis, entries, recording)
 
 
 def diagnosis_page(path: Path, report: Report, view: View, links: Sequence[Link] = ()) -> None:
     """Write the diagnosis page of a Report: one offline HTML file."""
-    parts = [paragraph(report_sentences.held_out_sentence(report.fit, bool(report.named)))]
+    parts = [paragraph_html(report_sentences.held_out_sentence(report.fit, bool(report.named)))]
     main = report.mattering or report.named
     slight = [f for f in report.named if not any(f is m for m in main)]
     if report.findings:
-        parts += [heading("Where"), view.where([f.place for f in (*main, *report.unknown, *slight)])]
+        parts += [heading_html("Where"), view.where([f.place for f in (*main, *report.unknown, *slight)])]
     for number, finding in enumerate(main):
         title = (
             report_sentences.finding_title(finding)
             + report_sentences.finding_size_text(finding)
             + report_sentences.stated_beforehand_text(finding)
         )
-        parts += [heading(f"{number + 1}. {title}"), *_finding(finding, view)]
+        parts += [heading_html(f"{number + 1}. {title}"), *_finding(finding, view)]
     if slight:
         parts += [
-            heading("Significant, and of little account"),
-            paragraph("These are there beyond chance; without them, what was held out would be predicted as well."),
+            heading_html("Significant, and of little account"),
+            paragraph_html(
+                "These are there beyond chance; without them, what was held out would be predicted as well."
+            ),
         ]
     for finding in slight:
         title = report_sentences.finding_title(finding) + report_sentences.finding_size_text(finding)
-        parts += [heading(title + report_sentences.stated_beforehand_text(finding), 3), *_slight(finding)]
+        parts += [heading_html(title + report_sentences.stated_beforehand_text(finding), 3), *_slight(finding)]
     shown = view.in_space()
-    parts += [heading("In three dimensions"), *shown] if shown else []
-    parts += [heading("What remains"), *_remaining(report, view)]
+    parts += [heading_html("In three dimensions"), *shown] if shown else []
+    parts += [heading_html("What remains"), *_remaining(report, view)]
     parts += _suggestions(report)
     if report.covariates:
         parts += [
-            heading("What it goes with"),
-            paragraph(
+            heading_html("What it goes with"),
+            paragraph_html(
                 "Share of the squares left that smooth functions of one covariate explain, beyond what as "
                 "many numbers do by chance: "
                 "with nothing admitted, and with all that was found. Covariates that go together share what "
                 "they explain."
             ),
-            table(*report_sentences.covariate_table(report.covariates)),
+            table_html(*report_sentences.covariate_table(report.covariates)),
         ]
     if report.remarks:
         parts += [
-            heading("There, and nobody's fault"),
-            paragraph(
+            heading_html("There, and nobody's fault"),
+            paragraph_html(
                 "Beyond chance, and no more than parts and instruments may do on their own: nothing to be "
                 "done about it."
             ),
-            table(("what", "size", "why it is no finding"), [report_sentences.remark_row(r) for r in report.remarks]),
+            table_html(
+                ("what", "size", "why it is no finding"), [report_sentences.remark_row(r) for r in report.remarks]
+            ),
         ]
     parts += _left_out(report)
     parts += [
-        heading("What was asked"),
+        heading_html("What was asked"),
         *_asked(report),
-        heading("The measurement"),
-        table(("what", "value"), _measurement(report, view)),
+        heading_html("The measurement"),
+        table_html(("what", "value"), _measurement(report, view)),
     ]
     verdict = diagnosis_verdict(report)
     write_page(
@@ -117,11 +127,11 @@ def diagnosis_page(path: Path, report: Report, view: View, links: Sequence[Link]
 
 def _finding(finding: FindingEntry, view: View) -> list[str]:
     plot, sure = view.plot(finding), report_sentences.evidence_sentence(finding)
-    parts = [] if plot is None else [plot, note(DOTS)]
-    parts.append(table(("parameter", "value", "95 % interval"), report_sentences.parameter_rows(finding)))
-    parts += [paragraph(sure)] if sure else []
-    parts += [paragraph(report_sentences.as_sentence(finding.unusual))] if finding.unusual else []
-    parts += [paragraph(f"What to do: {finding.action}")] if finding.action else []
+    parts = [] if plot is None else [plot, note_html(DOTS)]
+    parts.append(table_html(("parameter", "value", "95 % interval"), report_sentences.parameter_rows(finding)))
+    parts += [paragraph_html(sure)] if sure else []
+    parts += [paragraph_html(report_sentences.as_sentence(finding.unusual))] if finding.unusual else []
+    parts += [paragraph_html(f"What to do: {finding.action}")] if finding.action else []
     return parts + _alternatives(finding) + _sketched(finding.effect)
 
 
@@ -131,29 +141,33 @@ def _sketched(name: str) -> list[str]:
         return []
     sketch, said = effect_sketch(BY_NAME[name]), f"What {BY_NAME[name].label()} does"
     return [
-        folding_section(
-            said, paragraph(f"As the catalogue of effects shows it: {sketch.words}."), panel_row(*sketch.figures)
+        folding_section_html(
+            said,
+            paragraph_html(f"As the catalogue of effects shows it: {sketch.words}."),
+            panel_row_html(*sketch.figures),
         )
     ]
 
 
 def _slight(finding: FindingEntry) -> list[str]:
-    action = [paragraph(f"What to do: {finding.action}")] if finding.action else []
-    return [paragraph(report_sentences.evidence_sentence(finding)), *action, *_alternatives(finding)]
+    action = [paragraph_html(f"What to do: {finding.action}")] if finding.action else []
+    return [paragraph_html(report_sentences.evidence_sentence(finding)), *action, *_alternatives(finding)]
 
 
 def _alternatives(finding: FindingEntry) -> list[str]:
     others = finding.cannot_be_told_from
     if others:
         return [
-            paragraph("What else it could be, for all that this recording says, and the experiment that would tell:"),
-            table(
+            paragraph_html(
+                "What else it could be, for all that this recording says, and the experiment that would tell:"
+            ),
+            table_html(
                 ("effect", "place", "worse by", "experiment"),
                 [(a.effect.replace("_", " "), a.place, f"{a.delta_bic:.1f}", a.experiment) for a in others],
             ),
         ]
     return (
-        [paragraph("Nothing else in the catalogue explains it as well.")]
+        [paragraph_html("Nothing else in the catalogue explains it as well.")]
         if finding.evidence.delta_bic is not None
         else []
     )
@@ -164,7 +178,7 @@ def _remaining(report: Report, view: View) -> list[str]:
     if not report.unknown:
         return [
             levels,
-            paragraph(
+            paragraph_html(
                 "What remains looks like noise: no dependence on pose, time, history, image position or a "
                 "logged channel was "
                 "found."
@@ -182,8 +196,8 @@ def _remaining(report: Report, view: View) -> list[str]:
     ]
     return [
         levels,
-        paragraph(report_sentences.unexplained_sentence(report.unknown)),
-        table(("place", "size (RMS)", "goes with", "chance"), rows),
+        paragraph_html(report_sentences.unexplained_sentence(report.unknown)),
+        table_html(("place", "size (RMS)", "goes with", "chance"), rows),
         *pictures,
     ]
 
@@ -192,22 +206,24 @@ def _left_out(report: Report) -> list[str]:
     """The rows that were left out before anything was searched, each with its reason."""
     if not report.left_out and report.crowd is None:
         return []
-    parts = [heading("Left out before anything was searched")]
+    parts = [heading_html("Left out before anything was searched")]
     parts += (
         []
         if report.crowd is None
-        else [paragraph(report_sentences.as_sentence(report_sentences.many_outliers_sentence(report.crowd)))]
+        else [
+            paragraph_html(report_sentences.as_sentence(report_sentences.outliers_not_excluded_sentence(report.crowd)))
+        ]
     )
     if report.left_out:
         rows = [report_sentences.excluded_row_texts(one) for one in report.left_out]
         parts += [
-            paragraph(
+            paragraph_html(
                 f"{report_sentences.row_count_text(len(rows))} far off all that the rest of the recording "
                 "allows, and no neighbour in time or "
                 f"configuration "
                 "shows the same. The findings do not rest on these rows."
             ),
-            table(("frame", "where", "how far off", "why"), rows),
+            table_html(("frame", "where", "how far off", "why"), rows),
         ]
     return parts
 
@@ -217,22 +233,22 @@ def _suggestions(report: Report) -> list[str]:
     parts = []
     for entry in report.suggestions:
         parts += [
-            heading(f"A formula for what is at {entry.place}", 3),
-            paragraph(report_sentences.formula_suggestion_sentences(entry)),
-            table(("parameter", "value", "95 % interval"), report_sentences.suggestion_rows(entry)),
+            heading_html(f"A formula for what is at {entry.place}", 3),
+            paragraph_html(report_sentences.formula_suggestion_sentences(entry)),
+            table_html(("parameter", "value", "95 % interval"), report_sentences.suggested_formula_rows(entry)),
         ]
     return parts
 
 
 def _asked(report: Report) -> list[str]:
-    asked = [paragraph(f"{report.asked} hypotheses, an effect at a place each, were held against the recording.")]
-    asked += [paragraph(f"Said by the operator beforehand: {'; '.join(report.said)}.")] if report.said else []
+    asked = [paragraph_html(f"{report.asked} hypotheses, an effect at a place each, were held against the recording.")]
+    asked += [paragraph_html(f"Said by the operator beforehand: {'; '.join(report.said)}.")] if report.said else []
     files = "; ".join(f"{f.file} ({', '.join(f.effects)}; sha256 {f.sha256})" for f in report.own_effects)
-    asked += [paragraph(f"Effects of the operator's own: {files}.")] if files else []
+    asked += [paragraph_html(f"Effects of the operator's own: {files}.")] if files else []
     if not report.not_asked:
-        return [*asked, paragraph("The whole catalogue could be asked for.")]
+        return [*asked, paragraph_html("The whole catalogue could be asked for.")]
     rows = [(s.effect.replace("_", " "), s.reason) for s in report.not_asked]
-    return [*asked, folding_section(f"{len(rows)} could not be", table(("effect", "why"), rows))]
+    return [*asked, folding_section_html(f"{len(rows)} could not be", table_html(("effect", "why"), rows))]
 
 
 def _measurement(report: Report, view: View) -> list[tuple[str, object]]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from calib.certification.calibration_evidence import ALONE, OfCalibrations, confound_sentences
 from calib.diagnosis.engine.selection_inputs import Crowd, LeftOut
-from calib.diagnosis.problems.measured_evidence import ASSUMED_NOISE, RESIDUALS, STATED
+from calib.diagnosis.problems.evidence_interface import ASSUMED_NOISE, RESIDUALS, STATED
 from calib.diagnosis.report import report_sentences
 from calib.diagnosis.report.diagnosis_json import (
     SCHEMA,
@@ -27,15 +27,15 @@ from calib.diagnosis.report.report_sentences import (
     as_sentence,
     finding_size_text,
     finding_title,
-    many_outliers_sentence,
+    outliers_not_excluded_sentence,
     stated_beforehand_text,
     value_text,
 )
 from calib.samples.confounded_conditions import Confounds
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.formats.output_files import write_text
-from rig.report.pages.html_elements import result_html
-from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
+from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
 
 ROWS = "Look at the rows that were left out, below: record those configurations once more"
 TAKE_IN = "Let the calibration take it in: `rig calibrate REC --diagnosis DIR --out calibration.json`"
@@ -145,7 +145,7 @@ def summary_sentence(report: Report) -> str:
 def _all_clear_sentence(report: Report) -> str:
     """What it is worth that nothing was found: nothing, where nobody states the noise."""
     if report.crowd is not None:
-        return f"Nothing in the catalogue was found, and {many_outliers_sentence(report.crowd)}."
+        return f"Nothing in the catalogue was found, and {outliers_not_excluded_sentence(report.crowd)}."
     if report.noise_from == ASSUMED_NOISE:
         return (
             "Nothing was found, which proves nothing: nobody states the noise of the poses, and what is left "
@@ -162,9 +162,9 @@ def diagnosis_verdict(report: Report) -> Verdict:
     """The verdict of a Report: check where something that matters is left out of the model or has no name, or where a
     calibration made from the recording leaves something unexplained; bad where the recording refutes such a
     calibration."""
-    left, rest, steps = unexplained_sentences(report), doubts(report), recommended_actions(report)
+    left, rest, steps = unexplained_sentences(report), doubts_of_report(report), recommended_actions(report)
     besides = tuple(
-        Missing(text, TAKE_IN)
+        MissingEvidence(text, TAKE_IN)
         for text in report.calibrations.unexplained
         if text not in (*left, *(one.text for one in rest))
     )
@@ -206,15 +206,17 @@ def unexplained_sentences(report: Report, known_physics: Collection[tuple[str, s
     return tuple(dict.fromkeys([*named, *unknown]))
 
 
-def doubts(report: Report) -> tuple[Missing, ...]:
+def doubts_of_report(report: Report) -> tuple[MissingEvidence, ...]:
     """Doubts of a Report: what it assumes and nobody has shown."""
     missing = []
     if report.noise_from == ASSUMED_NOISE:
-        missing.append(Missing("nobody states the noise of the poses, against which anything left out would show"))
+        missing.append(
+            MissingEvidence("nobody states the noise of the poses, against which anything left out would show")
+        )
     if report.left_out:
         count = len(report.left_out)
         agreeing = f"{count} rows agree with no others and were" if count > 1 else "1 row agrees with no others and was"
-        missing.append(Missing(f"{agreeing} left out", ROWS))
+        missing.append(MissingEvidence(f"{agreeing} left out", ROWS))
     return tuple(missing)
 
 

@@ -7,11 +7,11 @@ import numpy as np
 from calib.diagnosis.engine.problem_interface import Fit
 from calib.diagnosis.engine.selection_inputs import C
 from calib.diagnosis.engine.term_selection import Selection
-from calib.diagnosis.problems.measured_evidence import PoseContributions
+from calib.diagnosis.problems.evidence_interface import PoseContributions
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from rig.recording.recording_tables import write_table
+from rig.report.pages.html_and_svg_elements import svg_figure, svg_text, svg_tooltip
 from rig.report.pages.plots import COLOURS
-from rig.report.pages.svg_elements import svg_figure, svg_text, tooltip
 
 WORST = 24  # poses that are drawn
 ROW, START, END = 16.0, 60.0, 392.0  # units of a figure: of a pose; where bars begin and end
@@ -35,8 +35,8 @@ def write_contributions(path: Path, diagnosis: Diagnosis) -> None:
     )
 
 
-def contribution_figure(evidence: PoseContributions[Fit, C], selection: Selection[Fit, C]) -> str:
-    """Figure of contributions at the worst poses, a stacked bar for each."""
+def worst_pose_contribution_figure(evidence: PoseContributions[Fit, C], selection: Selection[Fit, C]) -> str:
+    """Figure of the findings' contributions at the worst poses, a stacked bar for each pose."""
     frames, names, sizes = evidence.contributions(selection)
     worst = np.argsort(-sizes[:, :-1].sum(axis=1))[:WORST]
     scale = (END - START) / float(sizes[worst].sum(axis=1).max())
@@ -50,7 +50,7 @@ def contribution_figure(evidence: PoseContributions[Fit, C], selection: Selectio
             parts.append(
                 f'<rect class="fill {_colour(which, len(names))}" x="{at:.1f}" y="{y:.1f}" '
                 f'width="{wide:.1f}" height="{ROW - 3:g}">'
-                f"{tooltip(said)}</rect>"
+                f"{svg_tooltip(said)}</rect>"
             )
             at += wide
     for k, name in enumerate(names):

@@ -8,18 +8,17 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
-from calib.report.pose_figures import closed_outline
-from rig.arrays import Floats
-from rig.effects.framework.place import Place
+from calib.report.pose_figures_and_effect_displacements import closed_outline
+from rig.array_types import Floats
+from rig.effects.framework.effect_data_types import Place
 from rig.model import mechanisms
 from rig.model.design import Camera
-from rig.model.mechanism_geometry import Arm, Chain, Hexapod, Planar2
+from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import chain as chains
 from rig.model.pose import transform_points
-from rig.report.pages.html_elements import list_html
-from rig.report.pages.plots import panel_row
-from rig.report.pages.svg_elements import WIDTH, svg_figure, svg_text, tooltip
+from rig.report.pages.html_and_svg_elements import WIDTH, list_html, svg_figure, svg_text, svg_tooltip
+from rig.report.pages.plots import panel_row_html
 from vision.targets import marker_map
 
 AZIMUTH, ELEVATION = np.radians(-65), np.radians(24)  # from where the rig is looked at
@@ -72,7 +71,7 @@ class Outline:
                 + ("Z" if style != "outline" else "")
             )
             marked = f" marked c{colour}" if colour != PLAIN else ""
-            parts.append(f'<path class="{style}{marked}" d="{d}">{tooltip(said) if said else ""}</path>')
+            parts.append(f'<path class="{style}{marked}" d="{d}">{svg_tooltip(said) if said else ""}</path>')
         for point, words, colour in self._words:
             x, y = placed(point).tolist()
             parts.append(
@@ -194,7 +193,7 @@ def arm_outline_figures(arm: Arm | Chain, q: Floats, marked_joints: dict[int, di
         _view(title, at[ghosts][:, :, [a, b]], at[typical][:, [a, b]], joints[typical][:, [a, b]], marks)
         for (a, b), title in VIEWS
     ]
-    return panel_row(*views) + (list_html(said.values()) if said else "")
+    return panel_row_html(*views) + (list_html(said.values()) if said else "")
 
 
 class Mark(NamedTuple):
@@ -233,7 +232,7 @@ def _view(title: str, ghosts: Floats, points: Floats, joints: Floats, marks: lis
         parts += [
             f'<circle class="joint{"" if mark.size is None else " marked"}" cx="{x:.1f}" cy="{y:.1f}" '
             f'r="{8 + 5 * (mark.size or 0.0):.1f}">'
-            f"{tooltip(mark.said)}</circle>",
+            f"{svg_tooltip(mark.said)}</circle>",
             svg_text(x, y + 4, str(j + 1), "middle", "within"),
         ]
     return svg_figure(
@@ -248,14 +247,14 @@ def _points(q: Floats, arm: Arm | Chain) -> tuple[Floats, Floats]:
     whatever stands where.
     """
     if isinstance(arm, Arm):
-        at = (mechanism.frames(q, arm)[..., :3, 3] - arm.base.translation) @ arm.base.rotation.as_matrix()
+        at = (mechanism.link_frames(q, arm)[..., :3, 3] - arm.base.translation) @ arm.base.rotation.as_matrix()
         return at, at[:, : len(arm.joints)]
     outline: list[Floats] = []
     joints: list[Floats] = []
     below = np.broadcast_to(np.eye(4), (len(q), 4, 4))
     for (stage, own), T in zip(chains.stages_and_values(q, arm), chains.stage_transforms(q, arm)):
         if isinstance(stage, Arm):
-            links = mechanism.frames(own, stage)[..., :3, 3]
+            links = mechanism.link_frames(own, stage)[..., :3, 3]
             outline, joints = [*outline, _in(below, links)], [*joints, _in(below, links[:, : len(stage.joints)])]
         else:  # a strut is marked at its foot
             feet, _ = chains.KINDS[stage.kind].ends(T, stage)

@@ -5,26 +5,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel
-from calib.diagnosis.problems.platform.simultaneous_refinement import Refined
+from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report.diagnosis_json import FindingEntry
 from calib.diagnosis.report.machine_outline import rig_outline_figure
-from calib.diagnosis.report.residual_figures import held_out_gain_table, repeat_rows, residuals_in_time_figure
+from calib.diagnosis.report.residual_figures import held_out_gain_table, repeatability_rows, residuals_in_time_figure
 from calib.diagnosis.report.residual_plots import (
     effect_residual_figures,
     image_residual_figures,
     model_residuals,
     residuals_without_effects,
 )
-from calib.report.pose_figures import rig_scene
-from calib.samples.effect_playback import effect_displacements
-from rig.arrays import Floats
-from rig.effects.framework.place import Place
+from calib.report.pose_figures_and_effect_displacements import effect_displacements, rig_scene
+from rig.array_types import Floats
+from rig.effects.framework.effect_data_types import Place
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_elements import heading
-from rig.report.pages.plots import bar_chart, panel_row
-from rig.report.pages.view_3d import Effect as Shown
-from rig.report.pages.view_3d import view_3d_html
+from rig.report.pages.html_and_svg_elements import heading_html
+from rig.report.pages.image_plane_and_3d_views import DrawnEffect as Shown
+from rig.report.pages.image_plane_and_3d_views import view_3d_html
+from rig.report.pages.plots import bar_chart_svg, panel_row_html
 
 FAR = 10.0  # standard deviations; a corner farther off counts for no more in the page's bars
 PICTURED = 3  # of what is unknown
@@ -42,9 +41,9 @@ class PlatformView:
     recording: Recording
 
     @property
-    def refined(self) -> Refined:
+    def refined(self) -> Refinement:
         """All that is free, refined with all findings."""
-        refined: Refined = self.diagnosis.selection.fit.refined
+        refined: Refinement = self.diagnosis.selection.fit.refined
         return refined
 
     def where(self, places: list[str]) -> str:
@@ -75,7 +74,10 @@ class PlatformView:
         struts, corners = residuals_without_effects(refined)
         parts: list[str] = [_levels(self.diagnosis, struts)]
         if self.diagnosis.findings and self.diagnosis.regions:
-            parts += [heading("What each finding brings on frames held out", 3), held_out_gain_table(self.diagnosis)]
+            parts += [
+                heading_html("What each finding brings on frames held out", 3),
+                held_out_gain_table(self.diagnosis),
+            ]
         for f in unknown[:PICTURED]:
             place = Place.parse(f.place)
             if place.kind == "strut":
@@ -96,7 +98,7 @@ class PlatformView:
             ("time", f"{np.ptp(k.t) / 60:.1f} min"),
             ("corners", len(k.observed.observations) if k.seen is not None else "none"),
             ("sensors", ", ".join(rec.sensors.channels) if rec.sensors is not None else "none"),
-            *repeat_rows(self.diagnosis),
+            *repeatability_rows(self.diagnosis),
         ]
 
 
@@ -112,9 +114,9 @@ def _levels(d: Diagnosis, struts: Floats) -> str:
         )
     if k.seen is not None:
         rows.append(_camera_levels(refined.model, before.model))
-    return panel_row(
+    return panel_row_html(
         *(
-            bar_chart(
+            bar_chart_svg(
                 "what is left, RMS",
                 labels,
                 [

@@ -1,4 +1,4 @@
-"""A Diagnosis of any machine -> its Report, and the folder that states it: diagnosis.json, and what it takes to draw
+"""Entries of a Report made from a Diagnosis, and the folder written: diagnosis.json, and what it takes to draw
 the recording anew as it was found.
 """
 
@@ -10,7 +10,7 @@ from typing import Any
 from calib.diagnosis.engine.cross_validation import CrossValidation
 from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit import LackOfFit, first_of_each_place
-from calib.diagnosis.problems.measured_evidence import MeasuredFinding, Misfit, ScatterSize, Value
+from calib.diagnosis.problems.evidence_interface import MeasuredFinding, Misfit, ScatterSize, Value
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report import finding_contributions
 from calib.diagnosis.report.diagnosis_json import (
@@ -23,10 +23,10 @@ from calib.diagnosis.report.diagnosis_json import (
     RemarkEntry,
     Unexplained,
     covariate_entries,
-    effects_files,
+    effect_file_entries,
+    kind_of_statement_beforehand,
     recording_entries,
-    stated_beforehand,
-    suggestion_entries,
+    suggested_formula_entries,
 )
 from calib.diagnosis.report.diagnosis_report import Report, write_diagnosis_json
 from calib.diagnosis.report.residual_figures import held_out_entries
@@ -37,34 +37,34 @@ from rig.formats.output_files import write_text
 from rig.recording.recording_folder import Recording
 
 
-def diagnosis_report(d: Diagnosis) -> Report:
+def diagnosis_report(diagnosis: Diagnosis) -> Report:
     """Report of a Diagnosis."""
-    found = [_measured(one) for one in d.measured_findings]
-    found += [_finding(d, f, proof) for f, proof in zip(d.findings, d.cross_validations)]
-    fits = {name: _fit_entry(fit) for name, fit in d.misfits.items()}
-    noise = asdict(d.noise)
+    found = [_measured(one) for one in diagnosis.measured_findings]
+    found += [_finding(diagnosis, f, proof) for f, proof in zip(diagnosis.findings, diagnosis.cross_validations)]
+    fits = {name: _fit_entry(fit) for name, fit in diagnosis.misfits.items()}
+    noise = asdict(diagnosis.noise)
     noise_from = noise.pop("source")
     return Report(
-        d.recording,
-        d.origin.shown(0.0),
+        diagnosis.recording,
+        diagnosis.origin.shown(0.0),
         noise,
-        (*found, *unnamed_finding_entries(d.left)),
-        largest_unexplained(d),
+        (*found, *unnamed_finding_entries(diagnosis.left)),
+        largest_unexplained(diagnosis),
         fits,
-        fits[d.shown_in],
-        tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked),
-        tuple(_remark_entries(d)),
-        covariate_entries(d.covariates),
-        d.options.said,
-        recording_entries(d.parts),
-        effects_files(d.options.own),
-        suggestion_entries(d.suggestions),
-        more=held_out_entries(d),
-        confounds=d.confounds,
+        fits[diagnosis.shown_in],
+        tuple(NotAskedEntry(s.effect, s.reason) for s in diagnosis.not_asked),
+        tuple(_remark_entries(diagnosis)),
+        covariate_entries(diagnosis.covariates),
+        diagnosis.options.said,
+        recording_entries(diagnosis.parts),
+        effect_file_entries(diagnosis.options.own),
+        suggested_formula_entries(diagnosis.suggestions),
+        more=held_out_entries(diagnosis),
+        confounds=diagnosis.confounds,
         noise_from=noise_from,
-        left_out=d.outliers.left_out,
-        crowd=d.outliers.crowd,
-        asked=d.selection.asked,
+        left_out=diagnosis.outliers.left_out,
+        crowd=diagnosis.outliers.crowd,
+        asked=diagnosis.selection.asked,
     )
 
 
@@ -105,7 +105,7 @@ def _finding(d: Diagnosis, finding: Finding[Any], proof: CrossValidation) -> Fin
         evidence,
         others,
         kind.action_at(place),
-        stated_beforehand(d.options.given, candidate.name, place),
+        kind_of_statement_beforehand(d.options.given, candidate.name, place),
         unusual_size_reason(kind, place, parameters),
     )
 
@@ -121,41 +121,41 @@ def _remark_entries(d: Diagnosis) -> list[RemarkEntry]:
                 terms[f.number].name,
                 terms[f.number].place,
                 d.evidence.parameters(d.selection, f, d.origin),
-                tolerance_reason_sentence(reason),
+                remark_reason_sentence(reason),
                 min(1.0, f.score.p_value * d.selection.asked),
             )
         )
     out += [
-        RemarkEntry(UNKNOWN, u.place, _size_of(u), tolerance_reason_sentence(reason), u.p_value)
+        RemarkEntry(UNKNOWN, u.place, _size_of(u), remark_reason_sentence(reason), u.p_value)
         for u, reason in d.tolerable.left
     ]
     return out + [
-        RemarkEntry(r.effect, r.place, r.parameters, tolerance_reason_sentence(r.reason), r.p_value)
+        RemarkEntry(r.effect, r.place, r.parameters, remark_reason_sentence(r.reason), r.p_value)
         for r in d.tolerable.remarks
     ]
 
 
-def tolerance_reason_sentence(reason: str) -> str:
-    """A remark's reason in a sentence."""
+def remark_reason_sentence(reason: str) -> str:
+    """Sentence with the reason of a remark."""
     return f"No more than {reason}."
 
 
-def largest_unexplained(d: Diagnosis) -> Unexplained | None:
-    """The most convincing of what is left, else what poses scatter beyond a statement of their noise, or None."""
-    if d.left:
-        first = d.left[0]
+def largest_unexplained(diagnosis: Diagnosis) -> Unexplained | None:
+    """Largest unexplained lack of fit of a Diagnosis, else the scatter of poses beyond their stated noise, or N"""
+    if diagnosis.left:
+        first = diagnosis.left[0]
         return Unexplained(first.place, first.magnitude, first.unit, first.depends_on)
-    if isinstance(d.evidence, ScatterSize):
-        beyond, unstated = d.evidence.scatter_beyond_stated(d.selection)
+    if isinstance(diagnosis.evidence, ScatterSize):
+        beyond, unstated = diagnosis.evidence.scatter_beyond_stated(diagnosis.selection)
         return Unexplained("rig", beyond, "m", ()) if unstated else None
     return None
 
 
-def unnamed_finding_entries(left: list[LackOfFit]) -> list[FindingEntry]:
-    """What is left as findings without a name, one for each place."""
+def unnamed_finding_entries(lacks_of_fit: list[LackOfFit]) -> list[FindingEntry]:
+    """Entries of findings without a name, one for each place with a lack of fit."""
     return [
         FindingEntry(UNKNOWN, u.place, _size_of(u), Evidence(p_value=u.p_value, delta_chi2=u.delta_chi2))
-        for u in first_of_each_place(left)
+        for u in first_of_each_place(lacks_of_fit)
     ]
 
 
@@ -168,7 +168,7 @@ def _fit_entry(fit: Misfit) -> FitEntry:
 
 
 def separating_experiment_text(*sites: tuple[type[Effect], str]) -> str:
-    """What would tell two hypotheses, an effect at a place each, apart, in words."""
+    """Text on the experiment that would separate two hypotheses, an effect at a place each."""
     names, shown = [kind.name for kind, _ in sites], [kind.experiment_at(place) for kind, place in sites]
     return shown[0] if names[0] == names[1] else "; ".join(f"{name}: {text}" for name, text in zip(names, shown))
 
@@ -178,18 +178,18 @@ def unusual_size_reason(kind: type[Effect], place: str, parameters: dict[str, Va
     return kind.unusual(place, {key: value.value for key, value in parameters.items()})
 
 
-def write_diagnosis(folder: Path, d: Diagnosis, recording: Recording, report: Report) -> None:
-    """Write diagnosis.json into a folder and, where a machine was commanded, what it takes to simulate it as found:
+def write_diagnosis_folder(folder: Path, diagnosis: Diagnosis, recording: Recording, report: Report) -> None:
+    """Write the folder of a diagnosis: diagnosis.json and, where a machine was commanded, what to simulate it by:
     machine.json, the recording's own rig.toml, commands, frames and sensors, and what each finding does to each pose
     where that is known.
     report : Report of d"""
     write_diagnosis_json(folder, report)
-    if d.design is None:
+    if diagnosis.design is None:
         return
-    tree = machine_json.machine_dict(d.design, d.machine_effects)
+    tree = machine_json.machine_dict(diagnosis.design, diagnosis.machine_effects)
     write_text(folder / "machine.json", json.dumps(tree) + "\n")
     copy_recording(folder, recording)
-    finding_contributions.write_contributions(folder / "contributions.csv", d)
+    finding_contributions.write_contributions(folder / "contributions.csv", diagnosis)
 
 
 def copy_recording(folder: Path, recording: Recording) -> None:

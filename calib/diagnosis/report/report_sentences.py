@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.diagnosis.engine.selection_inputs import Crowd, LeftOut
-from calib.diagnosis.problems.measured_evidence import Value
+from calib.diagnosis.problems.evidence_interface import Value
 from calib.diagnosis.report.diagnosis_json import (
     ASSUMED,
     CovariateEntry,
@@ -92,37 +92,37 @@ def as_sentence(text: str) -> str:
     return text[0].upper() + text[1:] + "."
 
 
-def excluded_row_texts(one: LeftOut) -> tuple[str, str, str, str]:
+def excluded_row_texts(row: LeftOut) -> tuple[str, str, str, str]:
     """Texts (frame, place, how far off, reason) of an excluded row."""
     return (
-        str(one.frame),
-        one.place,
-        f"{value_text(one.off, one.unit)}, {one.times:.0f} times the scatter of the others",
-        one.reason,
+        str(row.frame),
+        row.place,
+        f"{value_text(row.off, row.unit)}, {row.times:.0f} times the scatter of the others",
+        row.reason,
     )
 
 
 def row_count_text(count: int) -> str:
-    """Text of a count of rows that are off, as the beginning of a sentence."""
+    """Text of a count of rows with its verb, singular or plural."""
     return "1 row is" if count == 1 else f"{count} rows are"
 
 
-def many_outliers_sentence(found: Crowd) -> str:
-    """Sentence on why so many outliers were not excluded."""
+def outliers_not_excluded_sentence(crowd: Crowd) -> str:
+    """Sentence on outliers that were not excluded, since they are too many."""
     return (
-        f"{found.count} of {found.of} {found.what} are far off all others: too many to be mistakes of their "
+        f"{crowd.count} of {crowd.of} {crowd.what} are far off all others: too many to be mistakes of their "
         "own, so they were not left out, and "
         "something is left out of the model"
     )
 
 
-def held_out_sentence(fit: FitEntry, named: bool) -> str:
+def held_out_sentence(fit: FitEntry, has_named_findings: bool) -> str:
     """Sentence on the held-out error, on stretches that the fit had not seen."""
     before, after, floor = (
         value_text(value, fit.unit) for value in (fit.heldout_before, fit.heldout_after, fit.noise_floor)
     )
     ratio = f", {fit.heldout_after / fit.noise_floor:.2f} times the noise" if fit.noise_floor else ""
-    if not named:
+    if not has_named_findings:
         return f"On stretches of the recording that the fit had not seen, {after} are left over{ratio} ({floor})."
     return (
         f"On stretches of the recording that the fit had not seen, the misfit falls from {before} to "
@@ -165,7 +165,7 @@ def evidence_sentence(finding: FindingEntry) -> str:
 
 
 def unexplained_sentence(unknown: Sequence[FindingEntry]) -> str:
-    """What is unknown: functions that fit it, scatter that none does."""
+    """Sentence on what is unexplained: functions that fit it, or scatter that none fits."""
     fitted = [f for f in unknown if f.parameters["depends_on"].value]
     said = ["Something remains that nothing in the catalogue explains."]
     said += ["A smooth function fits it; it is given no name."] if fitted else []
@@ -182,7 +182,7 @@ def unexplained_sentence(unknown: Sequence[FindingEntry]) -> str:
 
 
 def formula_suggestion_sentences(entry: SuggestionEntry) -> str:
-    """What is suggested in place of a name, and how it did where it was not chosen, in sentences."""
+    """Sentences on a suggested formula in place of a name, and its error on data that did not choose it."""
     before, after, floor = (
         value_text(value, entry.unit) for value in (entry.heldout_before, entry.heldout_after, entry.noise)
     )
@@ -196,22 +196,22 @@ def formula_suggestion_sentences(entry: SuggestionEntry) -> str:
     )
 
 
-def suggestion_rows(entry: SuggestionEntry) -> list[tuple[str, str, str]]:
-    """[(parameter, value, 95 % interval)] of what is suggested, with units."""
+def suggested_formula_rows(entry: SuggestionEntry) -> list[tuple[str, str, str]]:
+    """Table rows [(parameter, value, 95 % interval)] of a suggested formula, with units."""
     return [
         (name, f"{p.value:.4g} {p.unit}", f"{p.ci95[0]:.4g} to {p.ci95[1]:.4g}" if p.ci95 else "")
         for name, p in entry.parameters.items()
     ]
 
 
-def covariate_table(found: Sequence[CovariateEntry]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """(heads, rows) of what is left against covariates: shares of the squares before and after, and the smallest chance
+def covariate_table(covariates: Sequence[CovariateEntry]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Table (heads, rows) of the remainder's covariates: shares of the squares and smallest chance before and
     after.
     """
-    looked_at = list(dict.fromkeys(what for c in found for what in c.explains))
+    looked_at = list(dict.fromkeys(what for c in covariates for what in c.explains))
     heads = ("goes with", *(f"{what}, {when}" for what in looked_at for when in ("before", "after")), "chance, after")
     rows = []
-    for c in found:
+    for c in covariates:
         shares = [c.explains.get(what) for what in looked_at]
         cells = [text for s in shares for text in ((f"{s.before:.1%}", f"{s.after:.1%}") if s else ("", ""))]
         rows.append((c.name.replace("_", " "), *cells, probability_text(min(s.p_value for s in c.explains.values()))))
@@ -257,12 +257,12 @@ def _interval(p: Value) -> str:
     return f"{text}; stands at its bound" if p.at_bound is not None else text
 
 
-def finding_line(finding: FindingEntry, few: int = 6) -> str:
+def finding_line(finding: FindingEntry, most_numbers: int = 6) -> str:
     """A finding in a line for a terminal, in SI units. few : numbers of a parameter that are printed; of more, how many
     there are
     """
     return f"{finding.effect} at {finding.place}: " + ", ".join(
-        _printed(name, p, few) for name, p in finding.parameters.items()
+        _printed(name, p, most_numbers) for name, p in finding.parameters.items()
     )
 
 

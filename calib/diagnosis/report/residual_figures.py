@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.diagnosis.problems.measured_evidence import (
+from calib.diagnosis.problems.evidence_interface import (
     HeldOutPoses,
     NestedSelection,
     RegionValidation,
@@ -11,11 +11,11 @@ from calib.diagnosis.problems.measured_evidence import (
     WeighedPoses,
 )
 from calib.diagnosis.recording_diagnosis import Diagnosis
-from rig.arrays import Floats
-from rig.formats.json_tree import Json
+from rig.array_types import Floats
+from rig.formats.json_type import Json
 from rig.model import mechanisms
-from rig.report.pages.html_elements import note, table
-from rig.report.pages.plots import Series, panel_row, plot_panel
+from rig.report.pages.html_and_svg_elements import note_html, table_html
+from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 
 BINS = 14  # of the covariate, with as many residuals each
 BEFORE, AFTER, GREY = 3, 0, -1  # colours of a figure
@@ -23,28 +23,30 @@ SCALES, UNITS = {"m": 1e6}, {"m": "µm"}  # in which misfits are shown
 SAME_ANGLE = 0.02  # rad; nearer angles than that share a joint's profile
 
 
-def residual_scatter_figure(x: Floats, label: str, both: list[Floats], y: str) -> str:
+def residual_scatter_figure(
+    x: Floats, covariate_label: str, residuals_before_and_after: list[Floats], residual_label: str
+) -> str:
     """Residuals before and after (m,) against a covariate x (m,), and those before against what the effect explains."""
-    limit = 1.15 * max(float(np.quantile(np.abs(v), 0.995)) for v in both) + 1e-12
-    explained = both[0] - both[1]
+    limit = 1.15 * max(float(np.quantile(np.abs(v), 0.995)) for v in residuals_before_and_after) + 1e-12
+    explained = residuals_before_and_after[0] - residuals_before_and_after[1]
     ends = np.array([explained.min(), explained.max()])
     panes = (
-        (x, both[0], "without it", BEFORE, label, ()),
-        (x, both[1], "with it", AFTER, label, ()),
+        (x, residuals_before_and_after[0], "without it", BEFORE, covariate_label, ()),
+        (x, residuals_before_and_after[1], "with it", AFTER, covariate_label, ()),
         (
             explained,
-            both[0],
+            residuals_before_and_after[0],
             "without it, against what it explains",
             BEFORE,
-            f"explained: {y}",
+            f"explained: {residual_label}",
             (Series(ends, ends, kind="line", colour=GREY),),
         ),
     )
-    return panel_row(
+    return panel_row_html(
         *(
-            plot_panel(
+            plot_panel_svg(
                 title,
-                (below, y),
+                (below, residual_label),
                 [Series(at, np.clip(values, -limit, limit), colour=GREY), _means(at, values, colour), *more],
                 limits=(-limit, limit),
                 level=0.0,
@@ -74,8 +76,8 @@ def _bins(x: Floats) -> list[Floats]:
     return [place == b for b in np.unique(place)]
 
 
-def residuals_in_time_figure(title: str, t: Floats, values: Floats, y: str) -> str:
-    """What is left (n,) at times t (n,) s, its running mean drawn in."""
+def residuals_in_time_figure(title: str, t: Floats, values: Floats, residual_label: str) -> str:
+    """Figure of residuals (n,) at times t (n,) s, with their running mean."""
     order, width = np.argsort(t), max(len(t) // 25, 1)
     ones = np.ones(width) / width
     mean = Series(
@@ -85,37 +87,37 @@ def residuals_in_time_figure(title: str, t: Floats, values: Floats, y: str) -> s
         "line",
         AFTER,
     )
-    return plot_panel(title, ("time, min", y), [Series(t / 60, values, colour=GREY), mean], level=0.0)
+    return plot_panel_svg(title, ("time, min", residual_label), [Series(t / 60, values, colour=GREY), mean], level=0.0)
 
 
-def held_out_entries(d: Diagnosis) -> Json:
-    """{key of diagnosis.json: its tree}, of what the evidence holds out beside the search."""
+def held_out_entries(diagnosis: Diagnosis) -> Json:
+    """Entries of diagnosis.json {key: tree} on held-out data: time stretches, travel regions and repeats."""
     out: Json = {}
-    if isinstance(d.evidence, ScatterSize):
-        out["scatter_beyond_stated_m"] = d.evidence.scatter_beyond_stated(d.selection)[0]
-    if isinstance(d.evidence, NestedSelection):
+    if isinstance(diagnosis.evidence, ScatterSize):
+        out["scatter_beyond_stated_m"] = diagnosis.evidence.scatter_beyond_stated(diagnosis.selection)[0]
+    if isinstance(diagnosis.evidence, NestedSelection):
         out["held_out"] = [
             {
                 "stretches": h.stretches,
-                "before": residual_statistics(h.before),
-                "after": residual_statistics(h.after),
-                **extrapolation_figures(h),
+                "before": position_error_statistics(h.before),
+                "after": position_error_statistics(h.after),
+                **errors_at_and_beyond_fitted_angles(h),
                 "chosen": [list(n) for n in h.names],
             }
-            for h in d.held
+            for h in diagnosis.held
         ]
-    if isinstance(d.evidence, RegionValidation):
-        out["held_out_by_region"] = held_out_region_gains(d)
-    if isinstance(d.evidence, RepeatedCommands):
-        out["repeats"] = repeat_figures(d)
-    if isinstance(d.evidence, WeighedPoses):
-        out["set_aside"] = d.evidence.frames_set_aside(d.selection)
+    if isinstance(diagnosis.evidence, RegionValidation):
+        out["held_out_by_region"] = held_out_region_gains(diagnosis)
+    if isinstance(diagnosis.evidence, RepeatedCommands):
+        out["repeats"] = repeatability_entry(diagnosis)
+    if isinstance(diagnosis.evidence, WeighedPoses):
+        out["set_aside"] = diagnosis.evidence.frames_set_aside(diagnosis.selection)
     return out
 
 
-def repeat_figures(d: Diagnosis) -> Json | None:
-    """How well poses repeat; None where too few commands were given twice."""
-    again = d.repeats
+def repeatability_entry(diagnosis: Diagnosis) -> Json | None:
+    """Entry on how well poses repeat; None where too few commands were repeated."""
+    again = diagnosis.repeats
     if again is None:
         return None
     return {
@@ -127,13 +129,13 @@ def repeat_figures(d: Diagnosis) -> Json | None:
     }
 
 
-def held_out_region_gains(d: Diagnosis) -> list[Json]:
-    """For each axis, what each finding brings where whole regions of its travel are held out: misfit before and after,
+def held_out_region_gains(diagnosis: Diagnosis) -> list[Json]:
+    """Gains by each finding where whole regions of an axis' travel are held out: misfit before and after,
     m, and standard errors.
     """
-    if d.design is None:
+    if diagnosis.design is None:
         return []
-    places = mechanisms.axis_places(d.design.mechanism)
+    places = mechanisms.axis_places(diagnosis.design.mechanism)
     return [
         {
             "joint": j + 1,
@@ -143,13 +145,13 @@ def held_out_region_gains(d: Diagnosis) -> list[Json]:
                 for v in row
             ],
         }
-        for j, row in enumerate(d.regions)
+        for j, row in enumerate(diagnosis.regions)
     ]
 
 
-def residual_statistics(left: Floats) -> dict[str, float]:
-    """{mean_m, rms_m, p95_m, max_m, n} of position errors in m and, where measured, the mean rotation error in rad."""
-    size = np.linalg.norm(left[:, :3], axis=1)
+def position_error_statistics(pose_errors: Floats) -> dict[str, float]:
+    """Statistics of position errors (mean, RMS, p95, maximum, count), m, and the mean rotation error, rad."""
+    size = np.linalg.norm(pose_errors[:, :3], axis=1)
     out = {
         "mean_m": float(size.mean()),
         "rms_m": float(np.sqrt((size**2).mean())),
@@ -157,36 +159,38 @@ def residual_statistics(left: Floats) -> dict[str, float]:
         "max_m": float(size.max()),
         "n": len(size),
     }
-    return out | ({"mean_rad": float(np.linalg.norm(left[:, 3:], axis=1).mean())} if left.shape[1] == 6 else {})
+    return out | (
+        {"mean_rad": float(np.linalg.norm(pose_errors[:, 3:], axis=1).mean())} if pose_errors.shape[1] == 6 else {}
+    )
 
 
-def extrapolation_figures(held: HeldOutPoses) -> Json:
-    """{after_at_fitted_angles, after_beyond}: figures of held-out poses all of whose joints stood within SAME_ANGLE of
+def errors_at_and_beyond_fitted_angles(held_out_poses: HeldOutPoses) -> Json:
+    """Errors {after_at_fitted_angles, after_beyond} of held-out poses all of whose joints stood within SAME_ANGLE of
     an angle that they were fitted at, and of the rest; None where there are none. No data tell a profile where its
     joint never stood."""
-    near = held.far <= SAME_ANGLE
+    near = held_out_poses.far <= SAME_ANGLE
     return {
-        name: residual_statistics(held.after[rows]) if rows.any() else None
+        name: position_error_statistics(held_out_poses.after[rows]) if rows.any() else None
         for name, rows in (("after_at_fitted_angles", near), ("after_beyond", ~near))
     }
 
 
-def repeat_rows(d: Diagnosis) -> list[tuple[str, object]]:
-    """[(what, value)] of how well poses repeat; nothing where too few commands were given twice."""
-    if d.repeats is None:
+def repeatability_rows(diagnosis: Diagnosis) -> list[tuple[str, object]]:
+    """Table rows [(what, value)] on how well poses repeat; none where too few commands were repeated."""
+    if diagnosis.repeats is None:
         return []
-    text = f"{d.repeats.mean * 1e6:.1f} µm ({d.repeats.pairs} pairs)"
+    text = f"{diagnosis.repeats.mean * 1e6:.1f} µm ({diagnosis.repeats.pairs} pairs)"
     return [("the same command given again comes back within", text)]
 
 
-def held_out_gain_table(d: Diagnosis) -> str:
+def held_out_gain_table(diagnosis: Diagnosis) -> str:
     """Table of the fall of the held-out misfit by each finding, with stretches of time and regions of each axis' travel
     held out.
     """
-    rows, terms = [], d.selection.problem.terms(d.selection.fit)
-    for i, finding in enumerate(d.findings):
+    rows, terms = [], diagnosis.selection.problem.terms(diagnosis.selection.fit)
+    for i, finding in enumerate(diagnosis.findings):
         candidate = terms[finding.number]
-        found = [d.cross_validations[i], *(row[i] for row in d.regions)]
+        found = [diagnosis.cross_validations[i], *(row[i] for row in diagnosis.regions)]
         scale = SCALES.get(found[0].unit, 1.0)
         rows.append(
             [
@@ -194,11 +198,11 @@ def held_out_gain_table(d: Diagnosis) -> str:
                 *(f"{(v.before - v.after) * scale:+.{1 if scale > 1 else 4}f}" for v in found),
             ]
         )
-    places = [] if d.design is None else mechanisms.axis_places(d.design.mechanism)
-    units = " or ".join(dict.fromkeys(UNITS.get(v.unit, v.unit) for v in d.cross_validations))
-    said = note(
+    places = [] if diagnosis.design is None else mechanisms.axis_places(diagnosis.design.mechanism)
+    units = " or ".join(dict.fromkeys(UNITS.get(v.unit, v.unit) for v in diagnosis.cross_validations))
+    said = note_html(
         f"{units}, RMS along one axis, by which what was held out is predicted better with it than without. A curve of "
         "an axis' own position is not told where that axis never stood: there, what it brings by that axis' own "
         "regions may be a loss."
     )
-    return table(("finding", "held out: time", *places[: len(d.regions)]), rows) + said
+    return table_html(("finding", "held out: time", *places[: len(diagnosis.regions)]), rows) + said

@@ -1,4 +1,4 @@
-"""What an effect looks like: residuals against the covariate that gives it away, without the effect and with it."""
+"""Plots of residuals against the covariate of an effect, without the effect and with it."""
 
 from typing import cast
 
@@ -9,20 +9,20 @@ from calib.diagnosis.problems.platform.held_out_validation import residual_chang
 from calib.diagnosis.problems.platform.lack_of_fit import closure_residuals, closures_in_metres
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
-from calib.diagnosis.problems.platform.simultaneous_refinement import Refined
+from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.report.residual_figures import AFTER, BEFORE, residual_scatter_figure
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
-from rig.report.pages.image_plane_figures import Arrows, image_plane_figure, patch_means
-from rig.report.pages.plots import bar_chart, panel_row
+from rig.report.pages.image_plane_and_3d_views import Arrows, image_plane_figure, patch_means
+from rig.report.pages.plots import bar_chart_svg, panel_row_html
 
 CELLS = 14  # of a residual map, across the image
 
 
-def residuals_without_effects(refined: Refined, without: tuple[int, ...] = ()) -> tuple[Floats, Floats]:
+def residuals_without_effects(refinement: Refinement, omitted_effects: tuple[int, ...] = ()) -> tuple[Floats, Floats]:
     """(closures (F, axes) m, corners (n, 2) px) residuals without some admitted effects."""
-    model, k = refined.model, refined.point
-    kept = [e for i, e in enumerate(k.effects) if i not in set(without)]
+    model, k = refinement.model, refinement.point
+    kept = [e for i, e in enumerate(k.effects) if i not in set(omitted_effects)]
     if len(kept) == len(k.effects):
         return model_residuals(model)
     done = residual_change_column(model, kept)
@@ -49,12 +49,12 @@ def _in_pixels(model: LinearisedModel, image: Floats) -> Floats:
     return out
 
 
-def effect_residual_figures(refined: Refined, number: int) -> str:
+def effect_residual_figures(refinement: Refinement, number: int) -> str:
     """Figures of the residuals of one admitted effect, without it and with it."""
-    k, effect = refined.point, refined.point.effects[number]
+    k, effect = refinement.point, refinement.point.effects[number]
     (struts_before, image_before), (struts_after, image_after) = (
-        residuals_without_effects(refined, (number,)),
-        residuals_without_effects(refined),
+        residuals_without_effects(refinement, (number,)),
+        residuals_without_effects(refinement),
     )
     if not affects_images_only(effect):
         x, label, y = _strut_view(effect, k, struts_before, struts_after)
@@ -175,21 +175,24 @@ def _bars(effect: Effect, k: OperatingPoint, before: Floats, after: Floats) -> s
         (text, [float(np.sqrt(np.mean(values[names == n] ** 2))) for n in labels], colour)
         for values, colour, text in ((before, BEFORE, "without it"), (after, AFTER, "with it"))
     ]
-    return bar_chart(
+    return bar_chart_svg(
         f"residuals of every {'cube' if by_target else 'marker'}, RMS", labels, groups, "px", [effect.site.name]
     )
 
 
 def image_residual_figures(
-    k: OperatingPoint, own: Integers, both: tuple[Floats, ...], titles: tuple[str, ...] = ("without it", "with it")
+    point: OperatingPoint,
+    corner_rows: Integers,
+    residuals: tuple[Floats, ...],
+    titles: tuple[str, ...] = ("without it", "with it"),
 ) -> str:
     """Figures of mean residuals over one camera's image, one for each of several residuals (n, 2) px."""
-    o = k.observed.observations
-    camera = k.design.cameras[o.camera[own[0]]]
+    o = point.observed.observations
+    camera = point.design.cameras[o.camera[corner_rows[0]]]
     cell = camera.width / CELLS
-    drawn = [patch_means(o.uv[own], values[own], cell) for values in both]
+    drawn = [patch_means(o.uv[corner_rows], values[corner_rows], cell) for values in residuals]
     longest = max(float(np.linalg.norm(drawn[0][1], axis=1).max(initial=0)), 1e-9)
-    return panel_row(
+    return panel_row_html(
         *(
             image_plane_figure(
                 f"{camera.name}, {title}",

@@ -5,22 +5,28 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence import calibration_verdict
 from calib.certification.held_out_errors import Figures, errors_before_and_after_correction
-from calib.models.arm import error_model
-from calib.models.arm.certification import Certified
-from calib.report.calibration_page import evidence_html, provenance_html, view_3d_html
-from calib.report.pose_figures import correction_error_figures, pose_coverage_figures
+from calib.models.arm import error_model_and_observations
+from calib.models.arm.certification import CertifiedArm
+from calib.report.platform_and_lens_calibration_pages import evidence_html, provenance_html, view_3d_html
+from calib.report.pose_figures_and_effect_displacements import correction_error_figures, pose_coverage_figures
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
-from rig.effects.framework.diagnosis_interface import PLOT_UNITS
+from rig.effects.framework.effect_data_types import PLOT_UNITS
 from rig.model import mechanisms
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_elements import folding_section, heading, note, paragraph, table
-from rig.report.pages.page_and_svg_templates import Link, Page, write_page
-from rig.report.pages.plots import Series, panel_row, plot_panel
-from rig.report.pages.view_3d import view_scripts
+from rig.report.pages.html_and_svg_elements import (
+    folding_section_html,
+    heading_html,
+    note_html,
+    paragraph_html,
+    table_html,
+)
+from rig.report.pages.image_plane_and_3d_views import view_scripts
+from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
+from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 
 
 def write_arm_calibration_page(
@@ -28,7 +34,7 @@ def write_arm_calibration_page(
     recording: Recording,
     calibration: Calibration,
     samples: Samples,
-    certified: Certified,
+    certified: CertifiedArm,
     links: Sequence[Link] = (),
 ) -> None:
     """Write the HTML page of an arm's calibration. certified : Certified.
@@ -38,21 +44,21 @@ def write_arm_calibration_page(
     parts = [
         *evidence_html(calibration),
         *_held(certified),
-        heading("Before and after, pose by pose"),
-        note("All poses; the fit has seen these."),
+        heading_html("Before and after, pose by pose"),
+        note_html("All poses; the fit has seen these."),
         correction_error_figures(*errors_before_and_after_correction(calibration.correction, samples), samples.frame),
         *view_3d_html(recording, calibration, samples),
-        heading("What each joint is corrected by"),
-        note("Beyond its offset, along the configurations visited."),
+        heading_html("What each joint is corrected by"),
+        note_html("Beyond its offset, along the configurations visited."),
         _profiles(calibration, samples),
-        heading("Where the target went"),
+        heading_html("Where the target went"),
         pose_coverage_figures(went),
         *workspace_section_html(calibration.workspace, "rad"),
-        heading("Parameters"),
-        *(paragraph(f"{line}.") for line in certified.found.rank.report()),
-        folding_section("Every parameter's change", _arm_parameters(calibration)),
-        heading("Where this came from"),
-        folding_section("Recording, versions, arguments", provenance_html(calibration)),
+        heading_html("Parameters"),
+        *(paragraph_html(f"{line}.") for line in certified.found.rank.report()),
+        folding_section_html("Every parameter's change", _arm_parameters(calibration)),
+        heading_html("Where this came from"),
+        folding_section_html("Recording, versions, arguments", provenance_html(calibration)),
     ]
     judged = calibration_verdict(calibration)
     write_page(
@@ -61,7 +67,7 @@ def write_arm_calibration_page(
     )
 
 
-def _held(done: Certified) -> list[str]:
+def _held(done: CertifiedArm) -> list[str]:
     held = done.held_out
     if held is None or done.geometry is None:
         return []
@@ -74,7 +80,7 @@ def _held(done: Certified) -> list[str]:
     each += [("corrected, random rows", done.scattered.after)] if done.scattered is not None else []
     rows = [(name, *_figures(f)) for name, f in each]
     return [
-        paragraph(
+        paragraph_html(
             f"Held-out poses (whole stretches of configurations in turn, N = {held.after.n}, "
             f"{held.configurations} distinct "
             f"configurations): the mean error falls from {held.before.mean[k] * 1e3:.3f} {unit} to "
@@ -86,7 +92,7 @@ def _held(done: Certified) -> list[str]:
                 else ""
             )
         ),
-        table(("held-out error", "mean, mm", "RMS", "95 %", "max", "mean, mrad", "RMS", "95 %", "max"), rows),
+        table_html(("held-out error", "mean, mm", "RMS", "95 %", "max", "mean, mrad", "RMS", "95 %", "max"), rows),
     ]
 
 
@@ -99,9 +105,9 @@ def _figures(f: Figures) -> list[str]:
 def _profiles(calibration: Calibration, samples: Samples) -> str:
     q, nominal = samples.commanded, calibration.correction.nominal
     rho, places, units = calibration.correction.rho(q), mechanisms.axis_places(nominal), mechanisms.axis_units(nominal)
-    return panel_row(
+    return panel_row_html(
         *(
-            plot_panel(
+            plot_panel_svg(
                 places[i],
                 (f"commanded, {PLOT_UNITS[unit][1]}", f"correction, m{unit}"),
                 [Series(q[:, i] * PLOT_UNITS[unit][0], rho[:, i] * 1e3)],
@@ -119,6 +125,8 @@ def _arm_parameters(calibration: Calibration) -> str:
     rows = [(f"row {i + 1}", *(cell(c, s) for c, s in zip(change[i], sigma[i]))) for i in range(len(change))]
     units = [
         f"{name}, {'mm' if unit == 'm' else 'mrad'}"
-        for name, unit in zip(error_model.ROW, error_model.parameter_units(fitted)[6:11])
+        for name, unit in zip(
+            error_model_and_observations.ROW, error_model_and_observations.parameter_units(fitted)[6:11]
+        )
     ]
-    return table(("change from nominal (k = 2)", *units), rows)
+    return table_html(("change from nominal (k = 2)", *units), rows)

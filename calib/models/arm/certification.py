@@ -5,20 +5,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.certification.calibration import Calibration
-from calib.certification.distinct_configurations import (
+from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.held_out_errors import (
+    HeldErrors,
+    HeldOut,
+    compare_errors,
+    errors_before_and_after_correction,
+    held_out_error_statistics,
+    is_significant_gain,
+)
+from calib.certification.held_out_poses_and_distinct_configurations import (
     LEAST,
     axis_ranges,
     configuration_folds,
     configuration_numbers,
     mean_sample_per_configuration,
-)
-from calib.certification.held_out_error_statistics import HeldErrors, held_out_error_statistics
-from calib.certification.held_out_errors import (
-    HeldOut,
-    compare_errors,
-    errors_before_and_after_correction,
-    is_significant_gain,
 )
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.certification.workspace_claim import (
@@ -28,34 +29,33 @@ from calib.certification.workspace_claim import (
     ConfigurationInformation,
     Workspace,
     claim_of_drawn_machines,
-    claim_of_too_few_configurations,
     draw_variance_ratio,
+    empty_claim_of_too_few_configurations,
     extension_error_squares,
 )
-from calib.identify.robust_fit import CONSISTENT, MOST, outlier_rows
-from calib.models.arm import error_model, joint_profiles
+from calib.identify.robust_fit import CONSISTENT, MOST, isolated_outlier_rows
+from calib.models.arm import error_model_and_observations, identification_and_joint_profiles
 from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.geometry_and_joint_effects_fit import JointFit
-from calib.models.arm.held_out_scatter import (
-    held_out_arm_parameter_error_squares,
-    held_out_geometry_errors,
-    identification_with_held_out_scatter,
-    unexplained_scatter_sentences,
-)
-from calib.models.arm.identification import (
+from calib.models.arm.error_model_and_observations import KINDS, PLAUSIBLE, Observations, sample_observations
+from calib.models.arm.identification_and_joint_profiles import (
     GATE,
     Identified,
     identify_arm,
     independent_arm_parameters,
     require_enough_observations,
 )
-from calib.models.arm.independent_parameters import PLAUSIBLE
-from calib.models.arm.instrument_observations import KINDS, Observations, sample_observations
 from calib.models.arm.instrument_placement import place_arm
+from calib.models.arm.joint_effects_fit_and_held_out_scatter import (
+    JointFit,
+    held_out_arm_parameter_error_squares,
+    held_out_geometry_errors,
+    identification_with_held_out_scatter,
+    unexplained_scatter_sentences,
+)
 from calib.samples.pose_samples import Samples
-from rig.arrays import Booleans, Floats, Integers
+from rig.array_types import Booleans, Floats, Integers
 from rig.model.design import Instrument
-from rig.model.mechanism_geometry import Arm
+from rig.model.mechanism_geometry_classes import Arm
 from rig.model.pose import pose_difference
 from rig.planning.configuration_sets import FILL, sobol_configurations
 
@@ -70,7 +70,7 @@ UNPLACED = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Certified:
+class CertifiedArm:
     """correction : ArmCorrection of all samples; found : Identified, its geometry; label : (n,) configuration of each
     sample
     held_out : HeldOut on whole stretches, physics refitted without them; scattered : the same on single rows drawn at
@@ -101,7 +101,7 @@ def certify_arm(
     rng: np.random.Generator,
     progress: Progress | None = None,
     physics: JointFit | None = None,
-) -> Certified:
+) -> CertifiedArm:
     """Certified arm: geometry, and joint profiles only where they improve held-out errors.
 
     samples : Samples as measured; nominal : Arm as its owner believes it; instrument : Instrument or None (poses in the
@@ -122,7 +122,7 @@ def certify_arm(
     correction, found = calibrate_arm(known, nominal, instrument, False, start)
     said("fitting the geometry", 1, 1)
     if not _enough(samples, found, label, parts):
-        return Certified(correction, found, label, None, None, None)
+        return CertifiedArm(correction, found, label, None, None, None)
     in_part, asked = samples.measured in UNPLACED, physics is not None
     ways = [_Way(asked, profiles) for profiles in ((False,) if in_part else (False, True))] + [
         _Way(False, False)
@@ -163,7 +163,7 @@ def certify_arm(
             else np.zeros(2)
         )
         left = held_out_error_statistics(best[1] - _shared_errors(kept, found.shared), kept, of_kept, 0.0, own)
-    return Certified(
+    return CertifiedArm(
         correction,
         _as_stated(identification_with_held_out_scatter(found, left, rng), samples.measured),
         label,
@@ -181,7 +181,7 @@ def _counted(found: Identified, samples: Samples) -> Booleans:
     sigma = np.sqrt(np.einsum("mkk->mk", sample_observations(samples).covariance) + found.scatter**2)
     relative = found.residuals / sigma
     relative = relative / np.maximum(1.0, CONSISTENT * np.median(np.abs(relative), axis=0))
-    wild = ~found.inliers & outlier_rows(relative, samples.t, samples.commanded, GATE)
+    wild = ~found.inliers & isolated_outlier_rows(relative, samples.t, samples.commanded, GATE)
     return ~wild if wild.mean() <= MOST else np.ones(len(samples), bool)
 
 
@@ -202,7 +202,9 @@ def _as_stated(found: Identified, measured: str) -> Identified:
         return found
     untold = independent_arm_parameters(found.arm, "pose") & ~found.rank.free
     covariance = found.covariance + np.diag(
-        np.where(untold, [PLAUSIBLE[unit] ** 2 for unit in error_model.parameter_units(found.arm)], 0.0)
+        np.where(
+            untold, [PLAUSIBLE[unit] ** 2 for unit in error_model_and_observations.parameter_units(found.arm)], 0.0
+        )
     )
     scatter = np.r_[np.zeros(3), found.scatter] if measured == "orientation" else np.repeat(found.scatter, 3)
     return replace(found, covariance=covariance, scatter=scatter)
@@ -257,7 +259,7 @@ def _profiled(samples: Samples, correction: ArmCorrection, found: Identified) ->
     observations, parts = sample_observations(samples), correction.remainder
     for _ in range(ROUNDS):
         left = observations.residuals(found.arm) - np.einsum("mkj,j->mk", observations.common, found.shared)
-        parts = joint_profiles.fit_joint_profiles(observations, replace(found, residuals=left))
+        parts = identification_and_joint_profiles.fit_joint_profiles(observations, replace(found, residuals=left))
         if not any(parts):
             break
         effective = observations.q - replace(correction, remainder=parts).rho(observations.q)
@@ -294,7 +296,7 @@ def arm_pose_covariance(calibration: Calibration, commands: Floats) -> Floats:
     docs/mathematics.md (21)
     """
     correction = calibration.correction
-    J = error_model.parameter_jacobian(commands, correction.fitted)
+    J = error_model_and_observations.parameter_jacobian(commands, correction.fitted)
     known = np.arange(6) < len(
         calibration.scatter
     )  # of rotations that were never measured, nothing is known beyond the parameters
@@ -303,7 +305,7 @@ def arm_pose_covariance(calibration: Calibration, commands: Floats) -> Floats:
     )
     if correction.extension is None:
         return covariance
-    joints = error_model.joint_jacobian(commands, correction.fitted)
+    joints = error_model_and_observations.joint_jacobian(commands, correction.fitted)
     return covariance + (joints * correction.extension.error(commands)[:, None] ** 2) @ np.swapaxes(joints, 1, 2)
 
 
@@ -343,7 +345,7 @@ def _spread(errors: Floats) -> Floats:
     return np.repeat([np.median(np.abs(errors[:, part])) for part in (slice(0, 3), slice(3, 6))], 3) + 1e-15
 
 
-def arm_workspace_claim(samples: Samples, certified: Certified, rng: np.random.Generator) -> Claim:
+def arm_workspace_claim(samples: Samples, certified: CertifiedArm, rng: np.random.Generator) -> Claim:
     """Claim of a certified arm over its workspace of recorded joint angles, each configuration once."""
     found, correction = certified.found, certified.correction
     good = found.inliers
@@ -364,22 +366,24 @@ def arm_workspace_claim(samples: Samples, certified: Certified, rng: np.random.G
         )
     label = np.unique(certified.label[good], return_inverse=True)[1]
     kept = samples.take(good)
-    each = mean_sample_per_configuration(kept, label, error_model.joint_jacobian(kept.commanded, found.arm))
+    each = mean_sample_per_configuration(
+        kept, label, error_model_and_observations.joint_jacobian(kept.commanded, found.arm)
+    )
     words = f"the middle {FILL * 100:.0f} % of the angles recorded, all joints free of each other"
     fitted = int(found.rank.free.sum())
     told = ConfigurationInformation(
         len(each), fitted, fitted, found.rank.asked, "what is told at all is fitted without one"
     )
     if certified.held_out is None:
-        return claim_of_too_few_configurations(told, words)
+        return empty_claim_of_too_few_configurations(told, words)
     seen = np.stack([each.commanded.min(axis=0), each.commanded.max(axis=0)], axis=1)
     q = sobol_configurations(seen, PLACES, FILL)
     T = correction.predict(q)
-    stated = extension_error_squares(correction, q, error_model.joint_jacobian(q, found.arm))
+    stated = extension_error_squares(correction, q, error_model_and_observations.joint_jacobian(q, found.arm))
     own = certified.left.own_draws(float(stated[0]), DRAWS, rng) if certified.left is not None else stated
     workspace = Workspace(
-        error_model.parameter_jacobian(q, correction.fitted),
-        pose_difference(error_model.predicted_target_poses(q, correction.nominal), T),
+        error_model_and_observations.parameter_jacobian(q, correction.fitted),
+        pose_difference(error_model_and_observations.predicted_target_poses(q, correction.nominal), T),
         own,
         words,
     )

@@ -11,17 +11,17 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.models.arm import error_model, instrument_placement
-from calib.models.arm.instrument_observations import Observations, position_observations
+from calib.models.arm import error_model_and_observations, instrument_placement
+from calib.models.arm.error_model_and_observations import Observations, position_observations
 from calib.models.arm.instrument_placement import nearest_rotation, rigid_transform, solve_rotation_placement
-from rig.arrays import Floats, Integers
-from rig.checks.mistake_report import Mistake, sort_mistakes
+from rig.array_types import Floats, Integers
+from rig.checks.mistake import Mistake, sort_mistakes
 from rig.checks.platform_commands_and_poses import LIKELY, written_pose_columns
 from rig.checks.units_and_conventions import poses_in_other_conventions
 from rig.errors import RigError
 from rig.model.design import Instrument
-from rig.model.mechanism_geometry import Arm
-from rig.model.mechanism_kinds import has_links
+from rig.model.mechanism_geometry_classes import Arm
+from rig.model.mechanism_kinds_and_hexapod_properties import has_links
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
@@ -122,9 +122,9 @@ class ReachedPoses:
             found = instrument_placement.place_arm(seen, self.arm, free.base == "free", free.tool == "free")
         except RigError:
             return False
-        moved = np.abs(error_model.joint_zeros(found) - error_model.joint_zeros(self.arm))[
-            1:
-        ]  # the first joint's zero is the base's
+        moved = np.abs(
+            error_model_and_observations.joint_zeros(found) - error_model_and_observations.joint_zeros(self.arm)
+        )[1:]  # the first joint's zero is the base's
         if moved.max(initial=0.0) > OTHER * instrument_placement.ZERO:
             return False
         r = seen.residuals(found)

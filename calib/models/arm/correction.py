@@ -17,13 +17,13 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.correction.correction import Correction, Responses
-from calib.models.arm import error_model
-from calib.models.arm.joint_profiles import Profile
-from rig.arrays import Floats
+from calib.models.arm import error_model_and_observations
+from calib.models.arm.identification_and_joint_profiles import Profile
+from rig.array_types import Floats
 from rig.errors import Unreachable
-from rig.model.mechanism_geometry import Arm
+from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
-from rig.model.mechanisms import numerical_arm_inverse as deficient
+from rig.model.mechanisms import closed_form_and_numerical_arm_inverse as deficient
 from rig.model.pose import exp, pose_difference
 
 BRANCH_STEP = (0.05, 0.1)  # m, rad; of the hand
@@ -92,7 +92,7 @@ class ArmCorrection(Correction[Arm, Profile]):
             return (
                 commands
                 - deficient.nearest_joint_values(
-                    self.predict(commands), self.nominal, commands, deficient.reachable_direction_counts(self.nominal)
+                    self.predict(commands), self.nominal, commands, deficient.hand_motion_direction_counts(self.nominal)
                 )[0]
             )
         flat = commands.reshape(-1, commands.shape[-1])
@@ -104,12 +104,12 @@ class ArmCorrection(Correction[Arm, Profile]):
                 far,
                 [f"pose {i}: it comes no nearer than {left[i]:.3g} m or rad" for i in far.tolist()],
             )
-        return mechanism.joint_difference(flat, found, self.nominal).reshape(commands.shape)
+        return mechanism.joint_value_difference(flat, found, self.nominal).reshape(commands.shape)
 
     def missed(self, T_base_platform: RigidTransform, commands: Floats) -> Floats:
         """(n, joints) rad or m by which commands (n, joints) differ from those nearest to them that give wanted poses
         (n,), whole turns aside; NaN where none is found."""
-        return mechanism.joint_difference(commands, self.near(T_base_platform, commands), self.nominal)
+        return mechanism.joint_value_difference(commands, self.near(T_base_platform, commands), self.nominal)
 
     def uncorrected(self, T_base_platform: RigidTransform) -> Floats:
         """Commands (..., joints) rad or m that the owner's model gives for wanted poses (m,), as the nearest visited
@@ -136,11 +136,11 @@ class ArmCorrection(Correction[Arm, Profile]):
 
     def responses(self, T_base_platform: RigidTransform, effective: Floats) -> Responses:
         """Responses of the arm at what its joints get, effective (n, joints) rad or m."""
-        axes = error_model.joint_jacobian(effective, self.fitted)
+        axes = error_model_and_observations.joint_jacobian(effective, self.fitted)
         return Responses(
             axes,
             cast(Floats, np.linalg.pinv(axes, rcond=NEAR_SINGULAR)),
-            error_model.parameter_jacobian(effective, self.fitted),
+            error_model_and_observations.parameter_jacobian(effective, self.fitted),
         )
 
     def scattering(self, scatter: Floats, responses: Responses) -> Floats:
@@ -252,7 +252,7 @@ class ArmCorrection(Correction[Arm, Profile]):
         """(commands (m, joints), good (m,) bool, rest (m, 6)) of an arm of few joints led to poses T (m,) from starts
         (m, joints), as `_nearest`.
         """
-        count = deficient.reachable_direction_counts(self.nominal)
+        count = deficient.hand_motion_direction_counts(self.nominal)
         q, rest, settled = deficient.nearest_joint_values(
             T, arm, start, count, None if rho is None else lambda values: values - rho(values)
         )

@@ -9,22 +9,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.certification.distinct_configurations import (
+from calib.certification.extended_correction_certification import (
+    NONE,
+    ExtensionBasis,
+    ExtensionRequest,
+    Tried,
+    certify_interpolation_method,
+    empty_claim_without_held_out_data,
+)
+from calib.certification.held_out_errors import draw_common_error_squares
+from calib.certification.held_out_poses_and_distinct_configurations import (
     LEAST,
     axis_ranges,
     configuration_folds,
     configuration_numbers,
     mean_sample_per_configuration,
 )
-from calib.certification.extension_certification import (
-    NONE,
-    Asked,
-    Stand,
-    Tried,
-    certify_interpolation_method,
-    claim_without_held_out_data,
-)
-from calib.certification.held_out_error_statistics import draw_common_error_squares
 from calib.certification.platform_certification import FOLDS, Progress, silent_progress
 from calib.certification.workspace_claim import (
     DRAWS,
@@ -32,27 +32,26 @@ from calib.certification.workspace_claim import (
     ConfigurationInformation,
     Workspace,
     claim_of_drawn_machines,
-    claim_of_too_few_configurations,
+    empty_claim_of_too_few_configurations,
     extension_error_squares,
 )
-from calib.correction.correction_tables import Summands
-from calib.correction.interpolation.field import Field, Known
-from calib.models.arm import error_model
-from calib.models.arm.certification import UNPLACED, Certified, calibrate_arm, placed_nominal_arm, start_arm
+from calib.correction.correction_tables_and_pose_space_map_json import CorrectionSummands
+from calib.correction.interpolation.field_and_combinations import Field, FieldSamples
+from calib.models.arm import error_model_and_observations
+from calib.models.arm.certification import UNPLACED, CertifiedArm, calibrate_arm, placed_nominal_arm, start_arm
 from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.held_out_scatter import (
+from calib.models.arm.error_model_and_observations import PLAUSIBLE, Rank, sample_observations
+from calib.models.arm.identification_and_joint_profiles import Identified, identify_arm, independent_arm_parameters
+from calib.models.arm.joint_effects_fit_and_held_out_scatter import (
     held_out_arm_parameter_error_squares,
     held_out_geometry_errors,
     identification_with_held_out_scatter,
 )
-from calib.models.arm.identification import Identified, identify_arm, independent_arm_parameters
-from calib.models.arm.independent_parameters import PLAUSIBLE, Rank
-from calib.models.arm.instrument_observations import sample_observations
 from calib.samples.pose_samples import Samples
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import RigError
 from rig.model.design import Instrument
-from rig.model.mechanism_geometry import Arm
+from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
 from rig.planning.configuration_sets import FILL, sobol_configurations
@@ -64,22 +63,22 @@ STEPS, SETTLED = 20, 1e-13  # of joint values that meet a pose, rad or m
 PLACES = 256  # at which a single step is held against the fixed point, and what is promised is worked out
 
 
-def joint_space_summands(samples: Samples, arm: Arm, shared: Floats) -> Known:
-    """Joint-space summands of samples, rad or m, common errors removed. shared : (j,) draw of these"""
-    found = joint_summands(samples, arm, shared)
-    return Known(samples.commanded, found.values, np.einsum("mii->mi", found.covariance), mechanism.travel(arm))
+def joint_correction_field_samples(samples: Samples, arm: Arm, shared: Floats) -> FieldSamples:
+    """Samples for a field of joint correction summands, rad or m, common errors removed."""
+    found = joint_correction_summands(samples, arm, shared)
+    return FieldSamples(samples.commanded, found.values, np.einsum("mii->mi", found.covariance), mechanism.travel(arm))
 
 
-def stated_model_summands(samples: Samples, placed: Arm) -> Summands:
-    """Summands by the stated model, placed as the instrument sees it; covariance : shared errors included.
+def joint_correction_summands_of_stated_model(samples: Samples, placed_arm: Arm) -> CorrectionSummands:
+    """Joint correction summands by the stated arm model, placed as the instrument sees it.
     covariance : what all poses share included. Raises RigError as `summands`
     """
     whole = replace(samples, covariance=samples.total_covariance(), common=samples.common[..., :0])
-    return joint_summands(whole, placed, np.zeros(0))
+    return joint_correction_summands(whole, placed_arm, np.zeros(0))
 
 
-def joint_summands(samples: Samples, arm: Arm, shared: Floats) -> Summands:
-    """Joint summands (KSF_PM): joint values less the nearest ones that give the measured pose, rad or m.
+def joint_correction_summands(samples: Samples, arm: Arm, shared: Floats) -> CorrectionSummands:
+    """Joint correction summands: joint values less the nearest ones that give the measured pose, rad or m.
 
     arm : the model; shared : (j,) draw of the poses' common errors, taken out
     A joint has one only as far as its pose tells it (see LOOSE) and the model is near; what too few joints, or
@@ -116,17 +115,17 @@ def joint_summands(samples: Samples, arm: Arm, shared: Floats) -> Summands:
         )
     variances = np.full((len(q), Vt.shape[1]), limit**2)
     variances[:, : s.shape[1]] = np.where(told, 1 / np.maximum(s, 1 / limit) ** 2, limit**2)
-    return Summands(o.q - q, (V * variances[:, None]) @ np.swapaxes(V, 1, 2))
+    return CorrectionSummands(o.q - q, (V * variances[:, None]) @ np.swapaxes(V, 1, 2))
 
 
 def certify_extended_arm(
     samples: Samples,
     nominal: Arm,
     instrument: Instrument | None,
-    request: Asked,
+    request: ExtensionRequest,
     rng: np.random.Generator,
     progress: Progress | None = None,
-) -> tuple[Certified, tuple[Tried, ...]]:
+) -> tuple[CertifiedArm, tuple[Tried, ...]]:
     """(Certified, methods tried) of an arm's correction extended over the joint space, on held-out configurations.
 
     Raises RigError where the way asked for does not take these samples, or where too little of their poses was
@@ -153,10 +152,10 @@ def certify_extended_arm(
     correction, found = whole
     said("fitting the geometry", 1, 1)
 
-    def stand(some: Samples) -> Stand:
+    def stand(some: Samples) -> ExtensionBasis:
         plain, by = whole if some is samples else geometry(some)
-        return Stand(
-            joint_space_summands(some, plain.fitted, by.shared),
+        return ExtensionBasis(
+            joint_correction_field_samples(some, plain.fitted, by.shared),
             lambda field: replace(plain, extension=field),
             lambda field, at: _said(field, at, plain.fitted),
         )
@@ -179,7 +178,7 @@ def certify_extended_arm(
                 ),
             )
         found = identification_with_held_out_scatter(found, held, rng)
-    return Certified(corrected, found, label, done.held_out, None, bare, held), tried
+    return CertifiedArm(corrected, found, label, done.held_out, None, bare, held), tried
 
 
 def nominal_arm_correction(
@@ -206,7 +205,7 @@ def nominal_arm_correction(
 
 def _said(field: Field, samples: Samples, arm: Arm) -> float:
     """m^2, mean square by which a Field says that positions of samples may be off."""
-    J = error_model.joint_jacobian(samples.commanded, arm)[:, :3]
+    J = error_model_and_observations.joint_jacobian(samples.commanded, arm)[:, :3]
     return float((J**2 @ (field.error(samples.commanded) ** 2)[..., None]).sum(axis=1).mean())
 
 
@@ -222,11 +221,11 @@ def _without(samples: Samples, correction: ArmCorrection, found: Identified, alo
     return replace(again, arm=found.arm, rank=found.rank)
 
 
-def claim_without_geometry(samples: Samples, certified: Certified, rng: np.random.Generator) -> Claim:
+def claim_without_geometry(samples: Samples, certified: CertifiedArm, rng: np.random.Generator) -> Claim:
     """Claim of an arm's correction without fitted geometry: its field's error estimate at the middle angles."""
     correction = certified.correction
     each = mean_sample_per_configuration(
-        samples, certified.label, error_model.joint_jacobian(samples.commanded, correction.fitted)
+        samples, certified.label, error_model_and_observations.joint_jacobian(samples.commanded, correction.fitted)
     )
     way = "nothing at all" if correction.extension is None else correction.extension.kind
     told = ConfigurationInformation(
@@ -234,17 +233,19 @@ def claim_without_geometry(samples: Samples, certified: Certified, rng: np.rando
     )
     middle = f"the middle {FILL * 100:.0f} % of the angles recorded, all joints free of each other"
     if len(each) < LEAST:
-        return claim_of_too_few_configurations(told, middle)
+        return empty_claim_of_too_few_configurations(told, middle)
     q = _places(correction)
     T = correction.predict(q)
     if certified.left is None:
-        return claim_without_held_out_data(told, middle)
-    stated = float(extension_error_squares(correction, q, error_model.joint_jacobian(q, correction.fitted))[0])
+        return empty_claim_without_held_out_data(told, middle)
+    stated = float(
+        extension_error_squares(correction, q, error_model_and_observations.joint_jacobian(q, correction.fitted))[0]
+    )
     own = certified.left.own_draws(stated, DRAWS, rng) + draw_common_error_squares(samples, DRAWS, rng)
-    offset = pose_difference(error_model.predicted_target_poses(q, correction.nominal), T)
+    offset = pose_difference(error_model_and_observations.predicted_target_poses(q, correction.nominal), T)
     known = certified.found.covariance
     return claim_of_drawn_machines(
-        Workspace(error_model.parameter_jacobian(q, correction.fitted), offset, own, middle),
+        Workspace(error_model_and_observations.parameter_jacobian(q, correction.fitted), offset, own, middle),
         np.zeros((DRAWS, len(known))),
         each,
         told,
@@ -252,15 +253,15 @@ def claim_without_geometry(samples: Samples, certified: Certified, rng: np.rando
     )
 
 
-def single_step_errors(correction: ArmCorrection) -> tuple[float, float]:
-    """Errors (RMS, greatest) rad or m of the single step X + KSF(X) against the fixed point's commands.
+def single_step_correction_errors(correction: ArmCorrection) -> tuple[float, float]:
+    """Errors (RMS, greatest) rad or m of correcting in a single step X + KSF(X) instead of to the fixed point.
 
     Source: configuration-space patent, [0030], [0091]
     """
     q = _places(correction)
     x = q - _summand(correction, q)
     near = np.isfinite(x).all(axis=1)
-    off = mechanism.joint_difference(x[near] + _summand(correction, x[near]), q[near], correction.nominal)
+    off = mechanism.joint_value_difference(x[near] + _summand(correction, x[near]), q[near], correction.nominal)
     return float(np.sqrt(np.nanmean(off**2))), float(np.nanmax(np.abs(off)))
 
 
@@ -270,7 +271,9 @@ def _summand(correction: ArmCorrection, q: Floats) -> Floats:
     if correction.deficient:
         return correction.summand(q)
     found, rest = mechanism.solve_inverse(correction.predict(q), correction.nominal, q, starts=0)
-    return np.where((rest <= mechanism.GOOD)[:, None], mechanism.joint_difference(q, found, correction.nominal), np.nan)
+    return np.where(
+        (rest <= mechanism.GOOD)[:, None], mechanism.joint_value_difference(q, found, correction.nominal), np.nan
+    )
 
 
 def _places(correction: ArmCorrection) -> Floats:

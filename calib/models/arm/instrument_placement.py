@@ -16,11 +16,11 @@ from typing import cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from calib.models.arm import error_model
-from calib.models.arm.instrument_observations import Observations
-from rig.arrays import Floats
+from calib.models.arm import error_model_and_observations
+from calib.models.arm.error_model_and_observations import Observations
+from rig.array_types import Floats
 from rig.errors import NotEnoughData, RigError
-from rig.model.mechanism_geometry import Arm
+from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import log
 
@@ -185,7 +185,7 @@ def _refined(observations: Observations, arm: Arm, rows: Floats, unknown: tuple[
     free, prior = np.zeros(12 + 5 * n, bool), np.zeros(12 + 5 * n)
     free[:6], free[-6:] = unknown
     free[-3:] &= posed
-    zeros = error_model.joint_zero_indices(arm)[1:]  # all but the first, which is the base's
+    zeros = error_model_and_observations.joint_zero_indices(arm)[1:]  # all but the first, which is the base's
     prior[:6], prior[-6:] = 1 / np.repeat([AWAY, TURN], 3), 1 / np.repeat([REACH, TURN], 3)
     free[zeros], prior[zeros] = True, 1 / ZERO
     start = arm
@@ -200,7 +200,7 @@ def _refined(observations: Observations, arm: Arm, rows: Floats, unknown: tuple[
         step = np.zeros(len(free))
         while damping < 1e8:
             step[free] = np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-9), g)
-            trial = error_model.arm_with_parameter_step(arm, step)
+            trial = error_model_and_observations.arm_with_parameter_step(arm, step)
             new = _Misfit.of(observations, trial, start, rows, prior, posed)
             if new.cost(at.scale) <= at.cost(at.scale):
                 break

@@ -1,7 +1,7 @@
 """Error model of a chain: parameters of its stages, their Jacobian, and least-squares equations by stage.
 
 Parameters stand in one vector, stage after stage, as changes from the owner's figures: of a hexapod its 42, of two
-struts their 6, of an arm base, rows and tool in the order of calib.models.arm.error_model. tangent = sum over stages
+struts their 6, of an arm base, rows and tool in the order of calib.models.arm.error_model_and_observations. tangent = sum over stages
 of Ad(T_k+1 .. T_n)^-1 J_k dp_k.
 """
 
@@ -12,9 +12,9 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.identify.least_squares import Linear
 from calib.identify.robust_fit import excess_scatter
-from calib.models.arm import error_model as arms
-from calib.models.arm.identification import independent_arm_parameters as independent
-from calib.models.arm.independent_parameters import PLAUSIBLE
+from calib.models.arm import error_model_and_observations as arms
+from calib.models.arm.error_model_and_observations import PLAUSIBLE
+from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters as independent
 from calib.models.platform.identification import (
     NAMES,
     PRIOR,
@@ -24,8 +24,8 @@ from calib.models.platform.identification import (
 )
 from calib.models.platform.parameter_accuracy import base_motion_columns
 from calib.samples.pose_samples import Samples
-from rig.arrays import Booleans, Floats
-from rig.model.mechanism_geometry import Arm, Chain, Stage
+from rig.array_types import Booleans, Floats
+from rig.model.mechanism_geometry_classes import Arm, Chain, Stage
 from rig.model.mechanisms import chain as mechanism
 from rig.model.pose import pose_difference
 

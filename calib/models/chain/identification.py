@@ -15,9 +15,9 @@ from calib.identify.robust_fit import robust_fit
 from calib.models.chain import error_model
 from calib.models.chain.error_model import measured_stages, noise_leverage
 from calib.samples.pose_samples import Samples
-from rig.arrays import Booleans, Floats, Integers
+from rig.array_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
-from rig.model.mechanism_geometry import Chain
+from rig.model.mechanism_geometry_classes import Chain
 
 ROUNDS = 4  # of weighing anew by what scatters beyond the instrument's own
 SETTLED = 1e-3  # share by which the scatter may still change

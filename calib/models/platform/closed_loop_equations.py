@@ -17,12 +17,12 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.identify.least_squares import Linear
 from calib.samples.pose_samples import Samples
-from rig.arrays import Floats
-from rig.compute.numba_kernels import njit
+from rig.array_types import Floats
+from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.errors import NotConverged, RigError
-from rig.model.mechanism_geometry import Planar2
+from rig.model.mechanism_geometry_classes import Planar2
 from rig.model.mechanisms import two_strut_plane
-from rig.model.rotation_increment import rotate_increment
+from rig.model.pose import rotate_increment
 
 TOLERANCE = 1e-13  # m; what Newton leaves of a strut's length
 MAX_ITERATIONS = 40

@@ -19,11 +19,11 @@ from calib.identify.least_squares import Fit, Linear, fit_least_squares
 from calib.identify.robust_fit import MOST, robust_fit
 from calib.models.platform import closed_loop_equations
 from calib.samples.pose_samples import Samples
-from rig.arrays import Booleans, Floats
+from rig.array_types import Booleans, Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms
-from rig.model.mechanism_geometry import Hexapod, Planar2
-from rig.model.mechanism_kinds import Struts
+from rig.model.mechanism_geometry_classes import Hexapod, Planar2
+from rig.model.mechanism_kinds_and_hexapod_properties import Struts
 from rig.model.mechanisms import hexapod, two_strut_plane
 
 PRIOR = 5e-3  # m; how far a joint or a zero may be from where its owner states it: ten times what rigs show
@@ -90,25 +90,25 @@ def mechanism_with_parameters(mechanism: S, p: Floats) -> S:
 def identify_platform(
     samples: Samples,
     nominal: Struts,
-    offset: Floats | None = None,
+    strut_deviations: Floats | None = None,
     prior: Floats | None = None,
-    near: Identified | None = None,
+    similar_fit: Identified | None = None,
 ) -> Identified:
     """Identified platform: joint positions and strut zeros that explain the poses, docs/mathematics.md (7).
 
     samples : Samples; nominal : where the fit starts and where its prior holds what the poses do not tell
-    near : Identified of nearly the same, to start from instead: the same optimum in fewer steps
-    offset : (n, axes) m or None, known deviations of the struts (commanded less effective), taken off the commands
+    similar_fit : Identified of nearly the same, to start from instead: the same optimum in fewer steps
+    strut_deviations : (n, axes) m or None, known deviations of the struts (commanded less effective), taken off the commands
         first
     prior : (p,) m, standard deviation that the owner's figures are given, 5 mm each by default
     Returns Identified. Raises NotEnoughData where too few poses agree, RigError where the fit does not settle.
     """
-    lengths = samples.effective - (0 if offset is None else offset)
-    p = geometric_parameters(nominal if near is None else near.mechanism)
+    lengths = samples.effective - (0 if strut_deviations is None else strut_deviations)
+    p = geometric_parameters(nominal if similar_fit is None else similar_fit.mechanism)
     prior = np.full(len(p), PRIOR) if prior is None else np.asarray(prior, float)
     loops = Loops(samples, lengths, nominal, prior)
     inliers, spent = np.ones(len(samples), bool), len(p) // len(nominal.axes)
-    scatter = np.zeros(len(nominal.axes)) if near is None else near.scatter
+    scatter = np.zeros(len(nominal.axes)) if similar_fit is None else similar_fit.scatter
     for turn in range(ROUNDS):
         try:
             found = loops.fit(p, inliers, scatter)

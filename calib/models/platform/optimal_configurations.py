@@ -17,13 +17,13 @@ import numpy as np
 
 from calib.models.platform.identification import pose_parameter_jacobian
 from calib.models.platform.parameter_accuracy import PLAUSIBLE
-from rig.arrays import Booleans, Floats
+from rig.array_types import Booleans, Floats
 from rig.errors import NotConverged, RigError
-from rig.model.mechanism_geometry import Hexapod
+from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod as mechanism
 from rig.planning import configuration_sets
-from rig.planning.approach_balance import balanced_order
 from rig.planning.configuration_sets import FILL as WORKSPACE
+from rig.planning.visiting_order_and_approach_balance import time_balanced_order
 
 CANDIDATES = 2000
 FILL = 0.9  # of the strokes
@@ -32,11 +32,13 @@ PAYS = 1e-4  # relative gain below which an exchange is not made
 LOOKED_AT = 24  # candidates whose noise amplification is worked out exactly, the most promising ones
 CRITERIA = ("determinant", "noise")
 
-Avoided = Callable[[Floats], Booleans]  # configurations (n, 6) m -> (n,) bool, those that are not to be visited
+ConfigurationExclusion = Callable[
+    [Floats], Booleans
+]  # configurations (n, 6) m -> (n,) bool, those that are not to be visited
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Chosen:
+class DOptimalConfigurations:
     """commands : (n, 6) m, ordered so that neither time nor direction is a function of place
     root : (42, 42) information's square root, 1/m, with what was given; before : of what was given alone
     even : (42, 42) with as many low-discrepancy configurations in their stead"""
@@ -52,29 +54,31 @@ def choose_d_optimal_configurations(
     count: int,
     sigmas: tuple[float, float],
     criterion: str = "determinant",
-    given_configurations: Floats | None = None,
+    existing_configurations: Floats | None = None,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
-    avoided: Avoided | None = None,
-) -> Chosen:
+    exclusion: ConfigurationExclusion | None = None,
+) -> DOptimalConfigurations:
     """D-optimal configurations chosen, `count` of them, in addition to those given (k, 6) m.
 
     sigmas : (m, rad) standard deviations of a measured pose's position and rotation, per axis; progress : called with
         (done, of)
-    avoided : which of configurations (n, 6) m are not to be visited, (n,) bool, or None where all may be
+    exclusion : which of configurations (n, 6) m are not to be visited, (n,) bool, or None where all may be
     Raises RigError for an unknown criterion, too few configurations to hold 42 parameters, or where none may be visited
     """
     if criterion not in CRITERIA:
         raise RigError(f"there is no criterion {criterion!r}; there are {', '.join(CRITERIA)}")
-    given_configurations = np.zeros((0, 6)) if given_configurations is None else np.asarray(given_configurations, float)
-    if count + len(given_configurations) < 7:
+    existing_configurations = (
+        np.zeros((0, 6)) if existing_configurations is None else np.asarray(existing_configurations, float)
+    )
+    if count + len(existing_configurations) < 7:
         raise RigError(
-            f"{count + len(given_configurations)} configurations cannot determine 42 parameters; it takes 7, better 30"
+            f"{count + len(existing_configurations)} configurations cannot determine 42 parameters; it takes 7, better 30"
         )
-    candidates, G = _candidates(hexapod, sigmas, seed, avoided)
+    candidates, G = _candidates(hexapod, sigmas, seed, exclusion)
     known = (
-        configuration_information(given_configurations, hexapod, sigmas)[1].reshape(-1, 42)
-        if len(given_configurations)
+        configuration_information(existing_configurations, hexapod, sigmas)[1].reshape(-1, 42)
+        if len(existing_configurations)
         else np.zeros((0, 42))
     )
     picked = exchange_configurations(G, known.T @ known, count, criterion, progress)
@@ -83,8 +87,8 @@ def choose_d_optimal_configurations(
     )[1].reshape(-1, 42)
     parts = [np.concatenate([known, rows]) for rows in (G[picked].reshape(-1, 42), even)]
     chosen = candidates[picked]
-    order = balanced_order(chosen, np.random.default_rng(seed), hexapod.strut_range.mean(axis=1))
-    return Chosen(chosen[order], *(_root(rows) for rows in (parts[0], known, parts[1])))
+    order = time_balanced_order(chosen, np.random.default_rng(seed), hexapod.strut_range.mean(axis=1))
+    return DOptimalConfigurations(chosen[order], *(_root(rows) for rows in (parts[0], known, parts[1])))
 
 
 def exchange_configurations(
@@ -130,7 +134,7 @@ def configuration_information(commands: Floats, hexapod: Hexapod, sigmas: tuple[
 
 
 def _candidates(
-    hexapod: Hexapod, sigmas: tuple[float, float], seed: int, avoided: Avoided | None
+    hexapod: Hexapod, sigmas: tuple[float, float], seed: int, avoided: ConfigurationExclusion | None
 ) -> tuple[Floats, Floats]:
     """Low-discrepancy configurations and the strokes' outermost ones, with their rows."""
     spread = configuration_sets.sobol_configurations(hexapod.strut_range, CANDIDATES, FILL, seed)
@@ -143,9 +147,9 @@ def _candidates(
     )
 
 
-def allowed_configurations(commands: Floats, avoided: Avoided | None) -> Floats:
+def allowed_configurations(commands: Floats, exclusion: ConfigurationExclusion | None) -> Floats:
     """Configurations among the commands (n, 6) m that are allowed. Raises RigError where none is."""
-    kept = commands if avoided is None else commands[~avoided(commands)]
+    kept = commands if exclusion is None else commands[~exclusion(commands)]
     if not len(kept):
         raise RigError(
             f"none of {len(commands)} configurations all over the strokes may be visited: the calibration "
@@ -195,7 +199,7 @@ DRAWS, SURE = 2000, 0.975
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ChosenConfigurations:
+class FewestConfigurations:
     """commands : (n, 6) m, in the order in which they help most; left : (n + 1,) m, the position error, RMS over the
     workspace, that 97.5 % of machines keep to once so many of them are measured beside what was given."""
 
@@ -207,28 +211,28 @@ def fewest_configurations(
     hexapod: Hexapod,
     promise: float,
     sigmas: tuple[float, float],
-    given_configurations: Floats | None = None,
+    existing_configurations: Floats | None = None,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
-    avoided: Avoided | None = None,
-) -> ChosenConfigurations:
+    exclusion: ConfigurationExclusion | None = None,
+) -> FewestConfigurations:
     """Fewest configurations found that keep a promise (m), in addition to those given (k, 6) m.
 
     sigmas : (m, rad) standard deviations of a measured pose, per axis, each pose's own; progress : called with (done,
         of)
-    avoided : which of configurations (n, 6) m are not to be visited, (n,) bool, or None where all may be
+    exclusion : which of configurations (n, 6) m are not to be visited, (n,) bool, or None where all may be
     Raises RigError where MOST poses do not keep it, or where none may be visited
     """
     spread = configuration_sets.sobol_configurations(hexapod.strut_range, FEWEST_CANDIDATES, FILL, seed)
-    candidates, G = configuration_information(allowed_configurations(spread, avoided), hexapod, sigmas)
+    candidates, G = configuration_information(allowed_configurations(spread, exclusion), hexapod, sigmas)
     places, _ = configuration_information(
         configuration_sets.sobol_configurations(hexapod.strut_range, PLACES, WORKSPACE, seed + 1), hexapod, sigmas
     )
     J = pose_parameter_jacobian(mechanism.forward(places, hexapod), hexapod)[:, :3].reshape(-1, 42) * PLAUSIBLE
     A = J.T @ J / len(places)
     covariance: Floats = np.eye(42)  # of the parameters, each in its plausible size
-    if given_configurations is not None and len(given_configurations):
-        known = configuration_information(given_configurations, hexapod, sigmas)[1].reshape(-1, 42)
+    if existing_configurations is not None and len(existing_configurations):
+        known = configuration_information(existing_configurations, hexapod, sigmas)[1].reshape(-1, 42)
         covariance = cast(Floats, np.linalg.inv(np.eye(42) + known.T @ known))
     chosen: list[int] = []
     left = [_left(covariance, A, seed)]
@@ -249,7 +253,7 @@ def fewest_configurations(
             progress(len(chosen), MOST)
     if progress:
         progress(MOST, MOST)
-    return ChosenConfigurations(candidates[chosen].reshape(-1, 6), np.array(left))
+    return FewestConfigurations(candidates[chosen].reshape(-1, 6), np.array(left))
 
 
 def _left(covariance: Floats, A: Floats, seed: int) -> float:

@@ -11,9 +11,9 @@ import numpy as np
 
 from calib.identify.least_squares import Visibility, parameter_visibility
 from calib.models.platform.identification import NAMES, PRIOR, Identified, geometric_parameters
-from rig.arrays import Floats
-from rig.model.mechanism_geometry import Hexapod
-from rig.model.mechanism_kinds import Struts
+from rig.array_types import Floats
+from rig.model.mechanism_geometry_classes import Hexapod
+from rig.model.mechanism_kinds_and_hexapod_properties import Struts
 from rig.model.mechanisms import hexapod
 from rig.model.pose import skew
 
@@ -165,8 +165,8 @@ def expand_parameter_widths(widths: Floats, counts: tuple[int, int]) -> Floats:
     return np.repeat(widths, counts, axis=-1)
 
 
-def stated_geometry_accuracy(identified: Identified, nominal: Struts) -> Tolerance:
-    """Accuracy of the stated geometry (Tolerance): probable widths from 10 um to 5 mm."""
+def estimate_tolerance_of_stated_geometry(identified: Identified, nominal: Struts) -> Tolerance:
+    """Estimated tolerance of the owner's stated geometry: probable widths of its errors, 10 um to 5 mm."""
     information = identified.root.T @ identified.root
     counts = (len(identified.prior) - len(nominal.axes), len(nominal.axes))
     right = (

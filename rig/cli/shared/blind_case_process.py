@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.compute.worker_processes import end_when_parent_ends
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 
 if TYPE_CHECKING:
-    from rig.arrays import Floats
+    from rig.array_types import Floats
 
 
 WATCHED = (
@@ -34,7 +34,7 @@ WATCHED = (
 )  # events whose first argument is a path
 
 
-def forbid_own_reading_of_folder(folder: str | Path) -> None:
+def forbid_this_process_to_read_folder(folder: str | Path) -> None:
     """Forbid this process to read a folder: PermissionError from now on (PEP 578; irrevocable)."""
     closed = os.path.realpath(folder)
 
@@ -47,18 +47,20 @@ def forbid_own_reading_of_folder(folder: str | Path) -> None:
     sys.addaudithook(watch)
 
 
-def draw_blind_case(out: Path, index: int, settings: Json) -> None:
+def draw_blind_case(campaign_folder: Path, index: int, settings: Json) -> None:
     """Draw a case and write its recording, its truth, and last the truth's hash: from then on the case is blinded."""
-    from rig.formats.output_files import Outputs, write_text
-    from synthetic.blind_campaign import hash_file
+    from rig.formats.output_files import CommandOutputs, write_text
+    from synthetic.blind_campaign import truth_hash_path
 
-    out = Path(out)
-    folder, truth = out / "recordings" / f"{index:04d}", out / "truth" / f"{index:04d}.json"
+    campaign_folder = Path(campaign_folder)
+    folder, truth = campaign_folder / "recordings" / f"{index:04d}", campaign_folder / "truth" / f"{index:04d}.json"
     drawn = _drawn_arm_case if settings.get("mechanism") == "arm" else _drawn_case
-    with Outputs("blind", force=True) as outputs:
+    with CommandOutputs("blind", force=True) as outputs:
         write_truth, strengths = drawn(index, settings, outputs.folder(folder))
     write_truth(truth, index=index, settings=settings, strengths=strengths.tolist())
-    write_text(hash_file(out, index), f"{sha256(truth.read_bytes()).hexdigest()}  ../truth/{truth.name}\n")
+    write_text(
+        truth_hash_path(campaign_folder, index), f"{sha256(truth.read_bytes()).hexdigest()}  ../truth/{truth.name}\n"
+    )
 
 
 def _drawn_case(index: int, settings: Json, folder: Path) -> tuple[Callable[..., None], Floats]:
@@ -99,20 +101,20 @@ def _drawn_arm_case(index: int, settings: Json, folder: Path) -> tuple[Callable[
     )
 
 
-def run_command_without(folder: str, words: Sequence[str]) -> int:
-    """Exit status of a command of `rig` to which a folder is closed."""
+def run_command_without_folder_access(folder: str, command_words: Sequence[str]) -> int:
+    """Run a command of `rig` without access to a folder; returns its exit status."""
     from rig.cli.command_line import main
 
-    forbid_own_reading_of_folder(folder)
-    return main(list(words))
+    forbid_this_process_to_read_folder(folder)
+    return main(list(command_words))
 
 
-def main(words: Sequence[str]) -> int:
+def main(command_words: Sequence[str]) -> int:
     """Exit status of what the words ask for: see the module."""
-    end_when_parent_ends(int(words[0]))
-    if words[1] == "command":
-        return run_command_without(words[2], words[3:])
-    draw_blind_case(Path(words[2]), int(words[3]), json.loads(words[4]))
+    end_when_parent_ends(int(command_words[0]))
+    if command_words[1] == "command":
+        return run_command_without_folder_access(command_words[2], command_words[3:])
+    draw_blind_case(Path(command_words[2]), int(command_words[3]), json.loads(command_words[4]))
     return 0
 
 

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 from rig.errors import RigError
 from rig.formats.output_files.folder_manifest import file_digest
-from rig.report.verdict import State
+from rig.report.verdict_and_refutations_of_results import State
 
 if TYPE_CHECKING:
-    from calib.certification.calibration import Calibration
-    from rig.effects.texts.effect_notation import Kinds
-    from rig.effects.texts.user_effect_files import Plugin
-    from rig.report.refutations import Refutation
+    from calib.certification.calibration_and_claim_sentences import Calibration
+    from rig.effects.texts.effect_text_and_dict import Kinds
+    from rig.effects.texts.user_effect_file_loading import Plugin
+    from rig.report.verdict_and_refutations_of_results import Refutation
 
 
 def add_effects_option(parser: ArgumentParser) -> None:
@@ -35,7 +35,7 @@ def load_effect_files(arguments: Namespace) -> tuple[Plugin, ...]:
     """Load the effect files that --effects names. Raises FileError, with the line, for an error in one."""
     if not arguments.effects:
         return ()
-    from rig.effects.texts.user_effect_files import load_effect_file
+    from rig.effects.texts.user_effect_file_loading import load_effect_file
 
     return tuple(load_effect_file(path) for path in arguments.effects)
 
@@ -46,7 +46,7 @@ def known_effects(effect_files: tuple[Plugin, ...]) -> Kinds:
         from rig.effects.catalogue.effect_list import BY_NAME
 
         return BY_NAME
-    from rig.effects.texts.user_effect_files import catalogue_with_files
+    from rig.effects.texts.user_effect_file_loading import catalogue_with_files
 
     return catalogue_with_files(effect_files)
 
@@ -73,25 +73,25 @@ def calibration_of_arguments(arguments: Namespace) -> Calibration:
 
 def read_refutations(path: Path) -> tuple[Refutation, ...]:
     """Read the refutations of a calibration file, print each as a warning. Raises FileError for an invalid list."""
-    from rig.report.refutations import refutations_of_file
+    from rig.report.verdict_and_refutations_of_results import refutations_of_file
 
     found = refutations_of_file(path)
     print_refutations(path, found)
     return found
 
 
-def print_refutations(path: Path, found: tuple[Refutation, ...]) -> None:
+def print_refutations(path: Path, refutations: tuple[Refutation, ...]) -> None:
     """Print on the error output what later recordings found against a calibration's file."""
-    for one in found:
+    for one in refutations:
         print(f"warning: {path} was {one.line}", file=sys.stderr)
 
 
 def write_refutation(arguments: Namespace, path: Path, recording: str, finding: str, state: State = State.BAD) -> None:
-    """Write a refutation of a calibration, found by a recording, into its folder; a warning where that fails.
+    """Write a refutation of a calibration by a recording's finding into its folder; warns where that fails.
 
     finding : a sentence without its full stop; state : BAD where it is refuted, CHECK where it leaves something out
     """
-    from rig.report.refutations import NAME, Refutation, add_refutation
+    from rig.report.verdict_and_refutations_of_results import NAME, Refutation, add_refutation
 
     new = Refutation(
         file_digest(path), path.name, datetime.now(UTC).date().isoformat(), arguments.command, recording, finding, state

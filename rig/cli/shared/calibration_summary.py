@@ -1,13 +1,13 @@
 """Summary of a calibration that `rig calibrate` prints: verdict, poses used, promise, workspace, physics."""
 
 from calib.api.calibrate import CalibrationResult
-from calib.api.correction_extension import Extended
+from calib.api.correction_extension import ExtendedCorrection
 from calib.certification import platform_certification
-from calib.certification.calibration import Calibration, claim_lines
+from calib.certification.calibration_and_claim_sentences import Calibration, claim_lines
 from calib.certification.workspace_claim import Claim
 from calib.correction.physics_compensation import Physics
 from calib.models.arm import certification as arm_certification
-from calib.models.chain import certification as chain_certification
+from calib.models.chain import certification_and_page as chain_certification
 from calib.workspace.workspace_page import workspace_lines
 from rig.cli.shared.command_options import print_frames_without_pose, print_held_out_errors
 from rig.model import mechanisms
@@ -27,10 +27,10 @@ def print_verdict(result: CalibrationResult) -> None:
         print_held_out_errors(done.held_out, _held_out_title(result))
     if result.extended is not None:
         _print_extension(result.extended)
-    elif isinstance(done, arm_certification.Certified):
+    elif isinstance(done, arm_certification.CertifiedArm):
         _print_joints(done, result.calibration.physics)
         print("\n".join(done.found.rank.report()))
-    elif isinstance(done, chain_certification.Certified):
+    elif isinstance(done, chain_certification.CertifiedChain):
         print("\n".join(done.found.report()))
     else:
         _print_struts(done, result.calibration.physics)
@@ -53,7 +53,7 @@ def _held_out_title(result: CalibrationResult) -> str:
     """How poses were held out."""
     if result.extended is not None:
         return "held-out poses (whole levels of a grid, poses beside it, or whole stretches in turn)"
-    if isinstance(result.done, arm_certification.Certified):
+    if isinstance(result.done, arm_certification.CertifiedArm):
         return "held-out poses (a third at a time or less, whole stretches of configurations)"
     return "held-out poses (whole stretches of configurations in turn)"
 
@@ -74,7 +74,7 @@ def _print_struts(done: platform_certification.Certified, physics: Physics | Non
     _print_physics(physics)
 
 
-def _print_extension(found: Extended) -> None:
+def _print_extension(found: ExtendedCorrection) -> None:
     """Print what was tried and what was made of it."""
     for one in found.tried:
         words = f"not tried: {one.reason}" if one.reason else "not held out, for want of poses"
@@ -126,7 +126,7 @@ def _print_workspace(calibration: Calibration) -> None:
         print(workspace_lines(calibration.workspace, mechanisms.travel_unit(calibration.correction.nominal))[0])
 
 
-def _print_joints(done: arm_certification.Certified, physics: Physics | None) -> None:
+def _print_joints(done: arm_certification.CertifiedArm, physics: Physics | None) -> None:
     """Print what an arm's correction does beyond its geometry, and what that is worth on the held-out poses."""
     if done.held_out and done.geometry and done.scattered:
         kept = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]

@@ -13,7 +13,7 @@ from rig.formats.output_files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
     from calib.certification.held_out_errors import HeldOut
-    from rig.report.pages.page_and_svg_templates import Link
+    from rig.report.pages.page_templates_and_page_index import Link
     from vision.recording_adjustment import Measurement
 
 SEED = 0  # of the bootstrap; results are the same from run to run
@@ -46,11 +46,11 @@ def page_path(arguments: Namespace) -> Path | None:
     return None if arguments.page is None else arguments.outputs.file(arguments.page)
 
 
-def page_links(arguments: Namespace, place: Path) -> list[Link]:
+def page_links(arguments: Namespace, page_file: Path) -> list[Link]:
     """Links of a command's page: to the index above it and to the pages of the command's inputs."""
-    from rig.report.pages.page_index import index_and_source_links as links
+    from rig.report.pages.page_templates_and_page_index import index_and_source_links as links
 
-    return links(place, arguments.outputs.inputs)
+    return links(page_file, arguments.outputs.inputs)
 
 
 def add_json_option(parser: ArgumentParser) -> None:
@@ -143,7 +143,7 @@ def require_share(speed: float) -> float:
 
 def print_held_out_errors(held_out: HeldOut, title: str) -> None:
     """Print held-out errors before and after correction as a table in mm and mrad."""
-    from calib.certification.calibration import ratio_interval_text
+    from calib.certification.calibration_and_claim_sentences import ratio_interval_text
 
     names = ("mean", "RMS", "95 %", "max")
     print(f"{title}, N = {held_out.after.n}, {held_out.configurations} distinct configurations:")
@@ -166,11 +166,11 @@ def _cell(value: float) -> str:
     return f"{value * 1e3:10.4f}" if value == value else f"{'-':>10}"
 
 
-def require_matplotlib(what: str) -> None:
+def require_matplotlib(drawings: str) -> None:
     """Require matplotlib: raise MissingLibrary where it is not installed. what : is to be drawn, in the plural"""
     problem = missing_matplotlib_reason()
     if problem:
-        raise MissingLibrary(f"{what} {problem}")
+        raise MissingLibrary(f"{drawings} {problem}")
 
 
 def missing_matplotlib_reason() -> str | None:

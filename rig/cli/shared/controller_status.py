@@ -1,7 +1,7 @@
 """Status of the controller as commands print it: activity, lengths, the pose by the nominal model."""
 
-from rig.arrays import Floats
-from rig.driving.driver_reports_and_advice import Status
+from rig.array_types import Floats
+from rig.driving.controller_status_and_operator_advice import ControllerStatus
 from rig.model.design import Design
 
 
@@ -10,9 +10,9 @@ def lengths_text(lengths: Floats) -> str:
     return " ".join(f"{value * 1e3:.4f}" for value in lengths) + " mm"
 
 
-def print_status(status: Status, design: Design) -> None:
+def print_status(status: ControllerStatus, design: Design) -> None:
     """Print a Status, with the pose that its lengths give by the nominal model."""
-    from rig.driving.driver_reports_and_advice import operator_advice
+    from rig.driving.controller_status_and_operator_advice import operator_advice
     from rig.errors import NotConverged
     from rig.model import mechanisms
     from rig.model.pose import pose_to_vector

@@ -3,10 +3,10 @@
 import numpy as np
 
 from calib.api.learn import LearningResult
-from calib.api.measure_limbs import LimbMeasurement
+from calib.api.poses_from_readings_and_limbs import MeasuredLimbPoses
 from rig.cli.shared.command_options import print_frames_without_pose
 from rig.model.pose import pose_to_vector, rms_uncertainty
-from vision.bundle.adjustment_validation import NotHeldOut
+from vision.bundle.adjustment_validation_and_determinacy import NotHeldOut
 from vision.bundle.marker_displacements import Places
 from vision.measurement_result import MeasurementResult
 
@@ -32,14 +32,14 @@ def print_measurement(result: MeasurementResult) -> None:
         print(result.determination.summary())
 
 
-def print_limb_poses(found: LimbMeasurement) -> None:
-    """Print how well poses by measuring limbs are known."""
-    position, rotation = rms_uncertainty(found.poses.covariance)
+def print_limb_pose_uncertainty(limb_measurement: MeasuredLimbPoses) -> None:
+    """Print the standard uncertainty of poses by measuring limbs, and their agreement with vision."""
+    position, rotation = rms_uncertainty(limb_measurement.poses.covariance)
     print(
         f"poses to {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad (standard uncertainty, RMS), of "
         "which readings "
-        f"{rms_uncertainty(found.poses.own)[0] * 1e3:.4f} mm, the limbs' geometry the rest; it agreed with vision "
-        f"over {found.accepted.agreement.n} poses"
+        f"{rms_uncertainty(limb_measurement.poses.own)[0] * 1e3:.4f} mm, the limbs' geometry the rest; it agreed with vision "
+        f"over {limb_measurement.accepted.agreement.n} poses"
     )
 
 

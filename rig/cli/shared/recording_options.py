@@ -13,7 +13,7 @@ from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 
 if TYPE_CHECKING:
-    from calib.online.limb_pose_source import LimbSource
+    from calib.online.measuring_limb_poses import LimbSource
     from rig.recording.recording_folder import Recording
 
 EVERY = 5  # poses between two checks by vision
@@ -77,8 +77,8 @@ def read_recordings(arguments: Namespace) -> list[Recording]:
     return [read_recording(arguments, path) for path in (arguments.recording, *arguments.further)]
 
 
-def print_notices(progress: Progress) -> Callable[[str], None]:
-    """What prints a line that a computation hands out on its way, the progress bar taken away first."""
+def notice_printer(progress: Progress) -> Callable[[str], None]:
+    """Function that prints a notice line of a computation, the progress bar removed first."""
 
     def notice(line: str) -> None:
         progress.close()
@@ -105,13 +105,13 @@ def add_limb_options(parser: ArgumentParser) -> None:
 
 
 def limb_source(arguments: Namespace) -> LimbSource | None:
-    """The limbs that are to stand for vision, None where none are named. Raises RigError for --check without --limbs,
+    """Source of limb readings (--limbs) that replaces vision, None where the arguments name none. Raises RigError.
     or below 1
     """
     if arguments.check is not None and (arguments.limbs is None or arguments.check < 1):
         raise RigError("--check takes a number of poses, at least 1, and --limbs")
     if arguments.limbs is None:
         return None
-    from calib.online.limb_pose_source import LimbSource
+    from calib.online.measuring_limb_poses import LimbSource
 
     return LimbSource(arguments.limbs, arguments.check or EVERY)

@@ -7,7 +7,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from calib.online.run_observation import Display, MeasuredFrame, RunObserver, View
+from calib.online.run_observation import MeasuredFrame, RunDisplay, RunObserver, View
 from calib.online.run_page import RunPage
 from rig.cli.shared.terminal_output import unescaped_stream
 from rig.formats.output_files.atomic_file import escape_unprintable
@@ -16,7 +16,7 @@ from rig.model.pose import pose_to_vector
 WIDTH = 30  # of a strut's bar
 
 
-class Lines:
+class PlainLineDisplay:
     """Plain lines, for pipes and logs."""
 
     def __init__(self, out: TextIO | None = None) -> None:
@@ -45,7 +45,7 @@ class Lines:
         print(text, file=self._out, flush=True)
 
 
-class Block:
+class TerminalBlockDisplay:
     """A block of lines on a terminal that knows ANSI's movements."""
 
     def __init__(self, out: TextIO | None = None) -> None:
@@ -64,7 +64,7 @@ class Block:
 
 
 def view_lines(view: View) -> list[str]:
-    """Lines of a View for the terminal: progress, strut bars, latest pose, alarms."""
+    """Lines of a RunView for the terminal: progress, strut bars, latest pose, alarms."""
     left = f", {_minutes_and_seconds(view.left)} left" if np.isfinite(view.left) and view.left > 0 else ""
     lines = [f"frame {view.frame} of {view.frames}, step {view.step} of {view.steps}{left}", view.phase]
     for i, (length, goal, (low, high)) in enumerate(zip(view.lengths, view.goal, view.ranges), 1):
@@ -112,13 +112,13 @@ def _minutes_and_seconds(seconds: float) -> str:
     return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"
 
 
-def terminal_display() -> Lines | Block:
+def terminal_display() -> PlainLineDisplay | TerminalBlockDisplay:
     """Display for the terminal: a block redrawn in place, or plain lines where standard output is a pipe."""
-    return Block() if sys.stdout.isatty() else Lines()
+    return TerminalBlockDisplay() if sys.stdout.isatty() else PlainLineDisplay()
 
 
 @contextmanager
-def run_displays(port: int | None, observer: RunObserver) -> Iterator[list[Display]]:
+def run_displays(port: int | None, observer: RunObserver) -> Iterator[list[RunDisplay]]:
     """Displays of a run: terminal, and the page where a port is given, served while the context lasts."""
     if port is None:
         yield [terminal_display()]

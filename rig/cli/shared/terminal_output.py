@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Protocol, TextIO, cast
 from rig.formats.output_files.atomic_file import escape_unprintable
 
 
-class Escaped:
+class EscapedStream:
     """A stream to which control characters are written as escapes, and what its encoding lacks too.
 
     stream : where it goes; controls : the same for those of the project's own displays that move a terminal's cursor
@@ -38,9 +38,9 @@ def escaped_output() -> Iterator[None]:
     """Within it, control characters in standard output and error are escaped; either stream may be absent."""
     with ExitStack() as stack:
         if sys.stdout is not None:
-            stack.enter_context(redirect_stdout(cast(TextIO, Escaped(unescaped_stream(sys.stdout)))))
+            stack.enter_context(redirect_stdout(cast(TextIO, EscapedStream(unescaped_stream(sys.stdout)))))
         if sys.stderr is not None:
-            stack.enter_context(redirect_stderr(cast(TextIO, Escaped(unescaped_stream(sys.stderr)))))
+            stack.enter_context(redirect_stderr(cast(TextIO, EscapedStream(unescaped_stream(sys.stderr)))))
         yield
 
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import TypeVar
 
 from rig.cli.shared.terminal_output import Progress
-from rig.compute import dask_cluster
+from rig.compute import parallel_map_and_dask_cluster
 from rig.compute.worker_processes import limit_workers, terminate_child_processes, worker_count
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_whole_number
@@ -48,14 +48,18 @@ def use_requested_workers(arguments: Namespace) -> Iterator[None]:
     import scipy.linalg  # noqa: F401  libraries are limited once they are loaded
     from threadpoolctl import threadpool_limits
 
-    with limit_workers(arguments.workers), dask_cluster.use_cluster(arguments.scheduler), threadpool_limits(1):
+    with (
+        limit_workers(arguments.workers),
+        parallel_map_and_dask_cluster.use_cluster(arguments.scheduler),
+        threadpool_limits(1),
+    ):
         yield
 
 
 @contextmanager
 def worker_pool() -> Iterator[Executor]:
     """Pool of workers: threads that wait for processes, or the cluster; calls not begun are dropped at its end."""
-    there = dask_cluster.current_cluster()
+    there = parallel_map_and_dask_cluster.current_cluster()
     if there is not None:
         yield there.executor()
         return

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
-from rig.arrays import Pixels
+from rig.array_types import Pixels
 from rig.errors import RigError
 
 DRIFT = 1e-4  # s per s; two quartz clocks differ by less
@@ -17,26 +17,26 @@ UNIFORM = math.sqrt(12.0)  # width of an even spread over its standard deviation
 
 
 @dataclass(frozen=True, slots=True)
-class Bound:
+class ClockOffsetBound:
     """offset lies in low .. high (s), as known at host time t."""
 
     t: float
     low: float
     high: float
 
-    def at(self, t: float) -> "Bound":
+    def at(self, t: float) -> "ClockOffsetBound":
         """The same at a later time, wider by what the clocks may have drifted."""
         more = DRIFT * (t - self.t)
-        return Bound(t, self.low - more, self.high + more)
+        return ClockOffsetBound(t, self.low - more, self.high + more)
 
 
-class Offset:
+class ClockOffset:
     """The offset host - camera of one camera's clock, learnt from its stamps. `restarts` counts how often its clock was
     found set anew.
     """
 
     def __init__(self) -> None:
-        self.bound: Bound | None = None
+        self.bound: ClockOffsetBound | None = None
         self.restarts = 0
 
     def learn(self, before: float, stamp: float, after: float) -> None:
@@ -45,12 +45,12 @@ class Offset:
         """
         if after < before:
             raise RigError(f"the host's clock ran backwards about a camera's stamp: {before!r} s, then {after!r} s")
-        fresh = Bound(after, before - stamp, after - stamp)
+        fresh = ClockOffsetBound(after, before - stamp, after - stamp)
         if self.bound is not None:
             old = self.bound.at(after)
             low, high = max(old.low, fresh.low), min(old.high, fresh.high)
             if low <= high:
-                self.bound = Bound(after, low, high)
+                self.bound = ClockOffsetBound(after, low, high)
                 return
             self.restarts += 1  # no offset satisfies both: the camera's clock was set anew
         self.bound = fresh

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.arrays import Pixels
+from rig.array_types import Pixels
 from rig.driving.cameras.camera_interface_and_clock import UNIFORM, CameraError, Frame, Source
 from rig.driving.cameras.genicam_camera import open_genicam_camera
 from rig.driving.cameras.opencv_camera import open_opencv_camera

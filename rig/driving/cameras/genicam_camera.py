@@ -6,8 +6,8 @@ from typing import Protocol
 
 import numpy as np
 
-from rig.arrays import Integers
-from rig.driving.cameras.camera_interface_and_clock import CameraError, Frame, Offset
+from rig.array_types import Integers
+from rig.driving.cameras.camera_interface_and_clock import CameraError, ClockOffset, Frame
 from rig.driving.clock import Clock
 from rig.errors import MissingLibrary
 
@@ -92,7 +92,7 @@ class GenicamSource:
     can_set_exposure = True
 
     def __init__(self, name: str, acquirer: Acquirer, clock: Clock, size: tuple[int, int]) -> None:
-        self.name, self._acquirer, self._clock, self._size, self._offset = name, acquirer, clock, size, Offset()
+        self.name, self._acquirer, self._clock, self._size, self._offset = name, acquirer, clock, size, ClockOffset()
         nodes = acquirer.remote_device.node_map
         self._nodes = nodes
         for node, value in (

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.arrays import Floats, Pixels
+from rig.array_types import Floats, Pixels
 from rig.driving.cameras.camera_interface_and_clock import CameraError, Frame, Source
 from rig.driving.clock import Clock
 from rig.errors import RigError
@@ -16,7 +16,7 @@ TRIES = 3
 PAUSE = 0.1  # s before trying again, doubled each time
 
 
-class Shutter:
+class SynchronisedCameras:
     """All cameras of a rig. retried : (camera, what it said) of grabs that were tried again."""
 
     def __init__(self, sources: tuple[Source, ...], clock: Clock, tries: int = TRIES) -> None:

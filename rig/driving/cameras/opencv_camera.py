@@ -7,7 +7,7 @@ import re
 import sys
 from typing import TYPE_CHECKING, cast
 
-from rig.driving.cameras.camera_interface_and_clock import UNIFORM, CameraError, Frame, Offset
+from rig.driving.cameras.camera_interface_and_clock import UNIFORM, CameraError, ClockOffset, Frame
 from rig.driving.clock import Clock
 
 READING = re.compile(r"(?!wrapper)[a-z0-9]+src")
@@ -49,7 +49,7 @@ def gstreamer_pipeline_problem(pipeline: str) -> str | None:
 if TYPE_CHECKING:
     from cv2 import VideoCapture
 
-    from rig.arrays import Integers
+    from rig.array_types import Integers
 
 FLUSHED = 8  # frames that may wait in a driver's queue
 WAIT = 5.0  # s without a frame after which a camera counts as gone
@@ -70,7 +70,7 @@ class VideoSource:
         import cv2
 
         self.name, self.can_set_exposure = name, uvc
-        self._cv2, self._capture, self._clock, self._size, self._offset = cv2, capture, clock, size, Offset()
+        self._cv2, self._capture, self._clock, self._size, self._offset = cv2, capture, clock, size, ClockOffset()
         self._exposure = 0.0
 
     def grab(self) -> Frame:

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.emulators.controller_faults import Faults
-from rig.driving.emulators.emulated_machine import Machine
+from rig.driving.emulators.emulated_machine import EmulatedMachine
 from rig.errors import FileError, LinkLost
 
 UNPLUGGED = 0.7  # s that the line is cut
@@ -28,7 +28,7 @@ class Emulator:
     ends = b"\n\r"
     buffer = 1024
 
-    def __init__(self, machine: Machine, faults: Faults, clock: Clock, limits: Floats) -> None:
+    def __init__(self, machine: EmulatedMachine, faults: Faults, clock: Clock, limits: Floats) -> None:
         self.machine, self.faults, self.clock = machine, faults, clock
         self.limits = np.asarray(limits, float)
         self.replugged = 0

@@ -33,14 +33,14 @@ ON_ANSWERS = ("late", "half-line", "garbage")
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class FaultOrder:
     """kind : one of KINDS; rate : chance per move (or homing, for homes-on), or None for once, at the next."""
 
     kind: str
     rate: float | None
 
 
-def parse_faults(text: str) -> tuple[Order, ...]:
+def parse_faults(text: str) -> tuple[FaultOrder, ...]:
     """Fault orders parsed from text: `KIND` (once) or `KIND:RATE` (chance per move).
     Raises RigError.
     """
@@ -59,15 +59,15 @@ def parse_faults(text: str) -> tuple[Order, ...]:
             f"rate), {', '.join(KINDS)}"
         )
     if kind != "all" or chance is None:
-        return (Order(kind, chance),)
+        return (FaultOrder(kind, chance),)
     happening = [kind for kind in KINDS if kind not in ALWAYS]
-    return tuple(Order(kind, chance / len(happening)) for kind in happening)
+    return tuple(FaultOrder(kind, chance / len(happening)) for kind in happening)
 
 
 class Faults:
     """Dice for orders. `begin` is called with every move; what it arms, `take` finds once."""
 
-    def __init__(self, orders: tuple[Order, ...] = (), rng: np.random.Generator | None = None) -> None:
+    def __init__(self, orders: tuple[FaultOrder, ...] = (), rng: np.random.Generator | None = None) -> None:
         self.orders, self.rng = list(orders), rng or np.random.default_rng(0)
         self.armed: dict[str, int] = {}  # kind: answers to let pass before
         self.struck: list[str] = []

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.driving.emulators.controller_faults import Faults
 
 FINE = 1e-7  # m by which straight lines between knots may leave the true motion
 
 
-class Axes:
+class MovingAxes:
     """n axes and all that they did: pieces of constant acceleration, one after the other. May be asked from other
     threads.
 
@@ -129,14 +129,14 @@ MOTOR = "motor"  # what is wrong with an axis in error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Executed:
+class ExecutedMove:
     """A move that was carried out: when it began (s), to which true lengths (n,) m it was told."""
 
     t: float
     target: Floats
 
 
-class Machine:
+class EmulatedMachine:
     """axes : as they truly are, lengths in m; zero : (n,) m, length where a counter reads 0; home : (n,) m, lengths
     after homing
     faults : dice; known : whether the counters are true when the power comes on
@@ -145,9 +145,9 @@ class Machine:
     deaf : whether it is in an error that only switching off and on ends; session : counts how often it was switched on
     """
 
-    def __init__(self, axes: Axes, zero: Floats, home: Floats, faults: Faults, known: bool) -> None:
+    def __init__(self, axes: MovingAxes, zero: Floats, home: Floats, faults: Faults, known: bool) -> None:
         self.axes, self.zero, self.home, self.faults = axes, np.array(zero, float), np.array(home, float), faults
-        self.executed: list[Executed] = []
+        self.executed: list[ExecutedMove] = []
         self.homed, self.deaf = known, False
         self._error = (0.0, "")  # from when (s) an axis is in error, and for what
         self.session = 1
@@ -189,7 +189,7 @@ class Machine:
         """A move to counters (n,) m, in at least so long (s); the faults that are armed go with it."""
         target = np.asarray(target, float) - self._off
         start = self.axes.at(max(t, self.axes.until))
-        self.executed.append(Executed(t, target))
+        self.executed.append(ExecutedMove(t, target))
         self._busy_until, self._lie = None, None
         take = self.faults.take
         if take("stall"):

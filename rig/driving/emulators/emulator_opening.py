@@ -10,19 +10,19 @@ from typing import Protocol
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.driving.clock import Clock, SimulatedClock
 from rig.driving.emulators.controller_emulator import Emulator
 from rig.driving.emulators.controller_faults import Faults
-from rig.driving.emulators.emulated_machine import Axes, Machine
+from rig.driving.emulators.emulated_machine import EmulatedMachine, MovingAxes
 from rig.driving.emulators.gcs import GCS
 from rig.driving.emulators.grblhal import GrblHAL
 from rig.driving.emulators.linuxcnc import LinuxCNC
 from rig.driving.emulators.own_strut_protocol import Struts
 from rig.errors import RigError
 from rig.model.design import Design
-from rig.model.mechanism_geometry import Hexapod, Planar2
-from rig.model.mechanism_kinds import require_hexapod, require_struts
+from rig.model.mechanism_geometry_classes import Hexapod, Planar2
+from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod, require_struts
 
 ACCELERATION = 0.1  # m/s^2, where the rig.toml states none
 
@@ -49,8 +49,8 @@ def emulator_of_design(
             f"the struts cannot start at {start_lengths.tolist()} m; their ranges are {m.strut_range.tolist()} m"
         )
     acceleration = np.full(len(home), ACCELERATION) if c.max_acceleration is None else c.max_acceleration
-    axes = Axes(clock.now(), start_lengths, speed_factor * c.max_speed, speed_factor**2 * acceleration)
-    machine = Machine(axes, c.zero, home, faults, known=not c.homing)
+    axes = MovingAxes(clock.now(), start_lengths, speed_factor * c.max_speed, speed_factor**2 * acceleration)
+    machine = EmulatedMachine(axes, c.zero, home, faults, known=not c.homing)
     limits = m.strut_range - c.zero[:, None]
     if c.protocol == "grblhal":
         return GrblHAL(
@@ -84,7 +84,7 @@ INSTANT = 1e-6  # s; a sum of times may round to just before
 
 
 class EmulatorPort:
-    """See rig.driving.controller_link.Port. emulator : its clock must be the one given."""
+    """See rig.driving.controller_requests_and_answers.Port. emulator : its clock must be the one given."""
 
     def __init__(self, emulator: Emulator, clock: SimulatedClock) -> None:
         self._emulator, self._clock = emulator, clock

@@ -5,11 +5,11 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from rig.arrays import Booleans, Floats
+from rig.array_types import Booleans, Floats
 from rig.driving.clock import Clock
 from rig.driving.emulators.controller_emulator import Emulator
 from rig.driving.emulators.controller_faults import Faults
-from rig.driving.emulators.emulated_machine import Machine
+from rig.driving.emulators.emulated_machine import EmulatedMachine
 
 MM = 1e3
 IDENTITY = "(c)2026 Physik Instrumente (PI) GmbH & Co. KG, C-EMULATED, 0, 1.000"
@@ -21,7 +21,9 @@ class GCS(Emulator):
 
     ends = b"\n"
 
-    def __init__(self, machine: Machine, faults: Faults, clock: Clock, axes: tuple[str, ...], limits: Floats) -> None:
+    def __init__(
+        self, machine: EmulatedMachine, faults: Faults, clock: Clock, axes: tuple[str, ...], limits: Floats
+    ) -> None:
         super().__init__(machine, faults, clock, limits)
         self.axes = axes
         self.velocity, self.acceleration = machine.axes.speed.copy(), machine.axes.acceleration.copy()

@@ -8,11 +8,11 @@ import re
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.emulators.controller_emulator import Emulator
 from rig.driving.emulators.controller_faults import Faults
-from rig.driving.emulators.emulated_machine import Machine
+from rig.driving.emulators.emulated_machine import EmulatedMachine
 
 MM = 1e3
 INCH = 25.4
@@ -27,7 +27,7 @@ class GrblHAL(Emulator):
 
     def __init__(
         self,
-        machine: Machine,
+        machine: EmulatedMachine,
         faults: Faults,
         clock: Clock,
         axes: str,

@@ -5,13 +5,13 @@ import re
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.emulators.controller_emulator import Emulator
 from rig.driving.emulators.controller_faults import Faults
-from rig.driving.emulators.emulated_machine import Machine
+from rig.driving.emulators.emulated_machine import EmulatedMachine
 from rig.model import mechanisms
-from rig.model.mechanism_geometry import Hexapod
+from rig.model.mechanism_geometry_classes import Hexapod
 
 MM = 1e3
 END, SET_END = "\r\n", "\n\r"  # as emcrsh.cc has them
@@ -25,7 +25,7 @@ class LinuxCNC(Emulator):
 
     def __init__(
         self,
-        machine: Machine,
+        machine: EmulatedMachine,
         faults: Faults,
         clock: Clock,
         axes: tuple[str, ...],

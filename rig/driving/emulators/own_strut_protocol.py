@@ -4,11 +4,11 @@ import re
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.emulators.controller_emulator import Emulator
 from rig.driving.emulators.controller_faults import Faults
-from rig.driving.emulators.emulated_machine import Machine
+from rig.driving.emulators.emulated_machine import EmulatedMachine
 from rig.driving.protocols.own_strut_protocol import NM, VERSION, decode_frame, encode_frame
 
 
@@ -17,7 +17,7 @@ class Struts(Emulator):
 
     ends = b"\n"
 
-    def __init__(self, machine: Machine, faults: Faults, clock: Clock, limits: Floats) -> None:
+    def __init__(self, machine: EmulatedMachine, faults: Faults, clock: Clock, limits: Floats) -> None:
         super().__init__(machine, faults, clock, limits)
         self._watch, self._heard = 1.0, clock.now()
         self._silent = False

@@ -11,7 +11,7 @@ from typing import cast
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.driving.protocols.protocol_interface import (
     POLL,
     Dialogue,

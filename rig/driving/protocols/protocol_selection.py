@@ -5,7 +5,7 @@ from rig.driving.protocols.grblhal import GrblHAL
 from rig.driving.protocols.linuxcnc import LinuxCNC
 from rig.driving.protocols.own_strut_protocol import Struts
 from rig.driving.protocols.protocol_interface import Protocol
-from rig.model.controller_settings import Controller
+from rig.model.design import Controller
 
 
 def protocol_of_controller(controller: Controller, axis_count: int) -> Protocol:

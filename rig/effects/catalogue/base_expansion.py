@@ -5,11 +5,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.arrays import Floats
-from rig.effects.framework.diagnosis_interface import Context, Covariate, temperature_covariate
+from rig.array_types import Floats
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
-from rig.effects.framework.machine_motion import Motion
-from rig.effects.framework.parameter import Parameter
+from rig.effects.framework.effect_data_types import Context, Covariate, Parameter, temperature_covariate
+from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
 
 AMBIENT = "ambient_temperature_C"

@@ -6,11 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.arrays import Floats
-from rig.effects.framework.diagnosis_interface import Context
+from rig.array_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.parameter import Parameter
-from rig.effects.framework.place import Place
+from rig.effects.framework.effect_data_types import Context, Parameter, Place
 from rig.model.design import Camera
 
 

@@ -6,12 +6,21 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from rig.arrays import Floats
-from rig.effects.framework.diagnosis_interface import Context, Covariate, Linear, Node, load_covariate
+from rig.array_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.machine_motion import Motion, independent_load_columns
-from rig.effects.framework.parameter import Drawing, Parameter, draw_parameter, log_uniform
-from rig.effects.framework.place import Place
+from rig.effects.framework.effect_data_types import (
+    Context,
+    Covariate,
+    Drawing,
+    Linear,
+    Node,
+    Parameter,
+    Place,
+    draw_parameter,
+    load_covariate,
+    log_uniform,
+)
+from rig.effects.framework.machine_motion_and_play import Motion, independent_load_columns
 from rig.errors import RigError
 
 HEAVIEST, LIGHTER, OFF_CENTRE = (
@@ -101,7 +110,7 @@ class Compliance(Effect):
 
     @classmethod
     def sites(cls, context: Context) -> tuple[str, ...]:
-        return places_with_link_loads(context) or super(Compliance, cls).sites(context)
+        return places_loaded_by_links_only(context) or super(Compliance, cls).sites(context)
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
@@ -135,7 +144,7 @@ class Compliance(Effect):
         return out
 
 
-def places_with_link_loads(context: Context) -> tuple[str, ...]:
-    """Places of the axes whose load is known only through the masses of the machine's own links."""
+def places_loaded_by_links_only(context: Context) -> tuple[str, ...]:
+    """Places of the axes loaded by the links only: their load is known through the links' masses."""
     motion = context.moved()
     return motion.places if motion is not None and motion.no_loads() and motion.links().shape[2] else ()

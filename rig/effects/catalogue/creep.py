@@ -1,13 +1,13 @@
-"""Creep: a part of every move arrives late."""
+"""Creep: a part of every move arrives late, approaching the command with a time constant."""
 
 from dataclasses import dataclass
 from typing import ClassVar
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.effects.catalogue.servo_lag import lagged_path
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.machine_motion import Motion
-from rig.effects.framework.parameter import Parameter
+from rig.effects.framework.effect_data_types import Parameter
+from rig.effects.framework.machine_motion_and_play import Motion
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,10 +6,9 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_data_types import Parameter, Place
 from rig.effects.framework.marker_columns import Markers, replace_columns
-from rig.effects.framework.parameter import Parameter
-from rig.effects.framework.place import Place
-from rig.model.manufacturing_tolerances import SEAT
+from rig.model.marker_and_sensor_tolerances import SEAT
 from rig.model.pose import displace_selected_poses, exp
 
 

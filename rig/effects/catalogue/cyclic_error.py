@@ -5,12 +5,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.arrays import Floats
-from rig.effects.framework.diagnosis_interface import Context, Covariate, Node
+from rig.array_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.machine_motion import Motion
-from rig.effects.framework.parameter import Parameter
-from rig.effects.framework.place import Place
+from rig.effects.framework.effect_data_types import Context, Covariate, Node, Parameter, Place
+from rig.effects.framework.machine_motion_and_play import Motion
 
 FINE = 0.3  # step of a joint's orders, of what its travel resolves
 ORDERS = 450.0  # cycles per turn of a joint; twice what a gear of 1 : 101 with four cycles per motor turn shows

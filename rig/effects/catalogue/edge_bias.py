@@ -3,13 +3,12 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from rig.arrays import Floats
-from rig.effects.framework.edge_motion import move_edges_inward
+from rig.array_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.parameter import Parameter
-from rig.effects.framework.place import Place
+from rig.effects.framework.effect_data_types import Parameter, Place
 from rig.model.design import Camera
-from rig.model.manufacturing_tolerances import FINDER
+from rig.model.image_warp_and_edge_shift import move_edges_inward
+from rig.model.marker_and_sensor_tolerances import FINDER
 
 
 @dataclass(frozen=True, slots=True)

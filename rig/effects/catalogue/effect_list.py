@@ -1,4 +1,9 @@
-"""List of all effects of the catalogue; a file and a line here add an effect everywhere."""
+"""List of all effects (a file and a line here add one everywhere), described as text, JSON and Markdown."""
+
+import textwrap
+from collections.abc import Iterable, Mapping
+
+import numpy as np
 
 from rig.effects.catalogue.axis_coupling import AxisCoupling
 from rig.effects.catalogue.backlash import Backlash
@@ -31,7 +36,10 @@ from rig.effects.catalogue.transmission_error import TransmissionError
 from rig.effects.catalogue.vibration import Vibration
 from rig.effects.catalogue.warm_up import WarmUp
 from rig.effects.framework.effect import Effect
-from rig.model.manufacturing_tolerances import Tolerance
+from rig.effects.framework.effect_data_types import AXES, Parameter, fill_axis_placeholder
+from rig.formats.json_type import Json
+from rig.formats.number_parsing_and_rounding import range_text
+from rig.model.marker_and_sensor_tolerances import Tolerance
 
 ALL: tuple[type[Effect], ...] = (
     ScaleError,
@@ -71,3 +79,188 @@ BY_NAME: dict[str, type[Effect]] = {effect.name: effect for effect in ALL}
 def effect_of_tolerance(tolerance: Tolerance | tuple[float, float]) -> type[Effect]:
     """The effect of the catalogue that what lies beyond a manufacturing tolerance is."""
     return next(kind for kind in ALL if kind.tolerance == tolerance)
+
+
+HEADS = ("name", "stage", "sits at", "parameters, usual size", "exposed by", "what to do")
+SHARES = (0.14, 0.08, 0.1, 0.21, 0.24, 0.23)  # of the width, by column
+NARROWEST = 100  # characters, below which columns are no longer read
+
+
+def effect_description_dict(effect: type[Effect]) -> Json:
+    """Description of an effect class as a dict of plain values, for JSON: places, parameters, experiment."""
+    return {
+        "name": effect.name,
+        "stage": effect.stage,
+        "places": list(effect.places),
+        "model": _flat(effect.__doc__ or ""),
+        "parameters": [_parameter(p) for p in effect.parameters],
+        "exposed_by": _said(effect.experiment),
+        "action": _said(effect.action),
+    }
+
+
+def effect_table(effects: Iterable[type[Effect]], width: int) -> str:
+    """Table of effects as text, a row each, wrapped to a width in characters."""
+    widths = [max(8, int(share * max(width, NARROWEST)) - 2) for share in SHARES]
+    lines = _row(HEADS, widths)
+    for effect in effects:
+        sizes = "; ".join(_size(p) for p in effect.parameters)
+        lines += [
+            "",
+            *_row(
+                (
+                    effect.name,
+                    effect.stage,
+                    ", ".join(effect.places),
+                    sizes,
+                    _said(effect.experiment),
+                    _said(effect.action),
+                ),
+                widths,
+            ),
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def effect_description(effect: type[Effect], width: int) -> str:
+    """Description of one effect in full, as text wrapped to a width in characters."""
+    parts = [f"{effect.name}, stage {effect.stage}, sits at {', '.join(effect.places)}", _flat(effect.__doc__ or "")]
+    for p in effect.parameters:
+        joint, ends = (
+            p.at(f"{AXES[1]} 1"),
+            f", bounds {range_text(*p.bounds, p.unit)}" if p.bounds[0] > -float("inf") else "",
+        )
+        parts.append(
+            f"  {_written(p)}{ends}" + (f"; at a joint{_written(joint).removeprefix(p.name)}" if joint is not p else "")
+        )
+    first = f"--effect {effect.name}:PLACE:" + ",".join(f"{p.name}=.." for p in effect.parameters)
+    parts += [
+        f"Exposed by: {_said(effect.experiment)}",
+        f"What to do: {_said(effect.action)}",
+        f"To simulate it: rig simulate RIG.toml {first}",
+    ]
+    return (
+        "\n".join(textwrap.fill(part, width, subsequent_indent="    ", break_on_hyphens=False) for part in parts) + "\n"
+    )
+
+
+def _parameter(p: Parameter) -> Json:
+    return {
+        "name": p.name,
+        "unit": p.unit,
+        "usual": list(p.usual) if _has_usual(p) else None,
+        "bounds": list(p.bounds),
+        "numbers": p.size,
+        "role": p.role,
+    }
+
+
+def _has_usual(p: Parameter) -> bool:
+    return p.role not in ("choice", "moment") and all(abs(end) < float("inf") for end in p.usual)
+
+
+def _size(p: Parameter) -> str:
+    return f"{p.name} {range_text(*p.usual, p.unit)}" if _has_usual(p) else p.name + (f" ({p.unit})" if p.unit else "")
+
+
+def _written(p: Parameter) -> str:
+    """A parameter with the unit in which it is written, and its usual size."""
+    return (
+        p.name + (f", in {p.unit}" if p.unit else "") + (f": {range_text(*p.usual, p.unit)}" if _has_usual(p) else "")
+    )
+
+
+def _row(cells: Iterable[str], widths: list[int]) -> list[str]:
+    wrapped = [textwrap.wrap(cell, wide, break_on_hyphens=False) for cell, wide in zip(cells, widths)]
+    deep = max(map(len, wrapped))
+    return [
+        "  ".join((column[k] if k < len(column) else "").ljust(wide) for column, wide in zip(wrapped, widths)).rstrip()
+        for k in range(deep)
+    ]
+
+
+def _said(text: str) -> str:
+    return _flat(fill_axis_placeholder(text))
+
+
+def _flat(text: str) -> str:
+    return " ".join(text.split())
+
+
+STAGES = {
+    "command": "what the axes are told, and when",
+    "struts": "what the axes do beyond their command",
+    "structure": "what the frame and the platform do",
+    "targets": "where markers sit",
+    "view": "what a camera makes of it",
+}
+HEAD = """# The catalogue of left-out physics
+
+This page is made from the effects themselves (`rig catalogue`). An effect is one file in `rig/effects`: its model, its
+parameters, the places where it can sit, what is tried of it, what shows it, the experiment that would expose it and \
+what to do about it.
+A value of `rig simulate --effect` reads `NAME:PLACE:PARAMETER=VALUE,..` in the parameter's unit, the numbers of a \
+vector parted by slashes. An
+axis is a strut (m) or a joint (rad); `rig` stands for all axes, `cameras` for all cameras, `markers` for all markers.
+"""
+
+SKETCHED = """
+A sketch is drawn by the effect's own model, as large as rigs show at the most. What moves the machine does so on a \
+hexapod of 0.3 m radius:
+strut 3 goes to and fro, farther every time, and rests in between, the other struts swing, all warms by 20 K, and \
+halfway a payload is put on
+that makes struts pull. Grey is what was told, orange what is done, with errors enlarged; below, the error over what \
+gives the effect away, as a
+diagnosis draws residuals. What a camera sees is drawn over its whole image, at the end of the time below it: grey the \
+markers as stated, orange
+as seen, near ones (large) and farther ones, a stroke at each marker's first corner.
+"""
+
+
+def catalogue_markdown(effects: Iterable[type[Effect]] = ALL, sketches: Mapping[str, str] | None = None) -> str:
+    """The catalogue in Markdown, stage by stage. sketches : {name: Markdown of its sketch}"""
+    found, drawn = list(effects), sketches or {}
+    parts = [HEAD, SKETCHED if drawn else ""]
+    for stage, meaning in STAGES.items():
+        members = [effect for effect in found if effect.stage == stage]
+        if members:
+            parts.append(f"\n## {stage.capitalize()}: {meaning}\n")
+            parts += [_effect_markdown(effect, drawn.get(effect.name, "")) for effect in members]
+    return "".join(parts)
+
+
+def _effect_markdown(effect: type[Effect], sketch: str = "") -> str:
+    """One effect's part of the page. sketch : Markdown"""
+    rows = [_parameter_markdown_row(p, effect) for p in effect.parameters]
+    return (
+        f"\n### {effect.name}\n\n{_prose(effect.__doc__ or '')}\n\n"
+        f"Sits at: {', '.join(_place(kind) for kind in effect.places)}.\n\n"
+        + (f"{sketch}\n\n" if sketch else "")
+        + "| parameter | unit | what rigs show | bounds | at a joint |\n|---|---|---|---|---|\n"
+        + "\n".join(rows)
+        + "\n\n"
+        f"Shown by: {fill_axis_placeholder(effect.experiment)}.\n\nWhat to do: {fill_axis_placeholder(effect.action)}\n"
+    )
+
+
+def _parameter_markdown_row(p: Parameter, effect: type[Effect]) -> str:
+    """One parameter as a row of the table."""
+    name = p.name if p.size == 1 else f"{p.name} ({p.size or 'any'})"
+    joint = p.at(f"{AXES[1]} 1")
+    turned = range_text(*joint.usual, joint.unit) if joint is not p and p.role != "choice" else ""
+    usual = "" if p.role in ("choice", "moment") else range_text(*p.usual, p.unit)
+    bounds = "" if np.isinf(p.bounds[0]) else range_text(*p.bounds, p.unit)
+    return f"| {name} | {p.unit} | {usual} | {bounds} | {turned} |"
+
+
+def _place(kind: str) -> str:
+    return {
+        "axis": "`strut N` or `joint N`",
+        "camera": "`camera NAME`",
+        "marker": "`marker ID`",
+        "target": "`target NAME`",
+    }.get(kind, f"`{kind}`")
+
+
+def _prose(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")

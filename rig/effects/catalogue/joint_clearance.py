@@ -5,12 +5,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.arrays import Floats
-from rig.effects.catalogue.compliance import places_with_link_loads
-from rig.effects.framework.diagnosis_interface import Context, Covariate, load_covariate
+from rig.array_types import Floats
+from rig.effects.catalogue.compliance import places_loaded_by_links_only
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.machine_motion import Motion, independent_load_columns
-from rig.effects.framework.parameter import Parameter
+from rig.effects.framework.effect_data_types import Context, Covariate, Parameter, load_covariate
+from rig.effects.framework.machine_motion_and_play import Motion, independent_load_columns
 from rig.errors import RigError
 
 NOTHING = 1e-9  # of the greatest load; less is rounding, and pushes to neither side
@@ -63,7 +62,7 @@ class JointClearance(Effect):
 
     @classmethod
     def sites(cls, context: Context) -> tuple[str, ...]:
-        return places_with_link_loads(context) or super(JointClearance, cls).sites(context)
+        return places_loaded_by_links_only(context) or super(JointClearance, cls).sites(context)
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:

@@ -6,13 +6,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.arrays import Floats
-from rig.effects.framework.diagnosis_interface import COUNT, Context, Linear
+from rig.array_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.image_warp import chebyshev_products, warp_columns
-from rig.effects.framework.parameter import Drawing, Parameter, log_uniform
-from rig.effects.framework.place import Place
+from rig.effects.framework.effect_data_types import COUNT, Context, Drawing, Linear, Parameter, Place, log_uniform
 from rig.model.design import Camera
+from rig.model.image_warp_and_edge_shift import chebyshev_products, warp_columns
 
 LACKING = {
     "thin prism": (8, 9, 10, 11),

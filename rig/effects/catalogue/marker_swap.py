@@ -7,9 +7,8 @@ from typing import ClassVar, Self
 import numpy as np
 
 from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_data_types import Drawing, Parameter, Place
 from rig.effects.framework.marker_columns import Markers, replace_columns
-from rig.effects.framework.parameter import Drawing, Parameter
-from rig.effects.framework.place import Place
 from rig.model.pose import displace_selected_poses, exp
 
 

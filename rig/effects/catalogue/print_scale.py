@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_data_types import Parameter
 from rig.effects.framework.marker_columns import Markers, replace_columns
-from rig.effects.framework.parameter import Parameter
-from rig.model.manufacturing_tolerances import SIDES
+from rig.model.marker_and_sensor_tolerances import SIDES
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,11 +6,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from rig.arrays import Floats
-from rig.effects.framework.diagnosis_interface import Context
+from rig.array_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.parameter import Drawing, Parameter, draw_number
-from rig.effects.framework.place import Place
+from rig.effects.framework.effect_data_types import Context, Drawing, Parameter, Place, draw_number
 from rig.model.design import Camera
 
 INDEX = 1.5  # of the window's glass against air

@@ -5,14 +5,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.arrays import Floats
-from rig.effects.framework.diagnosis_interface import Covariate
+from rig.array_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.machine_motion import Motion
-from rig.effects.framework.parameter import Parameter
+from rig.effects.framework.effect_data_types import Covariate, Parameter
+from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
-from rig.model.hexapod_geometry import cardan_twist
-from rig.model.mechanism_kinds import require_hexapod
+from rig.model.mechanism_kinds_and_hexapod_properties import cardan_twist, require_hexapod
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,12 +5,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.arrays import Floats
-from rig.compute.numba_kernels import njit
-from rig.effects.framework.diagnosis_interface import Covariate, travel_covariate
+from rig.array_types import Floats
+from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.machine_motion import Motion, Path
-from rig.effects.framework.parameter import Parameter
+from rig.effects.framework.effect_data_types import Covariate, Parameter, travel_covariate
+from rig.effects.framework.machine_motion_and_play import Motion, Path
 
 AFTER = np.array([0.25, 0.5, 1, 2, 4, 8])  # time constants after a change of speed at which the path gets a knot
 

@@ -1,4 +1,4 @@
-"""Transmission error: a repeatable profile of an axis' own position, by screw lead, gear or encoder."""
+"""Transmission error of a screw, gear or encoder: a profile that repeats with an axis' own position."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -6,12 +6,22 @@ from typing import ClassVar, Self
 import numpy as np
 import scipy
 
-from rig.arrays import Floats
-from rig.effects.framework.diagnosis_interface import COUNT, Context, Covariate, Linear, Node, travel_covariate
+from rig.array_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.machine_motion import Motion
-from rig.effects.framework.parameter import Drawing, Parameter, derivative_step, log_uniform
-from rig.effects.framework.place import Place
+from rig.effects.framework.effect_data_types import (
+    COUNT,
+    Context,
+    Covariate,
+    Drawing,
+    Linear,
+    Node,
+    Parameter,
+    Place,
+    derivative_step,
+    log_uniform,
+    travel_covariate,
+)
+from rig.effects.framework.machine_motion_and_play import Motion
 
 KNOTS = (5, 9, 14)  # of a strut's profile, or a slide's
 SPACINGS = (1.0, 0.5, 0.25, 0.12, 0.07, 0.05, 0.035)  # rad between knots of a joint's profile

@@ -5,11 +5,10 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from rig.arrays import Floats
-from rig.effects.framework.diagnosis_interface import QUADRATURE, Context, Covariate, Linear, Node
+from rig.array_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.machine_motion import Motion
-from rig.effects.framework.parameter import Drawing, Parameter
+from rig.effects.framework.effect_data_types import QUADRATURE, Context, Covariate, Drawing, Linear, Node, Parameter
+from rig.effects.framework.machine_motion_and_play import Motion
 
 
 @dataclass(frozen=True, slots=True)

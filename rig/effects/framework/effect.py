@@ -13,23 +13,29 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from rig.arrays import Floats
-from rig.effects.framework.diagnosis_interface import (
+from rig.array_types import Floats
+from rig.effects.framework.effect_data_types import (
+    AXES,
     COUNT,
     QUADRATURE,
     Context,
     Covariate,
+    Drawing,
     Linear,
     Node,
+    Parameter,
+    Place,
+    axis_mask,
+    derivative_step,
+    draw_parameter,
+    parameter_grid,
     parameter_values,
 )
-from rig.effects.framework.machine_motion import SOON, Motion, Path
+from rig.effects.framework.machine_motion_and_play import SOON, Motion, Path
 from rig.effects.framework.marker_columns import Markers
-from rig.effects.framework.parameter import Drawing, Parameter, derivative_step, draw_parameter, parameter_grid
-from rig.effects.framework.place import AXES, Place, axis_mask
 from rig.errors import RigError
 from rig.model.design import Camera
-from rig.model.manufacturing_tolerances import Tolerance
+from rig.model.marker_and_sensor_tolerances import Tolerance
 
 REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stated
 MOTION_STAGES = ("command", "struts", "structure")

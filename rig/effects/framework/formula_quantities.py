@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE
-from rig.effects.framework.machine_motion import Motion
-from rig.effects.framework.place import AXES
+from rig.effects.framework.effect_data_types import AXES
+from rig.effects.framework.machine_motion_and_play import Motion
 
 POSE = ("x", "y", "z", "rx", "ry", "rz")
 OWN = ("own travel", "own step", "own direction", "own speed", "own way", "own load")

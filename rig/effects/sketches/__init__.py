@@ -2,7 +2,6 @@
 what gives each away.
 """
 
-from rig.effects.sketches.effect_example import Sketch
-from rig.effects.sketches.motion_effect_figures import draw_sketch
+from rig.effects.sketches.motion_effect_sketches import Sketch, draw_sketch
 
 __all__ = ["Sketch", "draw_sketch"]

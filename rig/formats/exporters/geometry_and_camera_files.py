@@ -16,12 +16,11 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import RigError
 from rig.model.design import Camera
-from rig.model.hexapod_geometry import cardan_twist
-from rig.model.mechanism_geometry import Arm, Hexapod
-from rig.model.mechanism_kinds import has_plates
+from rig.model.mechanism_geometry_classes import Arm, Hexapod
+from rig.model.mechanism_kinds_and_hexapod_properties import cardan_twist, has_plates
 from rig.model.pose import pose_to_entry, pose_to_vector
 
 HEXAPOD = (

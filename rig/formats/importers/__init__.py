@@ -4,7 +4,7 @@ as a recipe.
 
 from rig.formats.importers.import_recipe import Recipe, load_recipe, recipe_of_options, recipe_toml
 from rig.formats.importers.recording_import import (
-    Imported,
+    ImportedRecording,
     assemble_recording,
     design_with_imported_cameras,
     unpack_recipe_bags,
@@ -12,7 +12,7 @@ from rig.formats.importers.recording_import import (
 )
 
 __all__ = [
-    "Imported",
+    "ImportedRecording",
     "Recipe",
     "assemble_recording",
     "load_recipe",

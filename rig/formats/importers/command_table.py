@@ -6,7 +6,7 @@ from decimal import Decimal
 
 import numpy as np
 
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.checks.clock_mistakes import FASTEST, SLOWEST, USUAL
 from rig.errors import FileError, RigError
 from rig.formats.importers.csv_dialect import read_foreign_table
@@ -15,8 +15,8 @@ from rig.formats.importers.foreign_table_columns import (
     TIME,
     Cells,
     axis_header_names,
+    columns_for_recipe,
     find_columns,
-    recipe_columns,
 )
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.importers.units_and_timestamps import (
@@ -30,12 +30,12 @@ from rig.formats.importers.units_and_timestamps import (
 )
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_geometry import Arm
-from rig.model.mechanism_kinds import has_links, require_arm, require_struts
+from rig.model.mechanism_geometry_classes import Arm
+from rig.model.mechanism_kinds_and_hexapod_properties import has_links, require_arm, require_struts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Commanded:
+class ImportedCommands:
     """t : n exact s, or None where the table has none; values : (n, axes) m or rad; frame : (n,) int or None;
     table : ForeignTable as found out.
     """
@@ -47,7 +47,7 @@ class Commanded:
     said: tuple[str, ...]
 
 
-def read_commands(table: ForeignTable, design: Design) -> Commanded:
+def read_commands(table: ForeignTable, design: Design) -> ImportedCommands:
     """Read the commands of a foreign table. Raises RigError for unusable or ambiguous ones.
     Raises RigError for what cannot be used and for what reads well in two ways.
     """
@@ -57,7 +57,10 @@ def read_commands(table: ForeignTable, design: Design) -> Commanded:
     cells = read_foreign_table(table, "commands")
     found = find_columns(cells, "commands", {**TIME, **FRAME, **axis_header_names(axes)}, axes)
     values, table, told = _values(
-        cells, [found[name] for name in axes], replace(cells.table, columns=recipe_columns(table, cells, found)), design
+        cells,
+        [found[name] for name in axes],
+        replace(cells.table, columns=columns_for_recipe(table, cells, found)),
+        design,
     )
     frame = None if "frame" not in found else np.array(cells.numbers(found["frame"]))
     t, said = None, (*cells.said, *told)
@@ -65,10 +68,10 @@ def read_commands(table: ForeignTable, design: Design) -> Commanded:
         read_times = cells.times(found["t"], "commands", table, _pace(values, design))
         t, said = read_times.seconds, (*said, *read_times.said)
         table = replace(table, time_unit=read_times.unit, zone=read_times.zone)
-    return _once(Commanded(t, values, frame, table, said), cells)
+    return _once(ImportedCommands(t, values, frame, table, said), cells)
 
 
-def _once(commanded: Commanded, cells: Cells) -> Commanded:
+def _once(commanded: ImportedCommands, cells: Cells) -> ImportedCommands:
     """The rows without those that a log has twice. Raises FileError, with the line, where rows of one time say
     different things.
     """

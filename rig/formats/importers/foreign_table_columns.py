@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import FileError, RigError
 from rig.formats.checked_entries import LARGEST_NUMBER
 from rig.formats.importers.import_recipe import ForeignTable
@@ -131,9 +131,11 @@ def find_columns(
     return found
 
 
-def recipe_columns(table: ForeignTable, cells: Cells, found: dict[str, int]) -> tuple[tuple[str, str], ...]:
-    """The columns found, in the form that an import recipe stores."""
-    return tuple((ours, cells.header[at]) for ours, at in found.items())
+def columns_for_recipe(
+    table: ForeignTable, cells: Cells, column_indices: dict[str, int]
+) -> tuple[tuple[str, str], ...]:
+    """Columns (our name, their header) as an import recipe stores them."""
+    return tuple((ours, cells.header[at]) for ours, at in column_indices.items())
 
 
 TUM = "t x y z qx qy qz qw"  # what its eight columns are, the quaternion's real part last
@@ -143,7 +145,7 @@ FIGURES = re.compile(r"[-+0-9.eE]+( +[-+0-9.eE]+){7}")
 
 
 @dataclass(frozen=True, slots=True)
-class Headed:
+class TableWithHeader:
     """lines : (number, text) pairs, a header first; table : ForeignTable with the header; said : sentences."""
 
     lines: list[tuple[int, str]]
@@ -151,7 +153,7 @@ class Headed:
     said: tuple[str, ...] = ()
 
 
-def lines_with_header(table: ForeignTable, section: str, lines: list[tuple[int, str]]) -> Headed:
+def lines_with_header(table: ForeignTable, section: str, lines: list[tuple[int, str]]) -> TableWithHeader:
     """Lines of a table with a header added where it has none: the stated one, or TUM's.
     section : of the table's section
 
@@ -163,13 +165,13 @@ def lines_with_header(table: ForeignTable, section: str, lines: list[tuple[int, 
         and table.separator in (None, "space")
         and all(FIGURES.fullmatch(text) for _, text in lines[:2])
     ):
-        return Headed(
+        return TableWithHeader(
             [(0, TUM), *lines],
             replace(table, header=TUM, separator="space", decimal="point"),
             (f"{table.file.name} has no header and eight columns: a trajectory as TUM's, {TUM}, in m",),
         )
     if table.header is None:
-        return Headed(lines, table)
+        return TableWithHeader(lines, table)
     lost = [number for number, text in lines if text == LOST]
     if lost and not _sample_column(table.header.replace(",", " ").split()):
         raise FileError(
@@ -179,7 +181,7 @@ def lines_with_header(table: ForeignTable, section: str, lines: list[tuple[int, 
             lost[0],
         )
     said = (f"{table.file.name}: samples were lost {len(lost)} times, first at line {lost[0]}",) if lost else ()
-    return Headed([(0, table.header), *(line for line in lines if line[1] != LOST)], table, said)
+    return TableWithHeader([(0, table.header), *(line for line in lines if line[1] != LOST)], table, said)
 
 
 def _sample_column(header: list[str]) -> str | None:

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.checks.clock_mistakes import dwell_clock_shift
 from rig.errors import RigError
 from rig.formats.importers import image_file_frames
-from rig.formats.importers.command_table import Commanded
+from rig.formats.importers.command_table import ImportedCommands
 from rig.formats.importers.csv_dialect import read_foreign_table
-from rig.formats.importers.foreign_table_columns import CAMERA, FRAME, IMAGE, TIME, find_columns, recipe_columns
-from rig.formats.importers.image_file_frames import Exposed
+from rig.formats.importers.foreign_table_columns import CAMERA, FRAME, IMAGE, TIME, columns_for_recipe, find_columns
+from rig.formats.importers.image_file_frames import ImportedExposures
 from rig.formats.importers.import_recipe import ForeignTable, Recipe
 from rig.recording.recording_folder import LAST_DWELL
 from rig.recording.time_origin import DIGITS
@@ -24,8 +24,8 @@ Like = Callable[[Floats], bool]
 
 
 def exposures_with_times(
-    exposed: Exposed, commanded: Commanded | None, recipe: Recipe, like: Like
-) -> tuple[Exposed, Recipe]:
+    exposed: ImportedExposures, commanded: ImportedCommands | None, recipe: Recipe, like: Like
+) -> tuple[ImportedExposures, Recipe]:
     """Exposures with times: of their names, of a table of frames, or of the commands' rows, one for one.
 
     like : whether times (n,) s from the first can be so. Raises RigError where nothing tells the times
@@ -72,7 +72,9 @@ def exposures_with_times(
     return replace(exposed, t=[at[n] for n in exposed.frame], said=(*exposed.said, said)), recipe
 
 
-def _by_table(exposed: Exposed, recipe: Recipe, table: ForeignTable, like: Like) -> tuple[Exposed, Recipe]:
+def _by_table(
+    exposed: ImportedExposures, recipe: Recipe, table: ForeignTable, like: Like
+) -> tuple[ImportedExposures, Recipe]:
     """The exposures with the times that a table gives frames or images."""
     cells = read_foreign_table(table, "frames")
     found = find_columns(cells, "frames", {**TIME, **FRAME, **IMAGE, **CAMERA}, ("t",))
@@ -93,7 +95,7 @@ def _by_table(exposed: Exposed, recipe: Recipe, table: ForeignTable, like: Like)
     zone = table.zone or (of_images.zone if of_images is not None else None)
     shift = table.shift or (of_images.shift if of_images is not None else 0.0)
     t = cells.times(found["t"], "frames", replace(table, zone=zone, shift=shift), like)
-    resolved = replace(cells.table, columns=recipe_columns(table, cells, found), time_unit=t.unit, zone=t.zone)
+    resolved = replace(cells.table, columns=columns_for_recipe(table, cells, found), time_unit=t.unit, zone=t.zone)
     if "image" in found:
         parts = (
             1 if len({path.name for path in exposed.path}) == len(exposed.path) else 2
@@ -125,7 +127,7 @@ def _by_table(exposed: Exposed, recipe: Recipe, table: ForeignTable, like: Like)
     return replace(exposed, t=[first[frame] for frame in exposed.frame], said=said), replace(recipe, frames=resolved)
 
 
-def require_one_clock(exposures: Exposed, commands: Commanded | None) -> None:
+def require_one_clock(exposures: ImportedExposures, commands: ImportedCommands | None) -> None:
     """Raise RigError unless exposures and commands are on one clock."""
     if commands is None or commands.t is None:
         return

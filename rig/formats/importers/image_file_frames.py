@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import FileError, RigError
 from rig.formats.importers import units_and_timestamps as times
 from rig.formats.importers.import_recipe import Images
@@ -31,7 +31,7 @@ PARTS = {"camera": r"(?P<camera>[^/]+?)", "frame": r"(?P<frame>\d{1,15})", "time
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class ImageFile:
     """An image: path; camera : ours; frame : number or None; stamp : text of its time or None."""
 
     path: Path
@@ -41,7 +41,7 @@ class Picture:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Exposed:
+class ImportedExposures:
     """Exposures in order. frame : n numbers; t : n exact s, or None where names tell no times; camera : n names;
     path : n files.
     """
@@ -60,7 +60,7 @@ class Exposed:
         return self.t
 
 
-def list_image_files(images: Images, design: Design) -> list[Picture]:
+def list_image_files(images: Images, design: Design) -> list[ImageFile]:
     """List the image files of the folders, sorted by name, with camera, frame number or time.
     Raises RigError where names do not tell camera and frame or time.
     """
@@ -85,7 +85,7 @@ def list_image_files(images: Images, design: Design) -> list[Picture]:
 
 def image_files_of_folder(
     files: list[Path], folder: Path, cameras: dict[str, str], name_pattern: str | None, rig_cameras: list[str]
-) -> list[Picture]:
+) -> list[ImageFile]:
     """Image files of one folder, with camera, frame number or time from their names.
     cameras : {word in lower case: camera}; name_pattern : how names are built, None for as they come ours : names of
         the
@@ -143,15 +143,15 @@ def _camera(
     return word, rest, parts
 
 
-def _picture(path: Path, camera: str, word: str, rest: str, parts: dict[str, str] | None) -> Picture:
+def _picture(path: Path, camera: str, word: str, rest: str, parts: dict[str, str] | None) -> ImageFile:
     """Picture of a file. word : that stands for its camera; rest : its name with its folder; parts : of it by the
     stated pattern, None for none
     """
     if parts is not None:
-        return Picture(path, camera, int(parts["frame"]) if "frame" in parts else None, parts.get("time"))
+        return ImageFile(path, camera, int(parts["frame"]) if "frame" in parts else None, parts.get("time"))
     stem = rest.rsplit("/", 1)[-1]
     stem = re.sub(rf"(?<![a-z0-9]){re.escape(word)}(?![a-z0-9])", CAMERA, stem, flags=re.IGNORECASE)
-    return Picture(path, camera, *_figures(path, stem))
+    return ImageFile(path, camera, *_figures(path, stem))
 
 
 def _by_pattern(path: Path, name: str, names: str) -> dict[str, str]:
@@ -204,8 +204,8 @@ def _pattern(stem: str, k: int, part: str) -> str:
 
 
 def group_images_into_exposures(
-    image_files: list[Picture], images: Images, are_plausible: Callable[[Floats], bool]
-) -> Exposed:
+    image_files: list[ImageFile], images: Images, are_plausible: Callable[[Floats], bool]
+) -> ImportedExposures:
     """Group image files into exposures: by frame number, else by time.
     are_plausible : whether times (n,) s from the first can be so.
 
@@ -247,7 +247,7 @@ def group_images_into_exposures(
         for k in order:
             first.setdefault(numbers[k], t[k])
         t = [first[numbers[k]] for k in order]
-    return Exposed(
+    return ImportedExposures(
         [numbers[k] for k in order],
         t,
         [image_files[k].camera for k in order],
@@ -265,7 +265,7 @@ def _once(rows: list[tuple[int, str, Path]]) -> None:
         seen[frame, camera] = path
 
 
-def _grouped(found: list[Picture], t: list[Decimal], images: Images, said: tuple[str, ...]) -> Exposed:
+def _grouped(found: list[ImageFile], t: list[Decimal], images: Images, said: tuple[str, ...]) -> ImportedExposures:
     """Exposures that are at most a tolerance apart become one frame, at the middle of its times."""
     order = sorted(range(len(found)), key=lambda k: (t[k], found[k].camera))
     within, told = _tolerance(found, t, order, images)
@@ -295,7 +295,7 @@ def _grouped(found: list[Picture], t: list[Decimal], images: Images, said: tuple
         f"images within {within:g} s of each other are one frame, at the middle of their times (the widest "
         f"{widest * 1e3:.3g} ms)",
     )
-    return Exposed(
+    return ImportedExposures(
         frame,
         at,
         [found[k].camera for k in flat],
@@ -306,7 +306,7 @@ def _grouped(found: list[Picture], t: list[Decimal], images: Images, said: tuple
 
 
 def _tolerance(
-    found: list[Picture], t: list[Decimal], order: list[int], images: Images
+    found: list[ImageFile], t: list[Decimal], order: list[int], images: Images
 ) -> tuple[float, tuple[str, ...]]:
     """(s, sentences): as stated, or a quarter of the shortest time between two images of one camera. Raises RigError
     where exposures lie between.

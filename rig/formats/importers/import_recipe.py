@@ -9,7 +9,7 @@ from typing import Any
 from rig.errors import RigError
 from rig.formats.checked_entries import Entries
 from rig.formats.input_files import read_text, short_repr
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.formats.structured_files import toml_entries
 

@@ -7,15 +7,15 @@ from decimal import Decimal
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.errors import RigError
 from rig.formats.checked_entries import LARGEST_RIG
 from rig.formats.importers.csv_dialect import read_foreign_table
-from rig.formats.importers.foreign_table_columns import FRAME, TIME, Cells, find_columns, recipe_columns
+from rig.formats.importers.foreign_table_columns import FRAME, TIME, Cells, columns_for_recipe, find_columns
 from rig.formats.importers.import_recipe import EULER, ForeignTable
 from rig.formats.importers.units_and_timestamps import ANGLES, LENGTHS, ambiguity_error
 from rig.model.design import Design
-from rig.model.mechanism_kinds import has_plates
+from rig.model.mechanism_kinds_and_hexapod_properties import has_plates
 from rig.model.mechanisms import hexapod
 
 POSITION = {
@@ -44,7 +44,7 @@ ReadRotations = tuple[Rotation | None, ForeignTable, tuple[str, ...]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Posed:
+class ImportedPoses:
     """T : RigidTransform (n,), or positions unrotated where alone is true; frame : (n,) numbers or None; t : n exact s
     or None.
     """
@@ -62,7 +62,7 @@ Asked = Callable[[list[Decimal] | None, Floats | None, int], Floats | None]
 
 def read_poses(
     table: ForeignTable, design: Design, commands_of_rows: Asked, are_plausible: Callable[[Floats], bool]
-) -> Posed:
+) -> ImportedPoses:
     """Read the poses of a foreign table. Raises RigError where it is ambiguous.
     Raises RigError for what reads well in two ways.
 
@@ -74,7 +74,7 @@ def read_poses(
     found = find_columns(
         cells, "poses", {**TIME, **FRAME, **POSITION, **VECTOR, **EULERS, **QUATERNION, **NUMBERED}, ("x", "y", "z")
     )
-    table = replace(cells.table, columns=recipe_columns(table, cells, found))
+    table = replace(cells.table, columns=columns_for_recipe(table, cells, found))
     p, table, said = _positions(cells, found, table, design)
     t = None
     if "t" in found:
@@ -88,7 +88,7 @@ def read_poses(
     rotations, table, more = _rotations(cells, found, table, design, p, commands_of_rows(t, frame, len(p)))
     alone = rotations is None
     T = RigidTransform.from_components(p, Rotation.identity(len(p)) if alone else rotations)
-    return Posed(T, alone, frame, t, table, (*cells.said, *said, *more))
+    return ImportedPoses(T, alone, frame, t, table, (*cells.said, *said, *more))
 
 
 def _positions(

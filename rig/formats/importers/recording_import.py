@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.errors import RigError
 from rig.formats.importers import image_file_frames
 from rig.formats.importers.camera_calibrations import rig_toml_with_cameras
-from rig.formats.importers.command_table import Commanded, read_commands
+from rig.formats.importers.command_table import ImportedCommands, read_commands
 from rig.formats.importers.frame_times import (
     LISTED,
     Like,
@@ -19,10 +19,10 @@ from rig.formats.importers.frame_times import (
     require_one_clock,
     seconds_since_origin,
 )
-from rig.formats.importers.image_file_frames import Exposed
+from rig.formats.importers.image_file_frames import ImportedExposures
 from rig.formats.importers.import_recipe import Images, Recipe
-from rig.formats.importers.pose_table import Posed, read_poses
-from rig.formats.importers.sensor_table import Logged, read_sensors
+from rig.formats.importers.pose_table import ImportedPoses, read_poses
+from rig.formats.importers.sensor_table import ImportedSensors, read_sensors
 from rig.formats.input_files import read_bytes, read_text
 from rig.formats.output_files import write_bytes
 from rig.formats.rig_toml import design_file
@@ -38,16 +38,16 @@ SPANS = (0.02, 50.0)  # of another file's span, that a file's may have
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Imported:
+class ImportedRecording:
     """exposed : Exposed with times; commanded, logged : or None; posed : Posed or None, with frames; recipe : with all
     that was found out.
     """
 
     design: Design
-    exposed: Exposed
-    commanded: Commanded | None
-    posed: Posed | None
-    logged: Logged | None
+    exposed: ImportedExposures
+    commanded: ImportedCommands | None
+    posed: ImportedPoses | None
+    logged: ImportedSensors | None
     recipe: Recipe
     said: tuple[str, ...]
     rig: str | None = None  # rig.toml with the cameras of another program; None: as its owner has it
@@ -75,8 +75,8 @@ def unpack_recipe_bags(recipe: Recipe, folder: Path) -> Recipe:
     return ros_bag.unpack_bags(recipe, design_with_imported_cameras(recipe)[0], folder)
 
 
-def assemble_recording(recipe: Recipe, skip_unreadable: bool = False) -> Imported:
-    """Assemble a recording (Imported) from a Recipe, unreadable images skipped if requested.
+def assemble_recording(recipe: Recipe, skip_unreadable: bool = False) -> ImportedRecording:
+    """Assemble an ImportedRecording from a Recipe, unreadable images skipped if requested.
     skip_unreadable : whether images that cannot be used are left out, and said
 
     Raises RigError for what cannot be used, for what is missing and for what reads well in two ways.
@@ -118,7 +118,7 @@ def assemble_recording(recipe: Recipe, skip_unreadable: bool = False) -> Importe
         *of_cameras,
         *dict.fromkeys(line for part in (commanded, exposed, posed, logged) if part for line in part.said),
     )
-    return Imported(design, exposed, commanded, posed, logged, replace(recipe, said=said), said, rig)
+    return ImportedRecording(design, exposed, commanded, posed, logged, replace(recipe, said=said), said, rig)
 
 
 def _like(others: list[Decimal] | None) -> Like:
@@ -127,7 +127,7 @@ def _like(others: list[Decimal] | None) -> Like:
     return lambda t: not span or SPANS[0] <= abs(t[-1] - t[0]) / span <= SPANS[1]
 
 
-def _usable(exposed: Exposed, design: Design, skip: bool) -> Exposed:
+def _usable(exposed: ImportedExposures, design: Design, skip: bool) -> ImportedExposures:
     """The exposures without images that cannot be used. Raises RigError that names all of these where they are not to
     be skipped, or are all.
     """
@@ -150,7 +150,11 @@ def _usable(exposed: Exposed, design: Design, skip: bool) -> Exposed:
 
 
 def _commanded(
-    exposed: Exposed | None, commanded: Commanded | None, t: list[Decimal] | None, frame: Integers | None, n: int
+    exposed: ImportedExposures | None,
+    commanded: ImportedCommands | None,
+    t: list[Decimal] | None,
+    frame: Integers | None,
+    n: int,
 ) -> Floats | None:
     """(n, axes) commanded at n poses: at their times, at those of their frames, or row for row; None where none of
     these tells.
@@ -170,7 +174,9 @@ def _commanded(
     return np.stack([np.interp(at, rows, column) for column in commanded.values.T], axis=1)
 
 
-def _placed(exposed: Exposed | None, posed: Posed, commanded: Commanded | None) -> tuple[Exposed, Posed]:
+def _placed(
+    exposed: ImportedExposures | None, posed: ImportedPoses, commanded: ImportedCommands | None
+) -> tuple[ImportedExposures, ImportedPoses]:
     """Poses on frames: by number, by time, or row for row; where there are no images each pose is a frame."""
     n = len(posed.T)
     if exposed is None:
@@ -195,7 +201,9 @@ def _placed(exposed: Exposed | None, posed: Posed, commanded: Commanded | None) 
             numbers = [
                 int(r) for r in np.argsort(np.argsort(np.array([float(x - t[order[0]]) for x in t]), kind="stable"))
             ]
-        empty = Exposed([numbers[k] for k in order], [t[k] for k in order], [""] * n, [Path()] * n, Images(()), ())
+        empty = ImportedExposures(
+            [numbers[k] for k in order], [t[k] for k in order], [""] * n, [Path()] * n, Images(()), ()
+        )
         return empty, replace(posed, frame=np.array(numbers), said=said)
     known = dict(zip(exposed.frame, exposed.times()))
     if posed.frame is None and posed.t is not None:
@@ -222,7 +230,7 @@ def _placed(exposed: Exposed | None, posed: Posed, commanded: Commanded | None) 
     return exposed, posed
 
 
-def _clocked(exposed: Exposed, commanded: Commanded | None) -> Commanded | None:
+def _clocked(exposed: ImportedExposures, commanded: ImportedCommands | None) -> ImportedCommands | None:
     """Commands with times: those of the frames, where they have none of their own and are as many."""
     if commanded is None or commanded.t is not None:
         return commanded
@@ -241,7 +249,7 @@ def _clocked(exposed: Exposed, commanded: Commanded | None) -> Commanded | None:
     )
 
 
-def write_recording(imported: Imported, folder: Path) -> None:
+def write_recording(imported: ImportedRecording, folder: Path) -> None:
     """Write the imported recording into an empty folder.
     folder : empty
     """

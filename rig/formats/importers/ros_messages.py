@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from rig.arrays import ImageBytes, Pixels
+from rig.array_types import ImageBytes, Pixels
 from rig.errors import FileError, RigError
 from rig.formats.input_files import short_repr
 from rig.formats.output_files import write_bytes

@@ -9,7 +9,7 @@ from typing import cast
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import RigError
 from rig.formats.checked_entries import name_problem
 from rig.formats.importers.csv_dialect import read_foreign_table
@@ -34,7 +34,7 @@ SI = {"C": "C", "K": "C", "F": "C", "kg": "kg", "g": "kg"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Logged:
+class ImportedSensors:
     """t : n exact s; channels : pairs (name, (n,) values)."""
 
     t: list[Decimal]
@@ -43,7 +43,7 @@ class Logged:
     said: tuple[str, ...]
 
 
-def read_sensors(table: ForeignTable, are_plausible: Callable[[Floats], bool]) -> Logged:
+def read_sensors(table: ForeignTable, are_plausible: Callable[[Floats], bool]) -> ImportedSensors:
     """Read the sensor channels of a foreign table. Raises RigError for unusable ones.
     are_plausible : whether times (n,) s from the first can be so. Raises RigError for what cannot be used
     """
@@ -72,7 +72,7 @@ def read_sensors(table: ForeignTable, are_plausible: Callable[[Floats], bool]) -
             converted = unit in TO_SI and unit not in ("C", "kg", "m")
             renamed.append(f"{header} is {name}" + (f", from {unit}" if converted else ""))
     said = (f"{table.file.name}: {'; '.join(renamed)}",) if renamed else ()
-    return Logged(
+    return ImportedSensors(
         read_times.seconds,
         tuple(channels),
         replace(cells.table, columns=tuple(kept), time_unit=read_times.unit, zone=read_times.zone),

@@ -8,7 +8,7 @@ from decimal import Decimal
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import RigError
 from rig.formats.input_files import short_repr
 from rig.recording.time_origin import DIGITS

@@ -3,14 +3,14 @@ made.
 """
 
 from rig.formats.output_files.atomic_file import STANDARD_OUTPUT, write_bytes, write_text
-from rig.formats.output_files.command_outputs import Outputs
+from rig.formats.output_files.command_outputs import CommandOutputs
 from rig.formats.output_files.folder_manifest import MANIFEST, FolderManifest, require_complete_folder
 
 __all__ = [
     "MANIFEST",
     "STANDARD_OUTPUT",
     "FolderManifest",
-    "Outputs",
+    "CommandOutputs",
     "require_complete_folder",
     "write_bytes",
     "write_text",

@@ -7,11 +7,17 @@ from pathlib import Path
 from rig.errors import FileError, RigError
 from rig.formats import remote_folders
 from rig.formats.output_files.atomic_file import is_written_directly, path_status, write_text
-from rig.formats.output_files.folder_manifest import MANIFEST, FolderManifest, Origin, is_recording_table, load_manifest
-from rig.formats.output_files.staged_folder import GROWING, Staged, lock_folder, remove_stale_staged_files
+from rig.formats.output_files.folder_manifest import (
+    MANIFEST,
+    FolderManifest,
+    FolderOrigin,
+    is_recording_table,
+    load_manifest,
+)
+from rig.formats.output_files.staged_folder import GROWING, StagedFolder, lock_folder, remove_stale_staged_files
 
 
-class Outputs:
+class CommandOutputs:
     """The places that one command writes to. As a context it puts everything there at its end, or nothing where an
     exception ends it.
 
@@ -28,11 +34,11 @@ class Outputs:
         self.command, self.arguments, self.inputs, self.force = command, tuple(arguments), list(inputs), force
         self.data: tuple[str, ...] = ()
         self.pages: list[Path] = []  # that are in their places by now
-        self._staged: dict[Path, Staged] = {}
+        self._staged: dict[Path, StagedFolder] = {}
         self._growing: list[tuple[Path, int]] = []
         self.in_use = False
 
-    def __enter__(self) -> "Outputs":
+    def __enter__(self) -> "CommandOutputs":
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, *_: object) -> None:
@@ -170,20 +176,20 @@ class Outputs:
         write_text(path / MANIFEST, FolderManifest(self._origin(False), load_manifest(path).files).text())
         return path
 
-    def _beside(self, place: Path, path: Path) -> Staged:
+    def _beside(self, place: Path, path: Path) -> StagedFolder:
         """The Staged of a folder. path : as the user named what is written there"""
         self.in_use = True
         if place not in self._staged:
             try:
-                self._staged[place] = Staged(place, self.command)
+                self._staged[place] = StagedFolder(place, self.command)
             except OSError as error:
                 raise RigError(
                     f"{path} cannot be {'written' if place.is_dir() else 'made'}: {error.strerror}"
                 ) from None
         return self._staged[place]
 
-    def _origin(self, done: bool) -> Origin:
-        return Origin(self.command, self.arguments, done, self.data)
+    def _origin(self, done: bool) -> FolderOrigin:
+        return FolderOrigin(self.command, self.arguments, done, self.data)
 
     def _no_input(self, path: Path, what: str) -> None:
         there = path_status(path)
@@ -233,6 +239,6 @@ def _here(path: Path) -> None:
     """
     if remote_folders.is_remote(path):
         raise RigError(
-            f"{remote_folders.url(path)} is behind a URL, from which recordings are read; results are "
+            f"{remote_folders.remote_url(path)} is behind a URL, from which recordings are read; results are "
             "written on this computer, name a place here"
         )

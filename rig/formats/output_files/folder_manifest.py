@@ -32,7 +32,7 @@ def is_recording_table(name: str) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Origin:
+class FolderOrigin:
     """command : that makes a folder whole; arguments : as they were given, but for what a recording must not tell about
     its truth
     complete : whether it came to its end; data : marks of the exposures that what is in the folder was computed from
@@ -45,7 +45,7 @@ class Origin:
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class ManifestEntry:
     """command : that made a file; sha256 : of what it may hold as that command left it (two while one is being replaced
     by the other).
     """
@@ -60,8 +60,8 @@ class FolderManifest:
     Entry}.
     """
 
-    origin: Origin | None = None
-    files: dict[str, Entry] = field(default_factory=dict)
+    origin: FolderOrigin | None = None
+    files: dict[str, ManifestEntry] = field(default_factory=dict)
 
     def untouched(self, folder: Path, name: str, command: str) -> bool:
         """Whether a file is as a command left it."""
@@ -99,7 +99,7 @@ def load_manifest(folder: Path) -> FolderManifest:
             (remote_folders.read(path) if remote_folders.is_remote(path) else path.read_bytes()).decode("utf-8")
         )
         require_schema(path, "manifest of what was made in its folder", tree["schema"], (SCHEMA,))
-        origin = tree["origin"] and Origin(
+        origin = tree["origin"] and FolderOrigin(
             str(tree["origin"]["command"]),
             tuple(map(str, tree["origin"]["arguments"])),
             tree["origin"]["complete"] is True,
@@ -111,7 +111,7 @@ def load_manifest(folder: Path) -> FolderManifest:
         return FolderManifest(
             origin,
             {
-                name: Entry(str(entry["command"]), tuple(map(str, entry["sha256"])))
+                name: ManifestEntry(str(entry["command"]), tuple(map(str, entry["sha256"])))
                 for name, entry in tree["files"].items()
             },
         )

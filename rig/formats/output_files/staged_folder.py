@@ -12,9 +12,9 @@ from rig.errors import FileError, RigError
 from rig.formats.output_files.atomic_file import path_status, sync_folder, write_text
 from rig.formats.output_files.folder_manifest import (
     MANIFEST,
-    Entry,
     FolderManifest,
-    Origin,
+    FolderOrigin,
+    ManifestEntry,
     file_digest,
     is_recording_table,
     load_manifest,
@@ -45,7 +45,7 @@ def lock_folder(folder: Path, wait: bool) -> int:
     return descriptor
 
 
-class Staged:
+class StagedFolder:
     """place : the folder, links resolved; folder : within it, where files wait; known : FolderManifest as it was when
     this began
     whole : whether the command makes all of the folder; allowed : names that may be written over without having been
@@ -70,7 +70,7 @@ class Staged:
             self._unmake()
             raise
 
-    def mark(self, origin: Origin) -> None:
+    def mark(self, origin: FolderOrigin) -> None:
         """Say in a folder that holds nothing yet whose it is going to be. Raises RigError where a command writes there
         in place.
         """
@@ -80,7 +80,7 @@ class Staged:
             write_text(self.place / MANIFEST, FolderManifest(origin).text())
             self.marked = True
 
-    def commit(self, origin: Origin, inputs: list[Path], force: bool) -> None:
+    def commit(self, origin: FolderOrigin, inputs: list[Path], force: bool) -> None:
         """Move what was staged to its place, and what the command left there before away. Raises RigError, and moves
         nothing, where that would write over what it did not make (unless forced) or over an input; FileError where the
         disk refuses."""
@@ -92,7 +92,7 @@ class Staged:
                 return
             stale = self._stale(known, new)
             self._refuse(known, new, stale, inputs, force)
-            entries = {name: Entry(self.command, (file_digest(self.folder / name),)) for name in new}
+            entries = {name: ManifestEntry(self.command, (file_digest(self.folder / name),)) for name in new}
             kept = {
                 name: entry
                 for name, entry in known.files.items()
@@ -100,7 +100,7 @@ class Staged:
             }
             old = {name: known.files[name] for name in known.files if name not in kept}
             both = {
-                name: Entry(self.command, (*(old[name].sha256 if name in old else ()), *entry.sha256))
+                name: ManifestEntry(self.command, (*(old[name].sha256 if name in old else ()), *entry.sha256))
                 for name, entry in entries.items()
             }
             whole = origin if self.whole else known.origin

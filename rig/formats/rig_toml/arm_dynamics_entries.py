@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import RigError
 from rig.formats.checked_entries import Entries
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design
-from rig.model.mechanism_kinds import has_links
-from rig.model.mechanisms.arm_dynamics import Links
+from rig.model.mechanism_kinds_and_hexapod_properties import has_links
+from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import LinkMasses
 
 HEAVIEST = 1e5  # kg, and kg m^2
 STRONGEST = 1e7  # N m or N
@@ -28,7 +28,7 @@ class ArmDynamics:
         one
     """
 
-    links: Links | None
+    links: LinkMasses | None
     torque_limits: Floats | None
     torque_sigma: Floats | None
     torque_constants: Floats | None
@@ -75,7 +75,7 @@ def dynamics_of_table(table: Entries, joint_count: int) -> ArmDynamics:
     return ArmDynamics(links=_links(table, joint_count), friction=friction, **each)
 
 
-def _links(table: Entries, n: int) -> Links | None:
+def _links(table: Entries, n: int) -> LinkMasses | None:
     """Links of rows mass, centre x y z, inertia xx yy zz xy xz yz; None where none are stated."""
     rows = table.array("links", (n, 10), None)
     if rows is None:
@@ -90,4 +90,4 @@ def _links(table: Entries, n: int) -> Links | None:
             table.fail(
                 f"links[{i + 1}] has an inertia that no body has: a principal moment is {least:g} kg m^2", "links", i
             )
-    return Links(rows[:, 0], rows[:, 1:4], inertia)
+    return LinkMasses(rows[:, 0], rows[:, 1:4], inertia)

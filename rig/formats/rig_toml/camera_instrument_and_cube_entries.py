@@ -7,9 +7,9 @@ from dataclasses import fields, replace
 import numpy as np
 
 from rig.formats.checked_entries import Entries
-from rig.model.cube_remounting import find_cube, parse_cube_turn_permission
 from rig.model.design import DISTORTION_TERMS, PERMITTED, SOURCES, TURN, Camera, Instrument, Marker, Permission, Target
-from rig.model.mechanism_kinds import Mechanism
+from rig.model.design_comparison_and_cube_remounting import find_cube, parse_cube_turn_permission
+from rig.model.mechanism_kinds_and_hexapod_properties import Mechanism
 from rig.model.pose import pose_to_vector
 
 LARGEST_IMAGE = 100_000  # px along a side
@@ -110,7 +110,9 @@ def check_hand_mounted_cameras(
             )
 
 
-def check_stage_targets(root: Entries, cameras: tuple[Camera, ...], targets: tuple[Target, ...]) -> None:
+def refuse_stage_targets_of_moving_cameras(
+    root: Entries, cameras: tuple[Camera, ...], targets: tuple[Target, ...]
+) -> None:
     """Raise FileError for targets on a stage of a chain that is seen by a moving camera."""
     moving = [camera.name for camera in cameras if camera.mount == "moving"]
     for table, target in zip(root.tables("target"), targets):

@@ -9,11 +9,12 @@ from rig.formats.rig_toml import camera_instrument_and_cube_entries
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table
 from rig.formats.rig_toml.mechanism_entries import mechanism_of_table
 from rig.formats.structured_files import toml_entries
-from rig.model.controller_settings import PROTOCOLS, Controller, port_problem
 from rig.model.design import (
     DICTIONARIES,
     FACES,
+    PROTOCOLS,
     Actuator,
+    Controller,
     Design,
     Marker,
     MeasuringLimbs,
@@ -21,9 +22,10 @@ from rig.model.design import (
     Sensor,
     SensorPort,
     Target,
+    port_problem,
 )
-from rig.model.mechanism_geometry import Arm, Chain, Free, Hexapod, Planar2
-from rig.model.mechanism_kinds import has_struts, target_bodies
+from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Planar2
+from rig.model.mechanism_kinds_and_hexapod_properties import has_struts, target_bodies
 
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
@@ -81,7 +83,7 @@ def design_of_entries(root: Entries) -> Design:
     )
     targets = camera_instrument_and_cube_entries.turned_targets(root.table("turned", optional=True), targets)
     camera_instrument_and_cube_entries.check_hand_mounted_cameras(root, cameras, targets, mechanism)
-    camera_instrument_and_cube_entries.check_stage_targets(root, cameras, targets)
+    camera_instrument_and_cube_entries.refuse_stage_targets_of_moving_cameras(root, cameras, targets)
     return Design(
         name=root.text("name", default="rig"),
         gravity=gravity,

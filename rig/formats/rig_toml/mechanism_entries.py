@@ -5,12 +5,11 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from rig.arrays import Booleans, Floats
+from rig.array_types import Booleans, Floats
 from rig.formats.checked_entries import LARGEST_RIG, Entries, nearest_known_word
 from rig.formats.input_files import short_repr
-from rig.model.hexapod_geometry import singularity_description
-from rig.model.mechanism_geometry import Arm, Chain, Free, Hexapod, Planar2, Stage
-from rig.model.mechanism_kinds import Mechanism
+from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Planar2, Stage
+from rig.model.mechanism_kinds_and_hexapod_properties import Mechanism, singular_geometry_problem
 
 KINDS = {"revolute": False, "prismatic": True}
 
@@ -209,8 +208,8 @@ def _hexapod(table: Entries) -> Hexapod:
                 f"{low:g} .. {high:g} m",
                 "home",
             )
-    if singularity_description(hexapod):
-        table.fail(f"{table.name('home')} {singularity_description(hexapod)}", "home")
+    if singular_geometry_problem(hexapod):
+        table.fail(f"{table.name('home')} {singular_geometry_problem(hexapod)}", "home")
     return hexapod
 
 

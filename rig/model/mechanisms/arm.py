@@ -12,9 +12,9 @@ from typing import cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.arrays import Booleans, Floats
+from rig.array_types import Booleans, Floats
 from rig.errors import Unreachable
-from rig.model.mechanism_geometry import Arm
+from rig.model.mechanism_geometry_classes import Arm
 
 AXIS, UNIT = "joint", "rad"
 TOLERANCE = 1e-12  # m and rad; what the iteration leaves of a pose
@@ -24,7 +24,7 @@ STARTS = 40  # random configurations tried where the guess leads nowhere
 REACH = 1.0  # m; a radian counts like so much
 
 
-def frames(q: Floats, arm: Arm) -> Floats:
+def link_frames(q: Floats, arm: Arm) -> Floats:
     """Frames (..., n + 2, 4, 4) of the arm's links at joint values, frames 0..n and the platform's.
 
     q : (..., n) rad, of slides m. Frame i - 1 carries axis i (its z). Raises ValueError for another number of joints or
@@ -52,9 +52,9 @@ def joint_rotations(q: Floats, arm: Arm) -> Floats:
     return np.where(arm.slides, 0.0, q) if arm.slides.any() else np.asarray(q, float)
 
 
-def link_transform(q: Floats, row: Floats) -> Floats:
+def link_transform(q: Floats, dh_row: Floats) -> Floats:
     """Transform (..., 4, 4) of a link by its Denavit-Hartenberg row (theta, d, a, alpha, beta) at q (...,)."""
-    theta, d, a, alpha, beta = row
+    theta, d, a, alpha, beta = dh_row
     ct, st = np.cos(q + theta), np.sin(q + theta)
     ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
     A = np.zeros((*np.shape(q), 4, 4))
@@ -77,28 +77,28 @@ def link_transform(q: Floats, row: Floats) -> Floats:
 
 def forward(q: Floats, arm: Arm, guess: RigidTransform | None = None) -> RigidTransform:
     """Forward kinematics: T_base_platform (...) of joint values q (..., n) rad or m. guess : unused."""
-    return RigidTransform.from_matrix(frames(q, arm)[..., -1, :, :])
+    return RigidTransform.from_matrix(link_frames(q, arm)[..., -1, :, :])
 
 
-def jacobian(q: Floats, arm: Arm, axes: str = "platform") -> Floats:
+def jacobian(q: Floats, arm: Arm, output_axes: str = "platform") -> Floats:
     """Jacobian (..., 6, n) of the platform's velocity over its turning rate with the joint values.
 
     q : (..., n) rad or m; axes : "platform", the tangent on the right, or "base", the axes in which poses are given
     Source: Whitney 1972; the columns are z x (p - o) over z, of a slide z over 0
     Raises ValueError for other axes.
     """
-    if axes not in ("platform", "base"):
-        raise ValueError(f"axes must be 'platform' or 'base', not {axes!r}")
-    return geometric_jacobian(frames(q, arm), axes, arm.slides)
+    if output_axes not in ("platform", "base"):
+        raise ValueError(f"axes must be 'platform' or 'base', not {output_axes!r}")
+    return geometric_jacobian(link_frames(q, arm), output_axes, arm.slides)
 
 
-def geometric_jacobian(matrices: Floats, axes: str = "platform", slides: Booleans | None = None) -> Floats:
+def geometric_jacobian(matrices: Floats, output_axes: str = "platform", slides: Booleans | None = None) -> Floats:
     """Geometric Jacobian (..., 6, n) of link frames (..., n + 2, 4, 4); slides : (n,) bool, none by default."""
     z, o = matrices[..., :-2, :3, 2], matrices[..., :-2, :3, 3]
     J = np.concatenate([np.cross(z, matrices[..., -1:, :3, 3] - o), z], axis=-1)
     if slides is not None and slides.any():
         J[..., slides, :3], J[..., slides, 3:] = z[..., slides, :], 0.0
-    if axes == "platform":
+    if output_axes == "platform":
         R = matrices[..., -1, :3, :3]
         J = np.concatenate([J[..., :3] @ R, J[..., 3:] @ R], axis=-1)
     return np.swapaxes(J, -1, -2)
@@ -131,7 +131,7 @@ def links(T: RigidTransform, q: Floats, arm: Arm, gravity: Floats) -> Floats:
     gravity : (3,) m/s^2 in the frame of poses. Source: Luh, Walker and Paul's recursion at rest, as a regressor:
         Gautier and Khalil 1990
     """
-    chain, n = frames(q, arm), len(arm.joints)
+    chain, n = link_frames(q, arm), len(arm.joints)
     z, o, R = chain[:, :n, :3, 2], chain[:, : n + 1, :3, 3], chain[:, 1 : n + 1, :3, :3]
     out = np.zeros((len(chain), n, n, 4))
     tipped = np.cross(np.swapaxes(R, 2, 3), gravity)  # (m, link, axis of its frame, 3)
@@ -148,7 +148,7 @@ def growth_deviation_and_sway(T: RigidTransform, q: Floats, arm: Arm, share: Flo
     """Deviation (m, n) and sway (m, 6) by the growth of links, lengths d and a by shares (m, n).
     A slide's scale is its travel with it.
     """
-    chain, rows = frames(q, arm), arm.rows
+    chain, rows = link_frames(q, arm), arm.rows
     before, turn = chain[:, : len(rows), :3], (joint_rotations(q, arm) + rows[:, 0])[..., None]
     along = np.cos(turn) * before[..., 0] + np.sin(turn) * before[..., 1]  # the common normal
     offset = rows[:, 1] + np.where(arm.slides, q, 0.0)
@@ -168,7 +168,7 @@ def singularity_rows(T: RigidTransform, q: Floats, arm: Arm) -> Floats:
 
 def link_points(q: Floats, arm: Arm) -> Floats:
     """(..., n + 2, 3) m of the line along the links at joint values q (..., n), in the frame of poses."""
-    return frames(q, arm)[..., :3, 3]
+    return link_frames(q, arm)[..., :3, 3]
 
 
 def ends(T: RigidTransform, arm: Arm) -> None:
@@ -242,9 +242,9 @@ def nearest_equivalent_angles(q: Floats, arm: Arm, reference: Floats) -> Floats:
     return np.where(q > high, q - turn * np.round((q - reference) / turn), q)
 
 
-def joint_difference(q: Floats, other: Floats, arm: Arm) -> Floats:
+def joint_value_difference(q: Floats, reference: Floats, arm: Arm) -> Floats:
     """Difference (..., n) rad (slides: m) of joint values q from others, whole turns removed."""
-    away = np.asarray(q, float) - other
+    away = np.asarray(q, float) - reference
     return away - np.where(arm.slides, 0.0, 2 * np.pi * np.round(away / (2 * np.pi)))
 
 
@@ -254,7 +254,7 @@ def _descend(q: Floats, target: Floats, arm: Arm) -> tuple[Floats, Floats]:
     error = np.full(len(q), np.inf)
     going = np.arange(len(q))
     for _ in range(MAX_ITERATIONS):
-        chain = frames(q[going], arm)
+        chain = link_frames(q[going], arm)
         e = _twist(chain[:, -1], target[going])
         error[going] = np.maximum(np.linalg.norm(e[:, :3], axis=1), np.linalg.norm(e[:, 3:], axis=1))
         rest = error[going] > TOLERANCE

@@ -11,9 +11,9 @@ from typing import cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.errors import NotConverged, Unreachable
-from rig.model.mechanism_geometry import Arm, Chain, Hexapod, Stage
+from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Stage
 from rig.model.mechanisms import arm, hexapod, two_strut_plane
 from rig.model.pose import pose_difference, skew
 
@@ -184,7 +184,7 @@ def singularity_rows(T: RigidTransform, values: Floats, chain: Chain) -> Floats:
 
 
 def link_points(values: Floats, chain: Chain) -> None:
-    """None for values (n, axes) m or rad: a chain is drawn as no links."""
+    """Points of links for drawing: none, as a chain is drawn without links."""
     return None
 
 

@@ -7,9 +7,9 @@ import numpy as np
 from scipy.linalg import lu
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.errors import NotConverged
-from rig.model.mechanism_geometry import Hexapod
+from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod_kernels
 from rig.model.pose import transform_points
 
@@ -131,7 +131,7 @@ def singularity_rows(T: RigidTransform, lengths: Floats, hexapod: Hexapod) -> Fl
 
 
 def link_points(lengths: Floats, hexapod: Hexapod) -> None:
-    """None for lengths (n, axes) m: struts are no links."""
+    """Points of links for drawing: none, as struts are no links."""
     return None
 
 
@@ -146,7 +146,7 @@ def _side_by_side(lengths: Floats, start: Floats, hexapod: Hexapod, out: tuple[F
     """
     q = Rotation.from_matrix(start[:, :3, :3]).as_quat(scalar_first=True)
     t = np.ascontiguousarray(start[:, :3, 3])
-    struts = hexapod_kernels.Struts(
+    struts = hexapod_kernels.StrutGeometry(
         hexapod.base_joints,
         hexapod.platform_joints,
         _order(hexapod),
@@ -156,7 +156,7 @@ def _side_by_side(lengths: Floats, start: Floats, hexapod: Hexapod, out: tuple[F
 
     def solve(part: slice) -> None:
         begin = (q, t) if len(q) == 1 else (q[part], t[part])
-        hexapod_kernels.solve_poses(lengths[part], struts, begin, TOLERANCE, *(one[part] for one in out))
+        hexapod_kernels.solve_poses_of_lengths(lengths[part], struts, begin, TOLERANCE, *(one[part] for one in out))
 
     hexapod_kernels.run_in_threads(solve, len(lengths))
 

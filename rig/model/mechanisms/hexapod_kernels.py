@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.arrays import Floats
-from rig.compute.numba_kernels import njit
+from rig.array_types import Floats
+from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.compute.worker_processes import worker_count
 
 WIDTH = 8  # lanes: doubles of a 512-bit register, two registers of 256 bits
@@ -22,7 +22,7 @@ EACH = 8192  # poses for each thread, below which it is not worth starting any
 STEPS = 20  # at most; from where a guess is good it takes 4 or 5
 
 
-class Struts(NamedTuple):
+class StrutGeometry(NamedTuple):
     """base, platform : (6, 3) m, joints; order : (6,) of the struts' elimination; reach : m, longest single step;
     turn : rad, likewise.
     """
@@ -64,7 +64,7 @@ def compute_strut_lengths(matrices: Floats, base: Floats, platform: Floats, zero
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _loops(R: Floats, t: Floats, wanted: Floats, struts: Struts, M: Floats, worst: Floats) -> None:
+def _loops(R: Floats, t: Floats, wanted: Floats, struts: StrutGeometry, M: Floats, worst: Floats) -> None:
     """Into M (6, 7, lanes) the Jacobian's rows and what each strut lacks, in the elimination's order; into worst
     (lanes,) the largest lack.
     """
@@ -147,9 +147,9 @@ def _step(q: Floats, t: Floats, R: Floats, M: Floats, limits: tuple[float, float
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def solve_poses(
-    wanted: Floats,
-    struts: Struts,
+def solve_poses_of_lengths(
+    wanted_lengths: Floats,
+    struts: StrutGeometry,
     start: tuple[Floats, Floats],
     tolerance: float,
     matrices: Floats,
@@ -162,7 +162,7 @@ def solve_poses(
     residual : (n,) m, filled with what is left; crossed : (n,) bool, whether the Jacobian's determinant changed its
         sign on the way
     """
-    n = len(wanted)
+    n = len(wanted_lengths)
     M, q, t, R, aim = (
         np.empty((6, 7, WIDTH)),
         np.empty((4, WIDTH)),
@@ -177,7 +177,7 @@ def solve_poses(
         for v in range(WIDTH):
             k = at + min(v, count - 1)
             for i in range(6):
-                aim[i, v] = wanted[k, i]
+                aim[i, v] = wanted_lengths[k, i]
             for i in range(4):
                 q[i, v] = start[0][0 if one else k, i]
             for i in range(3):

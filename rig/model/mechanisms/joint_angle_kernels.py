@@ -11,8 +11,8 @@ from math import atan2, sqrt
 
 import numpy as np
 
-from rig.arrays import Floats
-from rig.compute.numba_kernels import njit
+from rig.array_types import Floats
+from rig.compute.numba_kernels_and_lazy_exports import njit
 
 SLACK = 1e-10  # m or rad; by so much a pose may lie beyond the edge of the reach before it counts as unreachable
 SINGULAR = 1e-6  # sine (or share of a length) below which a joint's two readings count as one
@@ -78,20 +78,20 @@ def wrap_angle(t: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def cosine_equation_angles(a: float, b: float, less: float, more: float) -> tuple[float, float, float]:
-    """Both angles of the equation a cos x + b sin x = c, less = r - c, more = r + c: (first, second, sine).
+def cosine_equation_angles(a: float, b: float, r_minus_c: float, r_plus_c: float) -> tuple[float, float, float]:
+    """Both angles of the equation a cos x + b sin x = c, from r - c and r + c: (first, second, sine).
 
     less and more come in the form that keeps their digits where they are small; a negative one is the caller's to
     refuse.
     """
-    h = sqrt(max(less, 0.0) * max(more, 0.0))
-    c = 0.5 * (more - less)
+    h = sqrt(max(r_minus_c, 0.0) * max(r_plus_c, 0.0))
+    c = 0.5 * (r_plus_c - r_minus_c)
     middle, half = atan2(b, a), atan2(h, c)
     return wrap_angle(middle + half), wrap_angle(middle - half), h
 
 
 @njit(cache=True, error_model="numpy")
-def shoulder_angles(
+def both_shoulder_angles(
     point: Vector, o: Vector, u1: Vector, u2: Vector, level: float
 ) -> tuple[float, float, float, float, float]:
     """Both shoulder angles (joint 1) that bring the point to `level` along axis 2, with spread and distances."""
@@ -105,25 +105,32 @@ def shoulder_angles(
 
 
 @njit(cache=True, error_model="numpy")
-def elbow_points(
-    o: Vector, u: Vector, upper: float, fore: float, point: Vector
+def both_elbow_points(
+    o: Vector, u: Vector, upper_arm: float, forearm: float, point: Vector
 ) -> tuple[Vector, Vector, float, float, float, float]:
-    """Both elbow points at distance `upper` from axis (o, u) and `fore` from a point, with distances in m.
+    """Both elbow points at distance `upper_arm` from axis (o, u) and `forearm` from a point, with distances in m.
     (first, second, height, by how much the point is too far, too near, its distance), all in m.
     """
     d = add_scaled(point, o, -1.0)
     d = add_scaled(d, u, -dot(d, u))
     far = sqrt(dot(d, d))
     if far < FREE:
-        return d, d, 0.0, 0.0, abs(upper - fore), far
-    high = (fore - far + upper) * (fore + far - upper)
-    low = (far + upper - fore) * (far + upper + fore)
-    x = (upper * upper - fore * fore + far * far) / (2 * far)
+        return d, d, 0.0, 0.0, abs(upper_arm - forearm), far
+    high = (forearm - far + upper_arm) * (forearm + far - upper_arm)
+    low = (far + upper_arm - forearm) * (far + upper_arm + forearm)
+    x = (upper_arm * upper_arm - forearm * forearm + far * far) / (2 * far)
     h = sqrt(max(high, 0.0) * max(low, 0.0)) / (2 * far)
     e = d[0] / far, d[1] / far, d[2] / far
     side = cross(u, e)
     along = add_scaled((0.0, 0.0, 0.0), e, x)
-    return add_scaled(along, side, h), add_scaled(along, side, -h), h, far - upper - fore, abs(upper - fore) - far, far
+    return (
+        add_scaled(along, side, h),
+        add_scaled(along, side, -h),
+        h,
+        far - upper_arm - forearm,
+        abs(upper_arm - forearm) - far,
+        far,
+    )
 
 
 @njit(cache=True, error_model="numpy")

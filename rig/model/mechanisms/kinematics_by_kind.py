@@ -1,13 +1,13 @@
-"""Kinematics by kind of mechanism: their common interface, the module of each kind, axis names and units."""
+"""Kinematics module of each kind of mechanism, their common interface, axis names and units."""
 
 from functools import cache
 from typing import Any, Protocol, TypeVar
 
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import RigError
-from rig.model.mechanism_geometry import Arm, Chain, Free, Hexapod, Planar2
+from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Planar2
 from rig.model.mechanisms import arm, chain, hexapod, two_strut_plane
 
 K = TypeVar("K", bound=Hexapod | Planar2 | Arm | Chain | Free)

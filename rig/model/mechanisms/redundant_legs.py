@@ -14,10 +14,10 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.errors import RigError
 from rig.model.design import MeasuringLimbs
-from rig.model.mechanism_geometry import Hexapod
+from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod as mechanism
 
 SIX = 6
@@ -26,7 +26,7 @@ SINGULAR = 1e-6  # of the largest singular value: six legs that leave a platform
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Legs:
+class RedundantLegs:
     """k legs. names : (k,); base, platform : (k, 3) m, joints in the base and platform frames; zeros : (k,) m, what a
     leg is longer than it reads
     home : T_base_platform; sigma : (k,) m of a reading; covariance : (7 k, 7 k) m^2 of base joint, platform joint and
@@ -53,7 +53,7 @@ class Legs:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Closures:
+class LegClosures:
     """n poses by six legs. T_base_platform : RigidTransform (n,); checks : (k - 6,) indices of the other legs
     error : (n, k - 6) m, what these read less what the pose says; covariance : (n, k - 6, k - 6) m^2 expected of it
     off : (k,) m, what each leg would have to be off by to explain the errors best, share : (k,) of their squares that
@@ -67,13 +67,15 @@ class Closures:
     share: Floats
 
 
-def combine_legs(parts: list[tuple[str, Hexapod | MeasuringLimbs, Floats, Floats]], home: RigidTransform) -> Legs:
-    """Legs combined from sets of legs, each (letter, geometry, sigma, covariance), about one home pose.
+def combine_leg_sets(
+    leg_sets: list[tuple[str, Hexapod | MeasuringLimbs, Floats, Floats]], home_pose: RigidTransform
+) -> RedundantLegs:
+    """Combine leg sets into RedundantLegs: each set (letter, geometry, sigma, covariance), about one home pose.
 
-    home : T_base_platform, about which they are looked for
+    home_pose : T_base_platform, about which they are looked for
     """
     blocks, names, zeros = [], list[str](), []
-    for letter, m, sigma, covariance in parts:
+    for letter, m, sigma, covariance in leg_sets:
         n = len(sigma)
         order = np.array(
             [[*range(3 * i, 3 * i + 3), *range(3 * (n + i), 3 * (n + i) + 3), 6 * n + i] for i in range(n)]
@@ -82,20 +84,20 @@ def combine_legs(parts: list[tuple[str, Hexapod | MeasuringLimbs, Floats, Floats
         names += [f"{letter}{i + 1}" for i in range(n)]
         zeros.append(m.strut_zeros if isinstance(m, Hexapod) else m.zeros)
     base, platform = (
-        np.concatenate([getattr(m, name) for _, m, *_ in parts]) for name in ("base_joints", "platform_joints")
+        np.concatenate([getattr(m, name) for _, m, *_ in leg_sets]) for name in ("base_joints", "platform_joints")
     )
-    return Legs(
+    return RedundantLegs(
         tuple(names),
         base,
         platform,
         np.concatenate(zeros),
-        home,
-        np.concatenate([sigma for *_, sigma, _ in parts]),
+        home_pose,
+        np.concatenate([sigma for *_, sigma, _ in leg_sets]),
         scipy.linalg.block_diag(*blocks),
     )
 
 
-def leg_length_jacobians(legs: Legs, T: RigidTransform) -> tuple[Floats, Floats, Floats]:
+def leg_length_jacobians(legs: RedundantLegs, T: RigidTransform) -> tuple[Floats, Floats, Floats]:
     """Leg lengths (n, k) m, their Jacobians (n, k, 6) with the pose, and with the base joints (n, k, 3)."""
     matrix = T.as_matrix()
     R, place = matrix[:, :3, :3], matrix[:, :3, 3]
@@ -106,7 +108,7 @@ def leg_length_jacobians(legs: Legs, T: RigidTransform) -> tuple[Floats, Floats,
     return length - legs.zeros, np.concatenate([own, np.cross(legs.platform, own)], axis=2), -unit
 
 
-def leg_parameter_jacobians(legs: Legs, T: RigidTransform) -> Floats:
+def leg_parameter_jacobians(legs: RedundantLegs, T: RigidTransform) -> Floats:
     """Jacobians (n, k, 7 k) of leg lengths with each leg's parameters: base joint, platform joint, zero."""
     own = _slope(leg_length_jacobians(legs, T)[2], T)
     return (np.eye(own.shape[1])[:, :, None] * own[:, :, None]).reshape(*own.shape[:2], -1)
@@ -122,7 +124,7 @@ def _slope(to_base: Floats, T: RigidTransform) -> Floats:
     )
 
 
-def best_six_legs(legs: Legs, T: RigidTransform) -> Integers:
+def best_six_legs(legs: RedundantLegs, T: RigidTransform) -> Integers:
     """(6,) indices of the six legs that determine poses T (n,) best in the worst direction and pose.
     Raises RigError
     where none of them holds the platform
@@ -140,29 +142,29 @@ def best_six_legs(legs: Legs, T: RigidTransform) -> Integers:
     return sets[int(least.argmax())]
 
 
-def leg_closures(legs: Legs, lengths: Floats, six: Integers) -> Closures:
-    """Closures of leg lengths (n, k) m: errors of the other legs at poses from the chosen six (6,).
+def leg_closures(legs: RedundantLegs, lengths: Floats, chosen_six: Integers) -> LegClosures:
+    """LegClosures of leg lengths (n, k) m: errors of the other legs at poses from the six chosen ones.
     Raises RigError where the six leave the platform loose at a pose
     """
-    checks = np.setdiff1d(np.arange(len(legs.names)), six)
-    T = mechanism.forward(lengths[:, six], legs.six(six))
+    checks = np.setdiff1d(np.arange(len(legs.names)), chosen_six)
+    T = mechanism.forward(lengths[:, chosen_six], legs.six(chosen_six))
     told, J, to_base = leg_length_jacobians(legs, T)
-    values = np.linalg.svd(J[:, six], compute_uv=False)
+    values = np.linalg.svd(J[:, chosen_six], compute_uv=False)
     if (values[:, -1] < SINGULAR * values[:, 0]).any():
         raise RigError(
-            f"{', '.join(legs.names[i] for i in six)} leave the platform loose at pose "
+            f"{', '.join(legs.names[i] for i in chosen_six)} leave the platform loose at pose "
             f"{int((values[:, -1] / values[:, 0]).argmin())}"
         )
-    back = np.linalg.solve(np.swapaxes(J[:, six], 1, 2), np.swapaxes(J[:, checks], 1, 2))
+    back = np.linalg.solve(np.swapaxes(J[:, chosen_six], 1, 2), np.swapaxes(J[:, checks], 1, 2))
     by = np.zeros((len(lengths), len(checks), len(legs.names)))  # closure per leg's reading
     by[:, np.arange(len(checks)), checks] = 1.0
-    by[:, :, six] = -np.swapaxes(back, 1, 2)
+    by[:, :, chosen_six] = -np.swapaxes(back, 1, 2)
     slope = _slope(to_base, T)
     G = by[:, :, :, None] * slope[:, None]  # with base joint, platform joint and zero of every leg
     G = G.reshape(len(lengths), len(checks), -1)
     covariance = (by * legs.sigma**2) @ np.swapaxes(by, 1, 2) + G @ legs.covariance @ np.swapaxes(G, 1, 2)
     error = lengths[:, checks] - told[:, checks]
-    return Closures(T, checks, error, covariance, *_off(by, error, covariance))
+    return LegClosures(T, checks, error, covariance, *_off(by, error, covariance))
 
 
 def _off(by: Floats, error: Floats, covariance: Floats) -> tuple[Floats, Floats]:

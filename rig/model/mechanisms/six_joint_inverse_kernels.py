@@ -6,8 +6,8 @@ patent CN111488654A, claim 5 (there for parallel axes 2, 3, 4; the spherical wri
 
 import numpy as np
 
-from rig.arrays import Floats, Integers
-from rig.compute.numba_kernels import njit
+from rig.array_types import Floats, Integers
+from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.model.mechanisms.joint_angle_kernels import (
     ELBOW,
     FREE,
@@ -22,14 +22,14 @@ from rig.model.mechanisms.joint_angle_kernels import (
     Vector,
     add_scaled,
     angle_about_axis,
+    both_elbow_points,
+    both_shoulder_angles,
     cosine_equation_angles,
     cross,
     dot,
-    elbow_points,
     matrix_row,
     rotate_point,
     rotate_vector,
-    shoulder_angles,
     vector_from_axes,
     wrap_angle,
 )
@@ -79,17 +79,22 @@ def _wrist(axis: Vector, v: Vector, bend: tuple[float, float, float, float]) -> 
 
 @njit(cache=True, error_model="numpy")
 def spherical_wrist_inverse(
-    hands: Floats, points: Floats, axes: Floats, hand: Floats, key: Floats, near: Floats
+    wanted_hand_points: Floats,
+    axis_points: Floats,
+    axes: Floats,
+    hand_points_at_zero: Floats,
+    wrist_crossing: Floats,
+    free_joint_values: Floats,
 ) -> Found:
-    """Inverse of arms with a spherical wrist (axes 4, 5, 6 cross in `key`), axes 2 and 3 parallel.
+    """Inverse of arms with a spherical wrist (axes 4, 5, 6 cross in `wrist_crossing`), axes 2 and 3 parallel.
 
-    hands : (m, 3, 3) points A, B, C wanted, AB and AC of length 1, hand : (3, 3) the same at zero; key : (3,) at zero
-    near : (6,) rad, taken where a joint is free
+    wanted_hand_points : (m, 3, 3) points A, B, C wanted, AB and AC of length 1, hand : (3, 3) the same at zero; key : (3,) at zero
+    free_joint_values : (6,) rad, taken where a joint is free
     Returns q (m, 8, 6) rad, flags (m, 8), -1 for a branch that is not there, reason (m,) and gap (m,) m or rad
     """
-    q, flags = np.full((len(hands), 8, 6), np.nan), np.full((len(hands), 8), -1)
-    reason, gap = np.zeros(len(hands), np.int64), np.zeros(len(hands))
-    o1, o2, o3 = matrix_row(points, 0), matrix_row(points, 1), matrix_row(points, 2)
+    q, flags = np.full((len(wanted_hand_points), 8, 6), np.nan), np.full((len(wanted_hand_points), 8), -1)
+    reason, gap = np.zeros(len(wanted_hand_points), np.int64), np.zeros(len(wanted_hand_points))
+    o1, o2, o3 = matrix_row(axis_points, 0), matrix_row(axis_points, 1), matrix_row(axis_points, 2)
     u1, u2, u3, u4, u5, u6 = (
         matrix_row(axes, 0),
         matrix_row(axes, 1),
@@ -98,19 +103,19 @@ def spherical_wrist_inverse(
         matrix_row(axes, 4),
         matrix_row(axes, 5),
     )
-    k0 = (key[0], key[1], key[2])
+    k0 = (wrist_crossing[0], wrist_crossing[1], wrist_crossing[2])
     arm, fore = _across(add_scaled(o3, o2, -1.0), u2), _across(add_scaled(k0, o3, -1.0), u2)
     upper, lower, level = np.sqrt(dot(arm, arm)), np.sqrt(dot(fore, fore)), dot(u2, add_scaled(k0, o1, -1.0))
-    reach, mark, bend = add_scaled(k0, matrix_row(hand, 0), -1.0), cross(u6, u5), _bend(u4, u5, u6)
-    for m in range(len(hands)):
-        W, ex, ey, ez = _hand(hands, m, reach)
-        first, second, h1, miss, span1 = shoulder_angles(W, o1, u1, u2, level)
+    reach, mark, bend = add_scaled(k0, matrix_row(hand_points_at_zero, 0), -1.0), cross(u6, u5), _bend(u4, u5, u6)
+    for m in range(len(wanted_hand_points)):
+        W, ex, ey, ez = _hand(wanted_hand_points, m, reach)
+        first, second, h1, miss, span1 = both_shoulder_angles(W, o1, u1, u2, level)
         if miss > SLACK:
             reason[m], gap[m] = OFF_AXIS, miss
             continue
         worst, why = np.inf, TOO_FAR
         for n1 in range(2):
-            t1 = near[0] if span1 < FREE else (first if n1 == 0 else second)
+            t1 = free_joint_values[0] if span1 < FREE else (first if n1 == 0 else second)
             c, s = np.cos(t1), -np.sin(t1)
             W1, x1, y1, z1 = (
                 rotate_point(W, o1, u1, c, s),
@@ -118,13 +123,15 @@ def spherical_wrist_inverse(
                 rotate_vector(ey, u1, c, s),
                 rotate_vector(ez, u1, c, s),
             )
-            e1, e2, h2, far, close, span = elbow_points(o2, u2, upper, lower, W1)
+            e1, e2, h2, far, close, span = both_elbow_points(o2, u2, upper, lower, W1)
             if max(far, close) > SLACK:
                 if max(far, close) < worst:
                     worst, why = max(far, close), TOO_FAR if far > close else TOO_NEAR
                 continue
             for n2 in range(2):
-                t2, c, s, _ = _set(near[1]) if span < FREE else angle_about_axis(arm, e1 if n2 == 0 else e2, u2)
+                t2, c, s, _ = (
+                    _set(free_joint_values[1]) if span < FREE else angle_about_axis(arm, e1 if n2 == 0 else e2, u2)
+                )
                 t3, d, e, _ = angle_about_axis(fore, add_scaled(rotate_point(W1, o2, u2, c, -s), o3, -1.0), u3)
                 s, e = -s, -e
                 x, y, z = (
@@ -143,7 +150,7 @@ def spherical_wrist_inverse(
                     c, s = np.cos(t5), np.sin(t5)
                     t4, d, e, size = angle_about_axis(rotate_vector(u6, u5, c, s), v, u4)
                     if size < FREE**2:
-                        t4, d, e, _ = _set(near[3])
+                        t4, d, e, _ = _set(free_joint_values[3])
                     t6 = angle_about_axis(mark, rotate_vector(rotate_vector(w, u4, d, -e), u5, c, -s), u6)[0]
                     b = 4 * n1 + 2 * n2 + n5
                     q[m, b, 0], q[m, b, 1], q[m, b, 2], q[m, b, 3], q[m, b, 4], q[m, b, 5] = t1, t2, t3, t4, t5, t6
@@ -173,12 +180,22 @@ def _within(turn: float, point: Vector, last: Vector, u: Vector, upper: float, f
 
 @njit(cache=True, error_model="numpy")
 def parallel_axes_inverse(
-    hands: Floats, points: Floats, axes: Floats, hand: Floats, key: Floats, near: Floats
+    wanted_hand_points: Floats,
+    axis_points: Floats,
+    axes: Floats,
+    hand_points_at_zero: Floats,
+    wrist_crossing: Floats,
+    free_joint_values: Floats,
 ) -> Found:
-    """Inverse of arms whose axes 2, 3, 4 are parallel and 5 and 6 cross in `key`: q (m, 8, 6), flags, reasons."""
-    q, flags = np.full((len(hands), 8, 6), np.nan), np.full((len(hands), 8), -1)
-    reason, gap = np.zeros(len(hands), np.int64), np.zeros(len(hands))
-    o1, o2, o3, o4 = matrix_row(points, 0), matrix_row(points, 1), matrix_row(points, 2), matrix_row(points, 3)
+    """Inverse of arms with parallel axes 2, 3, 4; 5 and 6 cross in `wrist_crossing`: q (m, 8, 6), flags, reasons."""
+    q, flags = np.full((len(wanted_hand_points), 8, 6), np.nan), np.full((len(wanted_hand_points), 8), -1)
+    reason, gap = np.zeros(len(wanted_hand_points), np.int64), np.zeros(len(wanted_hand_points))
+    o1, o2, o3, o4 = (
+        matrix_row(axis_points, 0),
+        matrix_row(axis_points, 1),
+        matrix_row(axis_points, 2),
+        matrix_row(axis_points, 3),
+    )
     u1, u2, u3, u4, u5, u6 = (
         matrix_row(axes, 0),
         matrix_row(axes, 1),
@@ -187,24 +204,24 @@ def parallel_axes_inverse(
         matrix_row(axes, 4),
         matrix_row(axes, 5),
     )
-    k0 = (key[0], key[1], key[2])
+    k0 = (wrist_crossing[0], wrist_crossing[1], wrist_crossing[2])
     arm, fore, last = (
         _across(add_scaled(o3, o2, -1.0), u2),
         _across(add_scaled(o4, o3, -1.0), u2),
         add_scaled(k0, o4, -1.0),
     )
     upper, lower, level = np.sqrt(dot(arm, arm)), np.sqrt(dot(fore, fore)), dot(u2, add_scaled(k0, o1, -1.0))
-    reach, mark, bend = add_scaled(k0, matrix_row(hand, 0), -1.0), cross(u6, u5), _bend(u2, u5, u6)
+    reach, mark, bend = add_scaled(k0, matrix_row(hand_points_at_zero, 0), -1.0), cross(u6, u5), _bend(u2, u5, u6)
     sign3, sign4 = dot(u3, u2), dot(u4, u2)
-    for m in range(len(hands)):
-        P, ex, ey, ez = _hand(hands, m, reach)
-        first, second, h1, miss, span1 = shoulder_angles(P, o1, u1, u2, level)
+    for m in range(len(wanted_hand_points)):
+        P, ex, ey, ez = _hand(wanted_hand_points, m, reach)
+        first, second, h1, miss, span1 = both_shoulder_angles(P, o1, u1, u2, level)
         if miss > SLACK:
             reason[m], gap[m] = OFF_AXIS, miss
             continue
         worst, why = np.inf, TOO_FAR
         for n1 in range(2):
-            t1 = near[0] if span1 < FREE else (first if n1 == 0 else second)
+            t1 = free_joint_values[0] if span1 < FREE else (first if n1 == 0 else second)
             c, s = np.cos(t1), -np.sin(t1)
             P1, x, y, z = (
                 rotate_point(P, o1, u1, c, s),
@@ -226,18 +243,27 @@ def parallel_axes_inverse(
                     size < FREE**2
                 ):  # axis 6 along 2: one motion of all four leaves the hand still, so take a place of it that can be
                     turn = angle_about_axis(
-                        rotate_vector(rotate_vector(mark, u6, np.cos(near[5]), np.sin(near[5])), u5, c, s), w, u2
+                        rotate_vector(
+                            rotate_vector(mark, u6, np.cos(free_joint_values[5]), np.sin(free_joint_values[5])),
+                            u5,
+                            c,
+                            s,
+                        ),
+                        w,
+                        u2,
                     )[0]
                     turn, d, e, _ = _set(_within(turn, add_scaled(P1, o2, -1.0), last, u2, upper, lower))
                 t6 = angle_about_axis(mark, rotate_vector(rotate_vector(w, u2, d, -e), u5, c, -s), u6)[0]
                 D = add_scaled(P1, rotate_vector(last, u2, d, e), -1.0)
-                e1, e2, h2, far, close, span = elbow_points(o2, u2, upper, lower, D)
+                e1, e2, h2, far, close, span = both_elbow_points(o2, u2, upper, lower, D)
                 if max(far, close) > SLACK:
                     if max(far, close) < worst:
                         worst, why = max(far, close), TOO_FAR if far > close else TOO_NEAR
                     continue
                 for n2 in range(2):
-                    t2, f, g, _ = _set(near[1]) if span < FREE else angle_about_axis(arm, e1 if n2 == 0 else e2, u2)
+                    t2, f, g, _ = (
+                        _set(free_joint_values[1]) if span < FREE else angle_about_axis(arm, e1 if n2 == 0 else e2, u2)
+                    )
                     t3 = angle_about_axis(fore, add_scaled(rotate_point(D, o2, u2, f, -g), o3, -1.0), u3)[0]
                     t4 = wrap_angle(wrap_angle(sign4 * (turn - t2 - sign3 * t3)))
                     b = 4 * n1 + 2 * n2 + n5

@@ -5,9 +5,9 @@ from typing import cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import NotConverged
-from rig.model.mechanism_geometry import Planar2
+from rig.model.mechanism_geometry_classes import Planar2
 
 AXIS, UNIT = "strut", "m"
 
@@ -105,7 +105,7 @@ def singularity_rows(T: RigidTransform, lengths: Floats, planar: Planar2) -> Flo
 
 
 def link_points(lengths: Floats, planar: Planar2) -> None:
-    """None for lengths (n, axes) m: struts are no links."""
+    """Points of links for drawing: none, as struts are no links."""
     return None
 
 

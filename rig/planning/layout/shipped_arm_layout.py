@@ -10,22 +10,22 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.arrays import Floats
+from rig.array_types import Floats
 from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design
-from rig.model.mechanism_geometry import Arm
-from rig.model.mechanism_kinds import require_arm
+from rig.model.mechanism_geometry_classes import Arm
+from rig.model.mechanism_kinds_and_hexapod_properties import require_arm
 from rig.model.mechanisms import arm as mechanism
 from rig.planning.configuration_sets import sobol_configurations
-from rig.planning.layout.camera_and_cube_placement import (
+from rig.planning.layout.hexapod_layout_and_camera_placement import (
     FACES,
-    Ring,
+    CubeRing,
     camera_pose,
     camera_ring_lines,
-    check_layout,
     cube_lines,
     cube_ring_lines,
+    require_possible_layout,
     single_camera_lines,
 )
 
@@ -93,7 +93,7 @@ def arm_layout_rig_toml(
     """
     text = shipped_arm_rig_toml(name).replace(INSTRUMENT, "")
     arm = _posed(require_arm(load_shipped_arm(name).mechanism), TURNS[hand_mounted])
-    check_layout(1.0, cameras, cubes if hand_mounted == "cubes" else -(-3 * cubes // 2), dictionary)
+    require_possible_layout(1.0, cameras, cubes if hand_mounted == "cubes" else -(-3 * cubes // 2), dictionary)
     lines = [_narrowed(text, arm).rstrip(), ""]
     T = mechanism.forward(sobol_configurations(arm.limits, 64, 1.0), arm)
     middle = T.translation.mean(axis=0)
@@ -138,8 +138,8 @@ def _cubes_in_hand(
     return camera_ring_lines(middle, reach, cameras, *size) + cube_ring_lines(
         cubes,
         dictionary,
-        Ring(np.array([0, 0, edge_platform / 2]), 0.22 * reach, edge_platform, 0.35),
-        Ring(low, reach, edge_base, 0.35),
+        CubeRing(np.array([0, 0, edge_platform / 2]), 0.22 * reach, edge_platform, 0.35),
+        CubeRing(low, reach, edge_base, 0.35),
     )
 
 

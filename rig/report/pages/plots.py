@@ -7,15 +7,15 @@ from functools import cached_property
 
 import numpy as np
 
-from rig.arrays import Floats, Integers
-from rig.report.pages.svg_elements import (
+from rig.array_types import Floats, Integers
+from rig.report.pages.html_and_svg_elements import (
     TEXT,
     escape_html,
     round_ticks,
     svg_figure,
     svg_text,
+    svg_tooltip,
     text_width,
-    tooltip,
     wrap_text,
 )
 
@@ -66,7 +66,7 @@ class Scale:
         return f"{self.low:.6g} {self.high:.6g} {self.start:.1f} {self.end:.1f}" + (" log" if self.log else "")
 
 
-def scale_of_values(
+def axis_scale_of_values(
     values: Floats,
     ends: tuple[float, float],
     log: bool = False,
@@ -112,12 +112,12 @@ class Series:
     half: Floats | None = None
 
 
-def panel_row(*figures: str) -> str:
+def panel_row_html(*figures: str) -> str:
     """Row of panels: figures side by side where there is room, else below each other."""
     return '<div class="panels">' + "".join(figures) + "</div>"
 
 
-def plot_panel(
+def plot_panel_svg(
     title: str,
     labels: tuple[str, str],
     series: Sequence[Series],
@@ -138,8 +138,10 @@ def plot_panel(
         else [s.y for s in series]
     )
     across = np.concatenate([s.x for s in series])
-    x = scale_of_values(across, (LEFT, RIGHT), whole=bool(np.all(across == np.round(across))))
-    y = scale_of_values(np.concatenate(ys + ([] if level is None else [np.array([level])])), (bottom, top), log, limits)
+    x = axis_scale_of_values(across, (LEFT, RIGHT), whole=bool(np.all(across == np.round(across))))
+    y = axis_scale_of_values(
+        np.concatenate(ys + ([] if level is None else [np.array([level])])), (bottom, top), log, limits
+    )
     parts = [svg_text(LEFT, 14, title, style="name"), *_legend(legend, rows, TEXT + 24.0), *_axes(x, y, labels)]
     if level is not None:
         parts.append(f'<path class="level" d="M{LEFT} {float(y.at(level)):.1f}H{RIGHT}"/>')
@@ -150,7 +152,7 @@ def plot_panel(
     )
 
 
-def bar_chart(
+def bar_chart_svg(
     title: str,
     names: Sequence[str],
     groups: Sequence[tuple[str, Sequence[float], int]],
@@ -176,7 +178,7 @@ def bar_chart(
             parts.append(
                 f'<rect class="fill {_colour(colour)}" x="{left:.1f}" y="{at + 12 * row:.1f}" '
                 f'width="{long:.1f}" height="10">'
-                f"{tooltip(f'{name}, {group}: {values[k]:.4g} {unit}')}</rect>"
+                f"{svg_tooltip(f'{name}, {group}: {values[k]:.4g} {unit}')}</rect>"
             )
             parts.append(
                 svg_text(

@@ -20,7 +20,7 @@ from importlib import resources
 from urllib.parse import parse_qs, urlsplit
 
 from rig.errors import RigError
-from rig.formats.json_tree import Json
+from rig.formats.json_type import Json
 
 HOST = "127.0.0.1"
 FILES = {

@@ -19,15 +19,15 @@ import pytest
 
 from calib.certificate import certificate_json
 from calib.certificate.certificate import combined_held_out_poses
-from calib.certification.promise_and_conformity import OPEN, pose_error_promise
+from calib.certification.pose_error_promise_and_conformity import OPEN, pose_error_promise
 from calib.certification.uncertainty_budget import rms_length_uncertainty, thermometer_covariance
 from calib.correction.correction import calibrate_correction
 from calib.correction.physics_compensation import Physics
 from calib.files import calibration_file
 from calib.samples.recording_samples import sample_recording
 from rig.cli.command_line import main
-from rig.effects.framework.fit_coordinates import coordinates_of_effects
-from rig.effects.texts.effect_notation import parse_effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.model import motion_simulation
 from rig.model.pose import exp, pose_difference
 from rig.planning import configuration_sets, plan
@@ -56,7 +56,7 @@ def _made(folder, secret, rig_text, design, route, seed):
     """A recording folder whose poses an instrument saw, with noise of a known covariance."""
     rng = np.random.default_rng(seed)
     done = plan.build_plan(design, route, seed)
-    T = motion_simulation.run_machine(secret.true, done.commands, done.t, secret.effects).T_base_platform
+    T = motion_simulation.simulate_machine_run(secret.true, done.commands, done.t, secret.effects).T_base_platform
     folder.mkdir()
     (folder / "rig.toml").write_text(rig_text)
     frames = np.arange(len(done.t))
@@ -163,7 +163,9 @@ def test_the_promise_is_so(held, design):
         np.random.default_rng(1).permutation(2000)
     ]
     route = plan.plan_of_configurations(goals, goals[0], plan.planned_axis_speeds(design))
-    true = motion_simulation.run_machine(held.secret.true, route.commands, route.t, held.secret.effects).T_base_platform
+    true = motion_simulation.simulate_machine_run(
+        held.secret.true, route.commands, route.t, held.secret.effects
+    ).T_base_platform
     lengths = np.linalg.norm(pose_difference(correction.predict(goals), true)[:, :3], axis=1)
     promise = held.tree["promise"]
     assert promise["n"] == 62 + 1 + 3, (
@@ -269,7 +271,8 @@ def test_physics_that_is_undone_is_part_of_what_is_certified(held):
         [Sensors(np.array([0.0, 4000]), {"ambient_temperature_C": np.full(2, degrees)}) for degrees in (20.0, 20.1)],
     )
     poses = [
-        motion_simulation.run_machine(design, other.commands, at, effects, sensors).T_base_platform for sensors in both
+        motion_simulation.simulate_machine_run(design, other.commands, at, effects, sensors).T_base_platform
+        for sensors in both
     ]
     moved = np.linalg.norm(pose_difference(*poses)[:, :3], axis=1)
     assert rms_length_uncertainty(added)[0] == pytest.approx(np.sqrt((moved**2).mean()), rel=0.25), (

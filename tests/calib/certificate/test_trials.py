@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.certification.promise_and_conformity import CONFORMS, FAILS, OPEN, Bound, tolerance_conformity
+from calib.certification.pose_error_promise_and_conformity import CONFORMS, FAILS, OPEN, Bound, tolerance_conformity
 from tests.calib.certificate.trials import share_kept, trial, wrong_decisions
 
 

@@ -11,23 +11,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.certification.held_out_errors import errors_before_and_after_correction
-from calib.certification.held_out_poses import held_out_poses
-from calib.certification.promise_and_conformity import (
+from calib.certification.held_out_poses_and_distinct_configurations import held_out_poses
+from calib.certification.noise_free_errors_and_tolerance_limits import least_sample_size
+from calib.certification.pose_error_promise_and_conformity import (
     CONFORMS,
     FAILS,
     GUARD,
     POSITION,
     ROTATION,
     Unit,
-    pose_error_depth_bound,
+    greatest_scaled_error_bound,
     pose_error_promise,
     tolerance_conformity,
 )
-from calib.certification.tolerance_limits import least_sample_size
 from calib.correction.correction import calibrate_correction
 from calib.samples.pose_samples import Samples
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.framework.parameter import Drawing
+from rig.effects.framework.effect_data_types import Drawing
 from rig.errors import NotConverged
 from rig.model import mechanisms, motion_simulation
 from rig.model.pose import exp, pose_difference
@@ -104,7 +104,9 @@ def trial(design, seed, level=(0.95, 0.95), sizes=SIZES, kinds=None, noise=1.0):
         motion = motion_simulation.motion_of_commands(secret.true, route.commands, route.t, (), sensors)
         effects = tuple(_drawn(BY_NAME[name], design, route, motion, rng) for name in names)
         try:
-            true = motion_simulation.run_machine(secret.true, route.commands, route.t, effects, sensors).T_base_platform
+            true = motion_simulation.simulate_machine_run(
+                secret.true, route.commands, route.t, effects, sensors
+            ).T_base_platform
             break
         except NotConverged:
             continue
@@ -125,7 +127,7 @@ def trial(design, seed, level=(0.95, 0.95), sizes=SIZES, kinds=None, noise=1.0):
     tolerance = quantiles * np.exp(rng.uniform(-SPREAD, SPREAD, 2))
     verdict = ""
     if n >= least_sample_size(level[0], GUARD):
-        depth = pose_error_depth_bound(
+        depth = greatest_scaled_error_bound(
             poses,
             poses.first,
             (Unit(POSITION, tolerance[0]), Unit(ROTATION, tolerance[1])),

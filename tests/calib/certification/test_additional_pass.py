@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.additional_pass import Pass, certify_additional_pass
-from calib.certification.calibration import Calibration
-from calib.certification.extension_certification import claim_without_geometry
+from calib.api.correction_extension import CorrectionPass, certify_additional_pass
+from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.extended_correction_certification import claim_without_geometry
 from calib.certification.platform_certification import platform_pose_covariance
+from calib.correction import interpolation_methods_and_summand_extension
 from calib.correction.correction import Correction
-from calib.correction.interpolation import interpolation_methods
-from calib.correction.interpolation.field import Known
-from calib.correction.interpolation.field_combinations import RestrictedMap, SpacePart, SummedPasses
+from calib.correction.interpolation.field_and_combinations import FieldSamples, RestrictedMap, SpacePart, SummedPasses
 from calib.files import calibration_file, calibration_from_recording
 from calib.samples.pose_samples import Samples
 from rig.errors import FileError, NotEnoughData
@@ -22,8 +21,8 @@ from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference
 from rig.planning.configuration_sets import sobol_configurations
 from synthetic import secret_machine
-from tests.calib.worlds import rms
-from tests.numeric import jacobian
+from tests.calib.noisy_samples import rms
+from tests.numerical_derivatives import jacobian
 
 OWN = np.repeat([1e-7, 1e-6], 3)  # m, rad; so little that what is left is the map's own
 AXES = 6
@@ -67,7 +66,9 @@ def left(correction, before, wanted):
 @pytest.mark.parametrize("space", ["pose", "both"])
 def test_a_map_over_poses_takes_what_depends_on_the_pose(machine, design, space):
     before, samples = machine
-    done, tried, count = certify_additional_pass(samples, before, Pass("polynomial", space), np.random.default_rng(0))
+    done, tried, count = certify_additional_pass(
+        samples, before, CorrectionPass("polynomial", space), np.random.default_rng(0)
+    )
     assert (
         count == 200
         and len(done.correction.posed) == 1
@@ -87,7 +88,7 @@ def test_a_map_over_poses_takes_what_depends_on_the_pose(machine, design, space)
 def test_a_triangulation_of_poses_is_exact_at_them(machine):
     before, samples = machine
     some = samples.take(slice(0, 60))
-    done, _, _ = certify_additional_pass(some, before, Pass("delaunay", "pose"), np.random.default_rng(0))
+    done, _, _ = certify_additional_pass(some, before, CorrectionPass("delaunay", "pose"), np.random.default_rng(0))
     assert np.abs(pose_difference(done.correction.predict(some.commanded), some.T_base_platform)).max() < 1e-10
 
 
@@ -96,7 +97,7 @@ def test_a_pass_in_a_part_leaves_the_rest_as_it_was_and_knows_it_no_better(machi
     low, high = np.full(6, -np.inf), np.full(6, np.inf)
     high[0] = 0.02  # m, x of poses
     done, _, count = certify_additional_pass(
-        samples, before, Pass("polynomial", "pose", poses=SpacePart(low, high)), np.random.default_rng(0)
+        samples, before, CorrectionPass("polynomial", "pose", poses=SpacePart(low, high)), np.random.default_rng(0)
     )
     x = before.correction.predict(samples.commanded).translation[:, 0]
     assert count == (x <= 0.02).sum() < 200
@@ -118,13 +119,16 @@ def test_a_part_of_the_configuration_space_bounds_what_takes_part(machine):
     low, high = np.full(6, -np.inf), np.full(6, np.inf)
     low[2] = np.median(samples.commanded[:, 2])
     done, _, count = certify_additional_pass(
-        samples, before, Pass("polynomial", "configuration", SpacePart(low, high)), np.random.default_rng(0)
+        samples, before, CorrectionPass("polynomial", "configuration", SpacePart(low, high)), np.random.default_rng(0)
     )
     assert count == 100 and isinstance(done.correction.extension.fields[0], RestrictedMap)
     assert not done.correction.rho(samples.commanded - 0.05).any()
     with pytest.raises(NotEnoughData, match="none of 200 samples"):
         certify_additional_pass(
-            samples, before, Pass("polynomial", "configuration", SpacePart(low + 9, high)), np.random.default_rng(0)
+            samples,
+            before,
+            CorrectionPass("polynomial", "configuration", SpacePart(low + 9, high)),
+            np.random.default_rng(0),
         )
 
 
@@ -133,7 +137,7 @@ def test_maps_of_both_spaces_are_kept_and_read_again(machine, tmp_path):
     low, high = np.full(6, -np.inf), np.full(6, np.inf)
     high[2] = 0.45
     done, _, _ = certify_additional_pass(
-        samples, before, Pass("polynomial", "both", poses=SpacePart(low, high)), np.random.default_rng(0)
+        samples, before, CorrectionPass("polynomial", "both", poses=SpacePart(low, high)), np.random.default_rng(0)
     )
     source = calibration_from_recording.additional_pass_provenance(
         {"recording": "b", "data": ["2"]}, before, {"number": 2, "space": "both"}
@@ -162,8 +166,8 @@ def test_a_part_is_whole_within_fades_smoothly_and_knows_its_slope():
     rng = np.random.default_rng(0)
     x = np.concatenate([rng.uniform(-0.2, 1.2, (300, 1)), rng.uniform(1.0, 2.2, (300, 1))], axis=1)
     field = RestrictedMap(
-        interpolation_methods.fit_field(
-            "polynomial", Known(x, np.sin(x), np.full(x.shape, 1e-6), np.array([[-0.2, 1.2], [1.0, 2.2]]))
+        interpolation_methods_and_summand_extension.fit_field(
+            "polynomial", FieldSamples(x, np.sin(x), np.full(x.shape, 1e-6), np.array([[-0.2, 1.2], [1.0, 2.2]]))
         ),
         part,
     )
@@ -181,8 +185,8 @@ def test_a_part_that_bounds_nothing_is_refused(low, high):
 def test_an_earlier_pass_speaks_where_a_later_one_does_not_hold():
     x = np.linspace(0, 1, 21)[:, None]
     first, second = (
-        interpolation_methods.fit_field(
-            "polynomial", Known(x, size * x, np.full((21, 1), size**2), np.array([[0.0, 1.0]]))
+        interpolation_methods_and_summand_extension.fit_field(
+            "polynomial", FieldSamples(x, size * x, np.full((21, 1), size**2), np.array([[0.0, 1.0]]))
         )
         for size in (1.0, 0.1)
     )

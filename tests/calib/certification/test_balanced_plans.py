@@ -11,7 +11,7 @@ from calib.certification.held_out_errors import errors_before_and_after_correcti
 from calib.certification.platform_certification import certify_platform, platform_workspace_claim
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import sample_recording
-from rig.effects.texts.effect_notation import parse_effect, require_existing_place, require_nonzero_effect
+from rig.effects.texts.effect_text_and_dict import parse_effect, require_existing_place, require_nonzero_effect
 from rig.formats.rig_toml import design_file
 from rig.planning import plan
 from rig.recording import recording_folder
@@ -40,7 +40,7 @@ def test_random_play_stands_out_on_a_balanced_plan(tmp_path: Path, seed: int) ->
     def recorded(route: plan.Plan, name: str) -> Samples:
         rng = np.random.default_rng(seed)
         recording_simulation.write_recording(
-            recording_simulation.simulate(secret, route, rng), tmp_path / name, text, rng
+            recording_simulation.simulate_world(secret, route, rng), tmp_path / name, text, rng
         )
         return sample_recording(recording_folder.load_recording(tmp_path / name)).samples
 

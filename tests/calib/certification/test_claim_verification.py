@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration import claim_status_text
+from calib.certification.calibration_and_claim_sentences import claim_status_text
 from calib.certification.claim_verification import Part, Verification, verify_claim
 from calib.certification.workspace_claim import Claim
 from calib.samples.pose_samples import Samples
 from rig.model.mechanisms import hexapod
 from rig.model.pose import adjoint, exp
 from rig.planning import configuration_sets
-from tests.calib.worlds import rms
+from tests.calib.noisy_samples import rms
 
 POSITION, ROTATION = 20e-6, 60e-6  # m, rad: upper ends of the claim
 

@@ -7,17 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.additional_pass import Pass, certify_additional_pass
-from calib.certification.calibration import Calibration
-from calib.certification.extension_certification import Asked, certify_extended_correction, claim_without_geometry
+from calib.api.correction_extension import CorrectionPass, certify_additional_pass
+from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.extended_correction_certification import (
+    ExtensionRequest,
+    certify_extended_correction,
+    claim_without_geometry,
+)
 from calib.certification.platform_certification import platform_pose_covariance, platform_workspace_claim
-from calib.correction.summand_extension import single_step_errors
+from calib.correction.interpolation_methods_and_summand_extension import single_step_correction_errors
 from calib.files import calibration_file, calibration_from_recording
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
 from rig.planning.configuration_sets import divided_grid_configurations, sobol_configurations
-from tests.calib.worlds import real, rms, sampled, workspace
+from tests.calib.noisy_samples import real, rms, sampled, workspace
 
 OWN = np.array([1e-7, 1e-7, 1e-7, 1e-6, 1e-6, 1e-6])  # m, rad; so little that what is left is the way's own
 
@@ -41,7 +45,9 @@ def gridded(design):
 @pytest.mark.parametrize("alone", [False, True])
 def test_corrected_poses_are_exact_at_the_samples(gridded, design, alone):
     samples, true = gridded
-    done, _ = certify_extended_correction(samples, design.mechanism, Asked("simplex", alone), np.random.default_rng(0))
+    done, _ = certify_extended_correction(
+        samples, design.mechanism, ExtensionRequest("simplex", alone), np.random.default_rng(0)
+    )
     on = slice(0, 144)
     assert (
         np.abs(pose_difference(done.correction.predict(samples.commanded[on]), samples.T_base_platform[on])).max()
@@ -54,7 +60,9 @@ def test_corrected_poses_are_exact_at_the_samples(gridded, design, alone):
 @pytest.mark.slow
 def test_auto_takes_what_does_best_on_poses_held_out(gridded, design):
     samples, true = gridded
-    done, tried = certify_extended_correction(samples, design.mechanism, Asked("auto", False), np.random.default_rng(0))
+    done, tried = certify_extended_correction(
+        samples, design.mechanism, ExtensionRequest("auto", False), np.random.default_rng(0)
+    )
     figures = {one.kind: one.held_out.after.position[0] for one in tried if one.held_out}
     chosen = [one.kind for one in tried if one.chosen]
     assert (
@@ -73,7 +81,7 @@ def test_auto_takes_what_does_best_on_poses_held_out(gridded, design):
 
 def test_where_noise_explains_all_that_is_left_a_smooth_field_is_empty(design):
     done, _ = certify_extended_correction(
-        sampled(design, 1, 60)[0], design.mechanism, Asked("radial", False), np.random.default_rng(0)
+        sampled(design, 1, 60)[0], design.mechanism, ExtensionRequest("radial", False), np.random.default_rng(0)
     )
     field = done.correction.extension
     assert (
@@ -86,15 +94,21 @@ def test_where_noise_explains_all_that_is_left_a_smooth_field_is_empty(design):
 def test_scattered_samples_leave_the_grids_out_of_auto_and_refuse_them_by_name(design):
     samples, _ = sampled(design, 5, 40)
     with pytest.raises(RigError, match="fill no grid"):
-        certify_extended_correction(samples, design.mechanism, Asked("linear", False), np.random.default_rng(0))
-    done, tried = certify_extended_correction(samples, design.mechanism, Asked("auto", False), np.random.default_rng(0))
+        certify_extended_correction(
+            samples, design.mechanism, ExtensionRequest("linear", False), np.random.default_rng(0)
+        )
+    done, tried = certify_extended_correction(
+        samples, design.mechanism, ExtensionRequest("auto", False), np.random.default_rng(0)
+    )
     assert {one.kind for one in tried if one.held_out is None} == {"linear", "simplex"}
     assert done.correction.extension is None  # noise alone is left, and no way makes something of it
 
 
 def test_an_extended_calibration_is_kept_and_says_how_sure_it_is(gridded, design, tmp_path):
     samples, true = gridded
-    done, _ = certify_extended_correction(samples, design.mechanism, Asked("linear", True), np.random.default_rng(0))
+    done, _ = certify_extended_correction(
+        samples, design.mechanism, ExtensionRequest("linear", True), np.random.default_rng(0)
+    )
     claim = claim_without_geometry(samples, done, np.random.default_rng(0))
     kept = Calibration(
         done.correction, done.found.covariance, done.found.scatter, (1,), (), done.held_out, {"seed": 0}, claim
@@ -108,21 +122,23 @@ def test_an_extended_calibration_is_kept_and_says_how_sure_it_is(gridded, design
     stated = platform_pose_covariance(again, T)
     ratio = (error[:, :3] ** 2).sum() / np.trace(stated[:, :3, :3], axis1=1, axis2=2).sum()
     assert 0.05 < ratio < 4
-    top, _ = certify_extended_correction(samples, design.mechanism, Asked("linear", False), np.random.default_rng(0))
+    top, _ = certify_extended_correction(
+        samples, design.mechanism, ExtensionRequest("linear", False), np.random.default_rng(0)
+    )
     assert platform_workspace_claim(samples, top, np.random.default_rng(0)).after[0][0] < claim.before[0][0]
 
 
 def test_the_single_step_misses_what_the_fixed_point_meets(gridded, design):
     samples, _ = gridded
     correction = certify_extended_correction(
-        samples, design.mechanism, Asked("linear", True), np.random.default_rng(0)
+        samples, design.mechanism, ExtensionRequest("linear", True), np.random.default_rng(0)
     )[0].correction
     wanted = workspace(design, 40)
     exact, step = correction.inverse(wanted), correction.single_step(wanted)
     x = hexapod.inverse(wanted, design.mechanism)
     np.testing.assert_allclose(step, x + correction.summand(x), atol=1e-15)
     np.testing.assert_allclose(exact, x + correction.summand(exact), atol=1e-11)
-    assert 1e-7 < np.abs(step - exact).max() < 1e-4 and single_step_errors(correction)[1] > 1e-7
+    assert 1e-7 < np.abs(step - exact).max() < 1e-4 and single_step_correction_errors(correction)[1] > 1e-7
     np.testing.assert_allclose(
         correction.corrected_forward(x).as_matrix(), hexapod.forward(step, design.mechanism).as_matrix(), atol=1e-9
     )
@@ -136,7 +152,9 @@ def test_readings_become_the_poses_that_they_stand_for(gridded, design, tmp_path
     from rig.recording import recording_folder
 
     samples, true = gridded
-    done, _ = certify_extended_correction(samples, design.mechanism, Asked("simplex", False), np.random.default_rng(0))
+    done, _ = certify_extended_correction(
+        samples, design.mechanism, ExtensionRequest("simplex", False), np.random.default_rng(0)
+    )
     calibration_file.save(
         tmp_path / "c.json",
         Calibration(done.correction, done.found.covariance, done.found.scatter, (1,), (), None, {"seed": 0}, None),
@@ -174,9 +192,11 @@ def test_a_second_pass_takes_what_the_first_one_left(gridded, design, tmp_path):
     are kept in order.
     """
     samples, true = gridded
-    first, _ = certify_extended_correction(samples, design.mechanism, Asked("axes", True), np.random.default_rng(0))
+    first, _ = certify_extended_correction(
+        samples, design.mechanism, ExtensionRequest("axes", True), np.random.default_rng(0)
+    )
     before = Calibration(first.correction, first.found.covariance, first.found.scatter, (), (), None, {})
-    second, tried, count = certify_additional_pass(samples, before, Pass("simplex"), np.random.default_rng(0))
+    second, tried, count = certify_additional_pass(samples, before, CorrectionPass("simplex"), np.random.default_rng(0))
     assert count == len(samples)
     figures = {one.kind: one.held_out.after.position[0] for one in tried}
     assert figures["simplex"] < 0.7 * figures["none"]

@@ -7,19 +7,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.additional_pass import Pass, certify_additional_pass
-from calib.certification.calibration import Calibration
-from calib.certification.extension_certification import Asked, certify_extended_correction, claim_without_geometry
-from calib.certification.held_out_error_statistics import HeldErrors
+from calib.api.correction_extension import CorrectionPass, certify_additional_pass
+from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.extended_correction_certification import (
+    ExtensionRequest,
+    certify_extended_correction,
+    claim_without_geometry,
+)
+from calib.certification.held_out_errors import HeldErrors
 from calib.certification.workspace_claim import PLACES, ConfigurationInformation, claim_of_mean_squares
-from calib.correction.correction import Correction, commands_with_pose
-from calib.models.arm import error_model
+from calib.correction.correction import Correction, solvable_commands_and_poses
+from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import arm_workspace_claim as promised_arm
 from calib.models.arm.certification import certify_arm as certify_arm
 from rig.model.pose import pose_difference
 from rig.planning.configuration_sets import sobol_configurations
-from tests.calib import arm_worlds as worlds
-from tests.calib.worlds import real, rms, sampled
+from tests.calib import secret_arms as worlds
+from tests.calib.noisy_samples import real, rms, sampled
 from tests.rig.arms import UR10
 
 
@@ -73,12 +77,12 @@ def test_a_claim_of_a_field_or_of_a_pass_holds_what_play_leaves(design, way):
         play, rng = playing(56e-6, seed), np.random.default_rng(seed)
         samples, true = sampled(design, seed, 40, play)
         if way == "alone":
-            done, _ = certify_extended_correction(samples, m, Asked("radial", True), rng)
+            done, _ = certify_extended_correction(samples, m, ExtensionRequest("radial", True), rng)
         else:
             before = Calibration(Correction(m, true, (None,) * 6), np.zeros((42, 42)), np.zeros(6), (), (), None, {})
-            done, _, _ = certify_additional_pass(samples, before, Pass("radial"), rng)
+            done, _, _ = certify_additional_pass(samples, before, CorrectionPass("radial"), rng)
         _, low, high = claim_without_geometry(samples, done, rng).after[0]
-        commands, T = commands_with_pose(sobol_configurations(m.strut_range, 200, 0.8, 77), done.correction)
+        commands, T = solvable_commands_and_poses(sobol_configurations(m.strut_range, 200, 0.8, 77), done.correction)
         inside += low <= rms(pose_difference(T, real(commands, true, play)))[0] <= high
         wide.append(high / low)
     assert inside >= 7 and 1.2 < min(wide) < max(wide) < 4
@@ -115,6 +119,8 @@ def test_an_arms_claim_is_never_better_than_poses_held_out_allow(gears):
         claim = promised_arm(samples, done, rng)
         seen = np.stack([samples.commanded.min(axis=0), samples.commanded.max(axis=0)], axis=1)
         q = sobol_configurations(seen, PLACES, 0.8)
-        off = pose_difference(done.correction.predict(q), error_model.predicted_target_poses(q + deviation(q), true))
+        off = pose_difference(
+            done.correction.predict(q), error_model_and_observations.predicted_target_poses(q + deviation(q), true)
+        )
         inside += claim.after[0][1] <= rms(off)[0] <= claim.after[0][2]
     assert inside >= 5

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.certification.iso230_axis_errors import axis_accuracy, axis_repeatability, reversal_values
+from calib.certification.iso230_and_iso9283_tests import axis_accuracy, axis_repeatability, reversal_values
 
 MEAN = np.array([[1.0, -1.0], [4.0, 3.0], [2.0, 5.0]])  # from below, from above, at three positions
 S = np.array([[0.5, 0.25], [0.25, 0.5], [1.0, 0.25]])

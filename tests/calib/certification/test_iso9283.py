@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.held_out_poses import held_out_poses
-from calib.certification.iso9283 import Duty, iso9283_accuracy_and_repeatability
+from calib.certification.held_out_poses_and_distinct_configurations import held_out_poses
+from calib.certification.iso230_and_iso9283_tests import Duty, iso9283_accuracy_and_repeatability
 from calib.correction.correction import calibrate_correction
 from calib.samples.pose_samples import Samples
 from rig.model import motion_simulation
@@ -19,7 +19,7 @@ FULL = Duty(0.05, 0.05, (10.0, 10.0), 10.0)
 def standard(design, cycles=30):
     """HeldPoses of the plan of the standard's five poses."""
     done = plan.build_plan(design, f"iso9283:{cycles}", 0)
-    T = motion_simulation.run_machine(design, done.commands, done.t).T_base_platform
+    T = motion_simulation.simulate_machine_run(design, done.commands, done.t).T_base_platform
     n = len(done.t)
     samples = Samples(
         np.arange(n), done.t, done.commands.at(done.t), T, np.tile(np.eye(6) * 1e-12, (n, 1, 1)), np.zeros((n, 6, 1))

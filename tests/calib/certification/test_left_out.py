@@ -6,20 +6,23 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.deviation_component_sizes import Closures, draw_component_sizes
-from calib.certification.distinct_configurations import axis_ranges, configuration_numbers
+from calib.certification.held_out_poses_and_distinct_configurations import axis_ranges, configuration_numbers
 from calib.certification.platform_certification import (
     certify_platform,
     platform_pose_covariance,
     platform_workspace_claim,
 )
-from calib.certification.strut_deviation_kernels import CONDITION, PLACE, SAMPLE, deviation_components
+from calib.certification.strut_deviation_covariance_kernels import CONDITION, PLACE, SAMPLE, strut_deviation_components
+from calib.certification.strut_deviation_sizes_and_possible_machines import (
+    Closures,
+    draw_strut_deviation_component_sizes,
+)
 from calib.files.calibration_from_recording import calibration_with_provenance
 from calib.samples.recording_samples import sample_recording
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder
 from tests import truth
-from tests.calib.worlds import rms, sampled
+from tests.calib.noisy_samples import rms, sampled
 
 
 def calibrated(folder, *case, **more):
@@ -128,11 +131,13 @@ def strut(rng, n, parts, deviation):
 def test_sizes_are_found_where_samples_show_them_and_nothing_where_they_do_not(design):
     samples, _ = sampled(design, 5, 40)
     label, rng = configuration_numbers(samples.commanded, axis_ranges(design.mechanism)), np.random.default_rng(1)
-    parts = deviation_components(samples, label, design.mechanism)
+    parts = strut_deviation_components(samples, label, design.mechanism)
     time = next(part for part in parts[0] if part.name == "time").basis
     course = 2e-5 * np.sin(4 * samples.t / np.ptp(samples.t))
     off = [np.zeros(40), course, np.zeros(40), np.zeros(40), np.zeros(40), np.zeros(40)]
-    found = draw_component_sizes([strut(rng, 40, own, one) for own, one in zip(parts, off)], np.zeros_like, 128, rng)
+    found = draw_strut_deviation_component_sizes(
+        [strut(rng, 40, own, one) for own, one in zip(parts, off)], np.zeros_like, 128, rng
+    )
     at = [part.name for part in parts[1]].index("time")
     assert time.shape[1] < 40 and (found[1][:, at] > 5e-6).mean() > 0.95
     assert np.mean([(one > 1e-6).any(axis=1).mean() for i, one in enumerate(found) if i != 1]) < 0.2
@@ -143,7 +148,7 @@ def test_components_have_a_mean_square_of_one_where_the_machine_is_used(design):
     label = configuration_numbers(samples.commanded, axis_ranges(design.mechanism))
     rng = np.random.default_rng(0)
     places = 0.8 * rng.uniform(-1, 1, (4000, 6))
-    for part in deviation_components(samples, label, design.mechanism)[2]:
+    for part in strut_deviation_components(samples, label, design.mechanism)[2]:
         assert part.over in (SAMPLE, PLACE, CONDITION)
         if part.use is not None:
             mean, variance = part.use(places)

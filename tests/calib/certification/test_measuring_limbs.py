@@ -13,9 +13,9 @@ from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference
 from rig.planning import configuration_sets
-from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording.recording_folder import Sensors
-from tests.calib.worlds import rms
+from tests.calib.noisy_samples import rms
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def measured(limbed):
     design, read, _ = limbed
     frames, lengths = measuring_limbs.limb_readings(read)
     return (
-        measuring_limbs.samples_by_limbs(sample_recording(read).samples, frames, lengths),
+        measuring_limbs.samples_with_limb_readings_as_commands(sample_recording(read).samples, frames, lengths),
         measuring_limbs.limb_hexapod(design),
         frames,
         lengths,
@@ -140,7 +140,7 @@ def test_what_is_missing_is_said(limbed, design, tmp_path):
     with pytest.raises(NotEnoughData, match="within 0.5 s"):
         measuring_limbs.limb_readings(replace(read, sensors=sparse))
     (tmp_path / "rig.toml").write_text(
-        hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, limbs=6).replace(
+        hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6).replace(
             "length_sigma = 1e-6", "length_sigma = -1"
         )
     )

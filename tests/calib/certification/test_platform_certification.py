@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from calib.certification.calibration import verification_line
+from calib.certification.calibration_and_claim_sentences import verification_line
 from calib.certification.held_out_errors import compare_errors, error_statistics
 from calib.certification.platform_certification import certify_platform
 from calib.samples.pose_samples import time_block_folds
-from tests.calib.worlds import sampled
+from tests.calib.noisy_samples import sampled
 
 
 def test_figures_are_hand_worked():

@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 from scipy.stats import binom
 
-from calib.certification.held_out_poses import HeldPoses
-from calib.certification.promise_and_conformity import pose_error_promise
-from calib.certification.tolerance_limits import least_sample_size
+from calib.certification.held_out_poses_and_distinct_configurations import HeldPoses
+from calib.certification.noise_free_errors_and_tolerance_limits import least_sample_size
+from calib.certification.pose_error_promise_and_conformity import pose_error_promise
 
 UNITS = (1e-5, 1e-4)  # m, rad
 WIDTHS = np.repeat(UNITS, 3)

@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from calib.certification import measuring_limb_checks, measuring_limbs
+from calib.certification import measuring_limbs, redundant_measuring_limb_checks
 from calib.online import measuring_limb_poses, measuring_limbs_file
 from calib.online.measuring_limb_poses import LiveLimbPoses
 from rig.cli import command_line
@@ -18,10 +18,10 @@ from rig.formats.structured_files import toml_entries
 from rig.model.mechanisms import hexapod
 from rig.model.pose import transform_points
 from rig.planning.configuration_sets import sobol_configurations
-from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from synthetic import secret_machine
-from tests.loops import rig
+from tests.closed_loops import rig
 
 EIGHT = 8
 
@@ -30,7 +30,7 @@ EIGHT = 8
 def machine(tmp_path_factory):
     """(Design with eight limbs, as it truly is, what these read at 60 poses (60, 8) m, with noise)"""
     folder = tmp_path_factory.mktemp("eight")
-    (folder / "rig.toml").write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, limbs=EIGHT))
+    (folder / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=EIGHT))
     design = design_file.load_design(folder / "rig.toml")
     true = secret_machine.draw_machine(design, np.random.default_rng(5)).true
     T = hexapod.forward(sobol_configurations(true.mechanism.strut_range, 60, 0.8), true.mechanism)
@@ -43,25 +43,29 @@ def machine(tmp_path_factory):
 def limbs(machine):
     """Limbs of which six are known as vision would have them, and the checks fitted to their poses."""
     design, true, read, T = machine
-    chosen = measuring_limb_checks.best_six_limbs(design.insitu, design.mechanism.home, T)
+    chosen = redundant_measuring_limb_checks.best_six_limbs(design.insitu, design.mechanism.home, T)
     six = measuring_limbs.Limbs(
         measuring_limbs.limb_hexapod(true, chosen), 1e-14 * np.eye(42), np.full(6, 1e-6), chosen
     )
     return measuring_limbs.Limbs(
-        six.hexapod, six.covariance, six.sigma, chosen, measuring_limb_checks.fit_limb_checks(six, design.insitu, read)
+        six.hexapod,
+        six.covariance,
+        six.sigma,
+        chosen,
+        redundant_measuring_limb_checks.fit_redundant_limb_checks(six, design.insitu, read),
     )
 
 
 def test_checks_close_on_stretches_left_out_by_as_much_as_is_said(machine, limbs):
     design, _, read, _ = machine
-    error, sigma = measuring_limb_checks.held_out_check_errors(limbs, design.insitu, read)
+    error, sigma = redundant_measuring_limb_checks.held_out_check_errors(limbs, design.insitu, read)
     assert (
         error.shape == (60, EIGHT - 6) and len(set(limbs.chosen.tolist()) | set(limbs.checks.limbs.tolist())) == EIGHT
     )
     assert 0.7 < np.sqrt((error**2 / sigma**2).mean()) < 1.3 and (sigma < 2e-5).all()
-    stated = measuring_limb_checks._closures(
+    stated = redundant_measuring_limb_checks._closures(
         limbs,
-        measuring_limb_checks.Checks(
+        redundant_measuring_limb_checks.Checks(
             limbs.checks.limbs,
             design.insitu.base_joints[limbs.checks.limbs],
             design.insitu.platform_joints[limbs.checks.limbs],
@@ -77,22 +81,22 @@ def test_checks_close_on_stretches_left_out_by_as_much_as_is_said(machine, limbs
 def test_of_six_limbs_none_is_over_to_be_checked(machine):
     _, true, read, _ = machine
     stated = design_file.design_of_entries(
-        toml_entries(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, limbs=6), "rig.toml")
+        toml_entries(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6), "rig.toml")
     ).insitu
     six = measuring_limbs.Limbs(
         measuring_limbs.limb_hexapod(true, np.arange(6)), 1e-14 * np.eye(42), np.full(6, 1e-6), np.arange(6)
     )
-    error, sigma = measuring_limb_checks.held_out_check_errors(six, stated, read[:, :6])
+    error, sigma = redundant_measuring_limb_checks.held_out_check_errors(six, stated, read[:, :6])
     assert error.shape == sigma.shape == (60, 0)
 
 
 @pytest.mark.parametrize("which", ["chosen", "check"])
 def test_a_limb_that_slips_is_named_by_the_others_within_five_poses(machine, limbs, which):
     _, _, read, _ = machine
-    assert measuring_limb_checks.first_unclosed_limb(limbs, read) is None
+    assert redundant_measuring_limb_checks.first_unclosed_limb(limbs, read) is None
     limb = int(limbs.chosen[2] if which == "chosen" else limbs.checks.limbs[0])
     slipped = read - 3e-5 * (np.arange(60)[:, None] >= 40) * np.eye(EIGHT)[limb]
-    found = measuring_limb_checks.first_unclosed_limb(limbs, slipped)
+    found = redundant_measuring_limb_checks.first_unclosed_limb(limbs, slipped)
     assert 40 <= found.at < 45 and found.limb in (None, limb + 1)
     assert which == "chosen" or found.limb is not None
     assert found.limb is None or abs(found.size - 3e-5) < 1e-5
@@ -102,14 +106,14 @@ def test_a_limb_that_slips_is_named_by_the_others_within_five_poses(machine, lim
 
 
 def test_fewer_limbs_than_freedoms_are_refused_with_the_reason(tmp_path):
-    (tmp_path / "rig.toml").write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, limbs=4))
+    (tmp_path / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=4))
     design = design_file.load_design(tmp_path / "rig.toml")
     with pytest.raises(
         RigError,
         match="has 4 measuring limbs in .insitu., and a platform has six freedoms: fewer than six lengths tell no",
     ):
         measuring_limbs.limb_hexapod(design)
-    assert not measuring_limb_checks.has_six_measuring_limbs(design)
+    assert not redundant_measuring_limb_checks.has_six_measuring_limbs(design)
 
 
 @pytest.mark.slow
@@ -181,5 +185,5 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
 
 
 def _with_limbs(folder, count):
-    (folder / "other.toml").write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, limbs=count))
+    (folder / "other.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=count))
     return design_file.load_design(folder / "other.toml")

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.certification.strut_deviation_kernels import strut_load_signs
+from calib.certification.strut_deviation_covariance_kernels import strut_load_signs
 from calib.samples.pose_samples import Conditions, Weight
 from rig.model.mechanisms import hexapod
 from tests.calib.certification.test_left_out import calibrated, driven
-from tests.calib.worlds import rms, sampled
+from tests.calib.noisy_samples import rms, sampled
 
 
 def test_signs_are_those_of_struts_in_balance(design):

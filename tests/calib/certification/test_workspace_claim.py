@@ -5,25 +5,25 @@ claim.
 import numpy as np
 import pytest
 
-from calib.certification.calibration import claim_lines, verification_line
+from calib.certification.calibration_and_claim_sentences import claim_lines, verification_line
 from calib.certification.claim_verification import verify_claim
-from calib.certification.distinct_configurations import (
+from calib.certification.held_out_errors import compare_errors, errors_before_and_after_correction
+from calib.certification.held_out_poses_and_distinct_configurations import (
     axis_ranges,
     configuration_folds,
     configuration_numbers,
     mean_sample_per_configuration,
 )
-from calib.certification.held_out_errors import compare_errors, errors_before_and_after_correction
 from calib.certification.platform_certification import certify_platform, platform_workspace_claim
 from calib.models.platform.identification import geometric_parameters, identify_platform
-from calib.models.platform.parameter_accuracy import stated_geometry_accuracy
+from calib.models.platform.parameter_accuracy import estimate_tolerance_of_stated_geometry
 from calib.samples.recording_samples import sample_recording
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
 from rig.planning import configuration_sets, plan
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
-from tests.calib.worlds import sampled
+from tests.calib.noisy_samples import sampled
 
 
 def visited(mechanism, distinct, repeats, seed):
@@ -59,7 +59,9 @@ def at_corners(design, text, folder, seed, distinct, repeats):
     route = plan.plan_of_configurations(
         visited(design.mechanism, distinct, repeats, seed), strokes.mean(axis=1), plan.planned_axis_speeds(design)
     )
-    recording_simulation.write_recording(recording_simulation.simulate(secret, route, rng), folder, text, rng, 0.04)
+    recording_simulation.write_recording(
+        recording_simulation.simulate_world(secret, route, rng), folder, text, rng, 0.04
+    )
     return concluded(
         design, sample_recording(recording_folder.load_recording(folder)).samples, secret.true.mechanism, seed
     )
@@ -103,7 +105,7 @@ def test_witnesses_say_what_all_poses_say(design):
 
 def test_the_owners_tolerance_is_read_off_the_poses(design):
     samples, true = sampled(design, 4, count=40)
-    known = stated_geometry_accuracy(identify_platform(samples, design.mechanism), design.mechanism)
+    known = estimate_tolerance_of_stated_geometry(identify_platform(samples, design.mechanism), design.mechanism)
     off = geometric_parameters(true) - geometric_parameters(design.mechanism)
     assert known.prior[0] == pytest.approx(np.sqrt(np.mean(off[:36] ** 2)), rel=0.3)
     assert known.prior[-1] == pytest.approx(

@@ -8,11 +8,11 @@ import numpy as np
 from rig.formats.rig_toml import design_file
 from rig.model.design import Arm
 from rig.planning import configuration_sets, plan
-from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording.recording_folder import Poses
 from rig.recording.recording_tables import write_poses
 from synthetic import recording_simulation, secret_machine
-from tests.calib import arm_worlds
+from tests.calib import secret_arms
 from tests.conftest import BENCH
 
 RIGS = {  # radius, cameras, width, height, cubes, frames, noise px
@@ -37,7 +37,7 @@ def recorded(
 ) -> tuple[secret_machine.World, recording_simulation.Simulation]:
     """A good recording at corner level of one of the RIGS, with its World and Simulation."""
     radius, cameras, width, height, cubes, frames, noise = RIGS[number]
-    text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(
+    text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(
         radius, cameras=cameras, width=width, height=height, cubes=cubes
     )
     folder.mkdir(parents=True)
@@ -50,7 +50,7 @@ def recorded(
         strokes.mean(axis=1),
         plan.planned_axis_speeds(design),
     )
-    done = recording_simulation.simulate(secret, route, rng)
+    done = recording_simulation.simulate_world(secret, route, rng)
     recording_simulation.write_recording(done, folder, text, rng, noise)
     return secret, done
 
@@ -62,7 +62,7 @@ def make(kind: str, folder: Path, number: int = 0) -> Path:
     elif kind == "arm":
         rng = np.random.default_rng(number)
         nominal = Arm(JOINTS, np.tile([-2 * np.pi, 2 * np.pi], (6, 1)))
-        arm_worlds.write(folder, nominal, arm_worlds.tracked(arm_worlds.secret(nominal, rng), nominal, 80, rng))
+        secret_arms.write(folder, nominal, secret_arms.tracked(secret_arms.secret(nominal, rng), nominal, 80, rng))
     else:
         _, done = recorded(folder, number)
         if kind == "poses":

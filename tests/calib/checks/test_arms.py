@@ -8,7 +8,7 @@ import pytest
 from calib.models.arm.command_and_pose_mistakes import find_arm_mistakes
 from calib.samples.pose_samples import Samples
 from rig.recording import recording_folder
-from tests.calib import arm_worlds
+from tests.calib import secret_arms
 from tests.calib.models.arm.test_instrument_placement import SIGMA, case
 
 
@@ -23,7 +23,7 @@ def written(folder, seed, spoil=None):
         seen.covariance,
         np.zeros((m, 6, 0)),
     )
-    arm_worlds.write(folder, nominal, samples, sigma=SIGMA)
+    secret_arms.write(folder, nominal, samples, sigma=SIGMA)
     return recording_folder.load_recording(folder)
 
 

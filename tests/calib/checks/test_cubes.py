@@ -10,18 +10,18 @@ from rig.cli.command_line import main
 from rig.formats.rig_toml import design_file
 from rig.model.design import Target
 from rig.model.pose import pose, pose_to_vector
-from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.calib.checks.good import make
-from vision.checks.cube_layout_remarks import cube_layout_remarks
+from vision.checks.uneven_cube_layout_remarks import uneven_cube_layout_remarks
 from vision.targets import markers_of_target
 
-TEXT = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=3, width=1280, height=1024, cubes=4)
+TEXT = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=3, width=1280, height=1024, cubes=4)
 
 
 def told(tmp_path, text):
     path = tmp_path / "rig.toml"
     path.write_text(text)
-    return "\n".join(cube_layout_remarks(design_file.load_design(path)))
+    return "\n".join(uneven_cube_layout_remarks(design_file.load_design(path)))
 
 
 def moved(name, by):
@@ -36,7 +36,9 @@ def moved(name, by):
 def test_a_rig_laid_out_evenly_is_left_in_peace(tmp_path):
     assert told(tmp_path, TEXT) == ""
     for cubes in (3, 5, 6):
-        assert "circle" not in told(tmp_path, hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cubes=cubes))
+        assert "circle" not in told(
+            tmp_path, hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cubes=cubes)
+        )
 
 
 def test_a_cube_off_its_circle_is_told_with_radii_and_gaps(tmp_path):

@@ -9,7 +9,7 @@ from rig.errors import RigError, Unreachable
 from rig.model.design import Free
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
-from tests.calib.worlds import real, rms, sampled, workspace
+from tests.calib.noisy_samples import real, rms, sampled, workspace
 
 
 def wavy(commands):

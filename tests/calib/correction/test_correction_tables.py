@@ -5,21 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.correction import interpolation_methods_and_summand_extension
 from calib.correction.correction import Correction
-from calib.correction.correction_tables import (
+from calib.correction.correction_tables_and_pose_space_map_json import (
     axis_correction_tables,
+    correction_summand_column_names,
+    correction_summand_table_rows,
     grid_correction_table,
-    strut_summands,
-    summand_columns,
-    summand_rows,
+    strut_correction_summands,
 )
-from calib.correction.interpolation import interpolation_methods
-from calib.correction.interpolation.field import Known
-from calib.correction.summand_extension import measured_summands
+from calib.correction.interpolation.field_and_combinations import FieldSamples
+from calib.correction.interpolation_methods_and_summand_extension import measured_correction_summands
 from rig.formats.exporters import geometry_and_camera_files
 from rig.model.mechanisms import hexapod
 from rig.planning.configuration_sets import sobol_configurations
-from tests.calib.worlds import real, sampled
+from tests.calib.noisy_samples import real, sampled
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,9 @@ def additive(design):
     m = design.mechanism
     x = sobol_configurations(m.strut_range, 300, 1.0, 3)
     values = 5e-5 * np.sin((x - m.strut_range.mean(axis=1)) / 0.02)
-    field = interpolation_methods.fit_field("axes", Known(x, values, np.full(values.shape, 1e-14), m.strut_range))
+    field = interpolation_methods_and_summand_extension.fit_field(
+        "axes", FieldSamples(x, values, np.full(values.shape, 1e-14), m.strut_range)
+    )
     return Correction(m, replace(m, strut_zeros=m.strut_zeros + 3e-4), (None,) * 6, extension=field)
 
 
@@ -60,7 +62,9 @@ def test_a_table_for_each_joint_says_what_it_cannot_hold(design):
     x = sobol_configurations(m.strut_range, 300, 1.0, 3)
     values = np.zeros(x.shape)
     values[:, 1] = 1e-3 * (x[:, 0] - m.strut_range[0].mean())
-    field = interpolation_methods.fit_field("polynomial", Known(x, values, np.full(x.shape, 1e-14), m.strut_range))
+    field = interpolation_methods_and_summand_extension.fit_field(
+        "polynomial", FieldSamples(x, values, np.full(x.shape, 1e-14), m.strut_range)
+    )
     found = axis_correction_tables(Correction(m, m, (None,) * 6, extension=field), 9)
     assert found.left[1] > 1e-5 and np.delete(found.left, 1).max() < 1e-9
 
@@ -83,17 +87,17 @@ def test_a_grid_read_back_gives_the_commands(additive, design):
 
 def test_ksf_rows_are_commanded_less_what_was_measured_with_its_covariance(design):
     samples, true = sampled(design, 1, 200, own=np.array([5e-6] * 3 + [5e-5] * 3))
-    columns = summand_columns(6)
+    columns = correction_summand_column_names(6)
     rows = np.array(
         [
             [float(cell) for cell in line.split(",")]
-            for line in summand_rows(samples, strut_summands(samples, design.mechanism))
+            for line in correction_summand_table_rows(samples, strut_correction_summands(samples, design.mechanism))
         ]
     )
     assert rows.shape == (200, len(columns)) and len(columns) == 1 + 18 + 21
     x, y, k = rows[:, 1:7], rows[:, 7:13], rows[:, 13:19]
     np.testing.assert_allclose(k, x - y, atol=2e-12)
-    np.testing.assert_allclose(k, measured_summands(samples, design.mechanism).values, atol=1e-12)
+    np.testing.assert_allclose(k, measured_correction_summands(samples, design.mechanism).values, atol=1e-12)
     exact = x - hexapod.inverse(real(samples.commanded, true), design.mechanism)
     C = np.zeros((200, 6, 6))
     C[:, *np.triu_indices(6)] = rows[:, 19:]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.correction.correction import Correction, calibrate_correction
 from calib.correction.physics_compensation import (
     Machine,
@@ -17,7 +17,7 @@ from calib.correction.physics_compensation import (
     commands_at_poses,
     unknown_history_uncertainty,
 )
-from calib.correction.pose_route import HOLDING, TURNING, Pace, timed_route
+from calib.correction.pose_route_and_pose_space_map import HOLDING, TURNING, Pace, timed_route
 from calib.diagnosis.platform_findings_refit import Findings
 from calib.files import calibration_file
 from calib.models.wanted_pose_commands import commands_along_route
@@ -25,8 +25,8 @@ from calib.samples.recording_samples import sample_recording
 from rig.cli.command_line import main
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES
-from rig.effects.framework.fit_coordinates import coordinates_of_effects
-from rig.effects.texts.effect_notation import parse_effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
@@ -36,7 +36,7 @@ from rig.planning import configuration_sets
 from rig.recording.recording_folder import Sensors
 from synthetic import secret_machine
 from tests.bench.physics import ROUTE, effect_of
-from tests.calib.physical import driven, learnt, measured_by, three_ways, write
+from tests.calib.rigs_with_unmodelled_physics import driven, learnt, measured_by, three_ways, write
 from tests.rig.effects.test_effects import SOME
 
 CHANNELS = {
@@ -97,9 +97,11 @@ def test_whatever_moves_the_machine_is_undone(design, kind):
     T, t, log = wanted(design)
     home, pace = hexapod.home(design.mechanism), Pace(t, 0.0, 0.02, None)
     done = commands_along_route(calibration, T, home, pace, log)
-    run = motion_simulation.run_machine(design, done.route.commands(done.values), t, calibration.physics.effects, log)
+    run = motion_simulation.simulate_machine_run(
+        design, done.route.commands(done.values), t, calibration.physics.effects, log
+    )
     assert np.abs(pose_difference(run.T_base_platform, T)).max() < 2e-9
-    plain = motion_simulation.run_machine(
+    plain = motion_simulation.simulate_machine_run(
         design,
         timed_route(pace, hexapod.inverse(T, design.mechanism), home).commands(hexapod.inverse(T, design.mechanism)),
         t,
@@ -120,7 +122,9 @@ def test_a_pose_held_again_after_a_small_drift_comes_out_of_the_gap(design):
     )  # the strut's length drifts by 80 nm from pose to pose
     T = type(T).from_matrix(np.repeat(T.as_matrix()[:1], 6, axis=0))
     done = commands_along_route(calibration, T, hexapod.home(design.mechanism), Pace(t, 0.0, 0.02, None), warm)
-    run = motion_simulation.run_machine(design, done.route.commands(done.values), t, calibration.physics.effects, warm)
+    run = motion_simulation.simulate_machine_run(
+        design, done.route.commands(done.values), t, calibration.physics.effects, warm
+    )
     assert np.abs(pose_difference(run.T_base_platform, T)).max() < 2e-9
 
 

@@ -14,18 +14,18 @@ from calib.diagnosis.engine.term_selection import _exchanged
 from calib.diagnosis.problems.platform.effect_candidates import platform_candidate
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
-from calib.diagnosis.problems.platform.simultaneous_refinement import refine
+from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
 from calib.diagnosis.report.report_entries import diagnosis_report
 from rig.cli import command_line
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Candidate, Linear
 from rig.formats.rig_toml import design_file
-from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
+from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
 from synthetic import unlisted_physics
 from tests.bench.investigate import POSES, Case
-from tests.calib.diagnosing import diagnosis_of
-from tests.calib.recorded import recorded
+from tests.calib.diagnose_recording import diagnosis_of
+from tests.calib.recordings_with_effects import recorded
 
 PLAN = "sobol:30,moving:15,ladder:3,sobol:30,moving:15"
 
@@ -103,7 +103,7 @@ def test_a_large_bias_of_edges_leaves_noise_alone_to_the_finder(tmp_path, design
     point = operating_point_of_recording(
         recorded(tmp_path, design, ["edge_bias:cameras:bias=0.25"], route="sobol:40", seed=0)
     )[0]
-    refined = refine(point, Sensitivities(point))
+    refined = refine_operating_point(point, Sensitivities(point))
     np.testing.assert_allclose(refined.point.finder, 0.25, atol=0.02)
     model = refined.model
     assert refined.point.standing < 0.01 and (model.corner_residual**2).sum() == pytest.approx(

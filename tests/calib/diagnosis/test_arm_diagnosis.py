@@ -7,26 +7,26 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.engine.term_selection import select_terms
-from calib.diagnosis.problems.arm.arm_evidence import ArmEvidence
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
+from calib.diagnosis.problems.arm.arm_recording_evidence import ArmEvidence
 from calib.diagnosis.problems.arm.joint_candidates import joint_candidates
 from calib.diagnosis.problems.arm.linearised_poses import Geometry, linearise_poses
 from calib.diagnosis.problems.requested_effects import RequestedEffects
 from calib.diagnosis.recording_diagnosis import diagnose_evidence
 from calib.diagnosis.report.report_entries import diagnosis_report
 from rig.cli import command_line
-from rig.effects.framework.play_operator import play_operator
+from rig.effects.framework.machine_motion_and_play import play_operator
 from rig.errors import NotEnoughData
-from rig.model.mechanisms import arm_dynamics
+from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
 from rig.recording import recording_folder as recordings
-from tests.calib import arm_worlds
+from tests.calib import secret_arms
 from tests.rig.arms import UR10
 
 GRAVITY = np.array([0, 0, -9.80665])
 STIFFNESS = 2e5  # N m/rad
 GAP = 6e-4  # rad
-STANDING = replace(UR10, base=arm_worlds.BASE)  # it leans, and so does its weight
-LINKS = arm_dynamics.Links(
+STANDING = replace(UR10, base=secret_arms.BASE)  # it leans, and so does its weight
+LINKS = arm_dynamics_and_step_by_step_kinematics.LinkMasses(
     np.array([8.0, 12.0, 6.0, 2.0, 1.0, 0.5]), np.tile([-0.05, 0.02, 0.06], (6, 1)), np.zeros((6, 3, 3))
 )
 
@@ -34,9 +34,9 @@ LINKS = arm_dynamics.Links(
 def recorded(deviation, count=260, seed=5):
     """(Arms, Identified) of an arm whose joints do deviation(q) beyond their command."""
     rng = np.random.default_rng(seed)
-    true = arm_worlds.secret(UR10, rng)
-    samples = arm_worlds.tracked(true, UR10, count, rng, deviation=deviation)
-    return linearise_poses(samples, arm_worlds.design(UR10)), true
+    true = secret_arms.secret(UR10, rng)
+    samples = secret_arms.tracked(true, UR10, count, rng, deviation=deviation)
+    return linearise_poses(samples, secret_arms.design(UR10)), true
 
 
 def hidden(q):
@@ -48,7 +48,9 @@ def hidden(q):
         + 1.2e-4 * np.sin(8 * q[:, 0] + 1)
         + 1e-4 * np.sin(2 * q[:, 0])
     )
-    torque = arm_dynamics.joint_torques(q, np.zeros(q.shape), np.zeros(q.shape), STANDING, LINKS, GRAVITY)
+    torque = arm_dynamics_and_step_by_step_kinematics.joint_torques(
+        q, np.zeros(q.shape), np.zeros(q.shape), STANDING, LINKS, GRAVITY
+    )
     out[:, 1] = -torque[:, 1] / STIFFNESS
     out[:, 2] = (play_operator(q, GAP / 2) - q)[:, 2]
     return out
@@ -97,9 +99,9 @@ def test_few_poses_are_an_error():
 
 def test_command_line_writes_diagnosis_and_page(tmp_path, capsys):
     rng = np.random.default_rng(3)
-    true = arm_worlds.secret(UR10, rng)
-    samples = arm_worlds.tracked(true, UR10, 150, rng, deviation=lambda q: 3e-3 * q * (np.arange(6) == 3))
-    arm_worlds.write(tmp_path / "rec", UR10, samples)
+    true = secret_arms.secret(UR10, rng)
+    samples = secret_arms.tracked(true, UR10, 150, rng, deviation=lambda q: 3e-3 * q * (np.arange(6) == 3))
+    secret_arms.write(tmp_path / "rec", UR10, samples)
     assert (
         command_line.main(
             [
@@ -123,7 +125,7 @@ def test_command_line_writes_diagnosis_and_page(tmp_path, capsys):
     page = (tmp_path / "out" / "diagnosis.html").read_text()
     assert "Scale error at joint 4" in page and "What single poses suffer from" in page
     table = np.genfromtxt(tmp_path / "out" / "contributions.csv", delimiter=",", names=True)
-    lever = np.linalg.norm(arm_worlds.error_model.joint_jacobian(samples.commanded, true)[:, :3, 3], axis=1)
+    lever = np.linalg.norm(secret_arms.error_model.joint_jacobian(samples.commanded, true)[:, :3, 3], axis=1)
     q = samples.commanded[:, 3]
     assert np.corrcoef(table["scale_error_joint_4"], 3e-3 * np.abs(q - 0.0) * lever)[0, 1] > 0.99
     assert table["what_remains"].mean() < 1e-4 < table["scale_error_joint_4"].mean()
@@ -165,9 +167,9 @@ def test_a_joint_that_gives_way_to_a_stated_load_is_told_by_its_stiffness(tmp_pa
 
 def test_what_was_found_is_drawn_anew_and_found_again(tmp_path, capsys):
     rng = np.random.default_rng(3)
-    true = arm_worlds.secret(UR10, rng)
-    samples = arm_worlds.tracked(true, UR10, 150, rng, deviation=lambda q: 3e-3 * q * (np.arange(6) == 3))
-    arm_worlds.write(tmp_path / "rec", UR10, samples)
+    true = secret_arms.secret(UR10, rng)
+    samples = secret_arms.tracked(true, UR10, 150, rng, deviation=lambda q: 3e-3 * q * (np.arange(6) == 3))
+    secret_arms.write(tmp_path / "rec", UR10, samples)
     ask = ["--only", "scale_error"]
     assert command_line.main(["diagnose", str(tmp_path / "rec"), "--out", str(tmp_path / "out"), *ask]) == 0
     assert command_line.main(["simulate", "--from", str(tmp_path / "out"), "--out", str(tmp_path / "both")]) == 0

@@ -17,12 +17,11 @@ from calib.diagnosis.problems.arm.projected_pose_residuals import fit_poses
 from calib.diagnosis.problems.requested_effects import RequestedEffects
 from calib.diagnosis.report.report_entries import diagnosis_report
 from calib.diagnosis.report.report_sentences import covariate_table
-from rig.effects.framework.machine_motion import Path
-from rig.effects.framework.play_operator import play_operator
+from rig.effects.framework.machine_motion_and_play import Path, play_operator
 from rig.recording.recording_folder import Sensors
-from tests.calib import arm_worlds
-from tests.calib.diagnosing import diagnosis_of
-from tests.calib.recorded import recorded
+from tests.calib import secret_arms
+from tests.calib.diagnose_recording import diagnosis_of
+from tests.calib.recordings_with_effects import recorded
 from tests.rig.arms import UR10
 
 
@@ -68,11 +67,11 @@ def test_of_an_arm_too(arm_with_play):
 def arm_with_play():
     """(ArmProblem, Arms) of a UR10 with backlash in joint 3 alone."""
     rng = np.random.default_rng(5)
-    true = arm_worlds.secret(UR10, rng)
+    true = secret_arms.secret(UR10, rng)
 
     def deviation(q):
         return (play_operator(q, 3e-4) - q) * (np.arange(6) == 2)
 
-    arms, _ = linearise_poses(arm_worlds.tracked(true, UR10, 150, rng, deviation=deviation), arm_worlds.design(UR10))
+    arms, _ = linearise_poses(secret_arms.tracked(true, UR10, 150, rng, deviation=deviation), secret_arms.design(UR10))
     candidates, _ = joint_candidates(arms, RequestedEffects.of(["backlash"], (), NO_STATED_TERMS))
     return ArmProblem(arms, candidates), arms

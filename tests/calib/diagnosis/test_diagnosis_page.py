@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.engine.lack_of_fit import LackOfFit
-from calib.diagnosis.problems.platform import platform_evidence as platform
+from calib.diagnosis.problems.platform import platform_recording_evidence as platform
 from calib.diagnosis.report.diagnosis_json import AlternativeEntry, NotAskedEntry
 from calib.diagnosis.report.machine_outline import MARKS, rig_outline_figure
 from calib.diagnosis.report.report_entries import diagnosis_report
 from calib.diagnosis.report.residual_plots import effect_residual_figures, model_residuals, residuals_without_effects
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
-from rig.effects.texts.effect_notation import parse_effect
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.planning import plan
 from rig.recording import recording_folder
 from rig.recording.recording_tables import write_poses
 from synthetic import recording_simulation, secret_machine
-from tests.calib.diagnosing import diagnosis_of, page_text
+from tests.calib.diagnose_recording import diagnosis_of, page_text
 
 HIDDEN = "backlash:strut3:gap=8e-5"
 
@@ -33,7 +33,7 @@ def diagnosed(design, rig_text, tmp_path_factory):
 
 def make(design, rig_text, folder, text, only):
     rng = np.random.default_rng(4)
-    done = recording_simulation.simulate(
+    done = recording_simulation.simulate_world(
         secret_machine.draw_machine(design, rng, 1.0, (parse_effect(text),)),
         plan.build_plan(design, "sobol:14,ladder:1,payload:2,moving:6", 1),
         rng,

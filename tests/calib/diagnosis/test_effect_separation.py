@@ -5,7 +5,7 @@ import pytest
 
 from calib.diagnosis.effect_signal import effect_separation
 from rig.cli import command_line
-from rig.effects.texts.effect_notation import parse_effect
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.planning.plan import build_plan, sensors_with_payload
 from synthetic.secret_machine import draw_temperatures
 
@@ -39,7 +39,7 @@ def test_another_load_shows_what_joints_swallow_at_one_load(design):
 
 
 def test_the_command_writes_the_best_plan_or_says_that_none_does(tmp_path, capsys):
-    from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
+    from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 
     (tmp_path / "rig.toml").write_text(hexapod_layout_rig_toml(0.3))
     out = tmp_path / "plan.csv"

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.engine.lack_of_fit import MATERIAL, detect_excess_scatter
-from calib.diagnosis.problems.arm.arm_evidence import ArmEvidence
+from calib.diagnosis.problems.arm.arm_recording_evidence import ArmEvidence
 from calib.diagnosis.problems.arm.linearised_poses import linearise_poses
-from calib.diagnosis.problems.measured_evidence import ASSUMED_NOISE, RESIDUALS, STATED
+from calib.diagnosis.problems.evidence_interface import ASSUMED_NOISE, RESIDUALS, STATED
 from calib.diagnosis.recording_diagnosis import diagnose_evidence
 from calib.diagnosis.report.diagnosis_page import diagnosis_verdict
 from calib.diagnosis.report.diagnosis_report import summary_sentence
@@ -20,10 +20,10 @@ from calib.samples.recording_samples import sample_recording
 from rig.model.design import Arm
 from rig.recording import recording_folder
 from rig.recording.recording_tables import Poses
-from rig.report.verdict import State
-from tests.calib import arm_worlds
-from tests.calib.diagnosing import diagnosis_of
-from tests.calib.recorded import recorded
+from rig.report.verdict_and_refutations_of_results import State
+from tests.calib import secret_arms
+from tests.calib.diagnose_recording import diagnosis_of
+from tests.calib.recordings_with_effects import recorded
 
 MOUNT = Arm(
     np.array([[0, 0.3, 0, np.pi / 2], [0, 0, 1.0, 0]]), np.array([[-2.8, 2.8], [0.2, 1.4]])
@@ -37,8 +37,8 @@ def stars(folder, jitter, seed=1, again=0):
     every time.
     """
     rng = np.random.default_rng(seed)
-    samples = arm_worlds.tracked(
-        arm_worlds.secret(MOUNT, rng),
+    samples = secret_arms.tracked(
+        secret_arms.secret(MOUNT, rng),
         MOUNT,
         STARS,
         rng,
@@ -46,7 +46,7 @@ def stars(folder, jitter, seed=1, again=0):
         again=again,
         deviation=lambda q: jitter * rng.normal(size=q.shape),
     )
-    arm_worlds.write(folder, MOUNT, samples, positions_alone=True, sigma=(NOISE, 1e-4))
+    secret_arms.write(folder, MOUNT, samples, positions_alone=True, sigma=(NOISE, 1e-4))
     return recording_folder.load_recording(folder)
 
 

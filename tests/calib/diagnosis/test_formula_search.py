@@ -15,7 +15,7 @@ from calib.diagnosis.engine.reduced_least_squares import Reduced
 from calib.diagnosis.engine.term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.joint_candidates import joint_candidates
-from calib.diagnosis.problems.arm.lack_of_fit import lack_of_fit as arm_left
+from calib.diagnosis.problems.arm.lack_of_fit import find_lack_of_fit_by_joint as arm_left
 from calib.diagnosis.problems.arm.projected_pose_residuals import fit_poses
 from calib.diagnosis.problems.arm.unlisted_joint_effects import suggest_joint_formulas as arm_suggestions
 from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
@@ -23,20 +23,20 @@ from calib.diagnosis.problems.platform.operating_point import operating_point_of
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from calib.diagnosis.problems.platform.unlisted_strut_effects import suggest_strut_formulas
 from calib.diagnosis.problems.requested_effects import RequestedEffects
-from calib.diagnosis.report.diagnosis_json import FitEntry, suggestion_entries
+from calib.diagnosis.report.diagnosis_json import FitEntry, suggested_formula_entries
 from calib.diagnosis.report.diagnosis_page import _suggestions
 from calib.diagnosis.report.diagnosis_report import Report, recommended_actions, write_diagnosis_json
 from rig.cli.command_line import main
 from rig.effects.framework.formula_quantities import quantities_of_motion
-from rig.effects.texts.formula_effect_file import Term, Written
-from rig.effects.texts.user_effect_files import load_effect_file
+from rig.effects.texts.effect_file_from_formula import Term, Written
+from rig.effects.texts.user_effect_file_loading import load_effect_file
 from rig.errors import FileError
 from rig.formats import structured_files
 from rig.formats.rig_toml import design_file
-from tests.calib import laws
+from tests.calib import unlisted_laws
 from tests.calib.diagnosis.test_arm_diagnosis import recorded as arm_recorded
-from tests.calib.physical import measured_by
-from tests.calib.recorded import recorded
+from tests.calib.recordings_with_effects import recorded
+from tests.calib.rigs_with_unmodelled_physics import measured_by
 from tests.rig.effects.test_effects_of_all_machines import context_of, setting_of
 
 FRAMES, NOISE = 240, 5e-6
@@ -217,8 +217,8 @@ def sought_in(recording):
 @pytest.mark.parametrize("number", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_law_is_suggested_by_its_covariates(tmp_path, measured, number, monkeypatch):
     text, design = measured
-    monkeypatch.setattr(laws, "PLAN", "moving:10,sobol:40,ladder:3,sobol:30")
-    recording, effect, covariates = laws.recorded(tmp_path / "rec", design, text, number, 3)
+    monkeypatch.setattr(unlisted_laws, "PLAN", "moving:10,sobol:40,ladder:3,sobol:30")
+    recording, effect, covariates = unlisted_laws.recorded(tmp_path / "rec", design, text, number, 3)
     problem, fit, left = sought_in(recording)
     (found,) = suggest_strut_formulas(problem, fit, left)
     assert {q.name for q in found.written.quantities} == covariates and found.place == effect.place
@@ -226,7 +226,7 @@ def test_a_law_is_suggested_by_its_covariates(tmp_path, measured, number, monkey
     if number == 1:
         value, low, high = found.intervals["c1"]
         assert low < -effect.size < high and high - low < 0.2 * abs(value)
-    (entry,) = suggestion_entries([found])
+    (entry,) = suggested_formula_entries([found])
     assert entry.parameters[next(iter(found.intervals))].unit == ("m" if number == 0 else "m/m^3")
     told = Report("rec", 0.0, {}, (), None, {}, FitEntry(1e-5, 1e-5, 1e-5, "m"), (), suggestions=(entry,))
     page = "".join(_suggestions(told))
@@ -248,7 +248,7 @@ def test_a_law_is_suggested_by_its_covariates(tmp_path, measured, number, monkey
 
 def test_nothing_is_suggested_where_nothing_is_left(tmp_path, measured):
     text, design = measured
-    problem, fit, left = sought_in(laws.recorded(tmp_path / "rec", design, text, 3, 1, seen=1e-9)[0])
+    problem, fit, left = sought_in(unlisted_laws.recorded(tmp_path / "rec", design, text, 3, 1, seen=1e-9)[0])
     assert left == [] and suggest_strut_formulas(problem, fit, left) == []
 
 
@@ -274,9 +274,9 @@ def test_a_joint_that_follows_another_is_suggested_once(tmp_path):
 
 @pytest.mark.slow
 def test_what_was_suggested_is_found_calibrated_and_undone(tmp_path, measured, monkeypatch, capsys):
-    monkeypatch.setattr(laws, "PLAN", "moving:10,sobol:40,ladder:3,sobol:30")
+    monkeypatch.setattr(unlisted_laws, "PLAN", "moving:10,sobol:40,ladder:3,sobol:30")
     text, design = measured
-    recording, effect, _ = laws.recorded(tmp_path / "rec", design, text, 0, 3)
+    recording, effect, _ = unlisted_laws.recorded(tmp_path / "rec", design, text, 0, 3)
     monkeypatch.chdir(tmp_path)
     assert (
         main(["diagnose", "rec", "--out", "first", "--only", "backlash"]) == 0

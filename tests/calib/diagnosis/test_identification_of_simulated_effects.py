@@ -8,7 +8,7 @@ import pytest
 
 from rig.cli import command_line
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
+from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 
 EFFECTS = {  # one of each, of a size that rigs show
     "scale_error": "strut3:scale=4e-4",

@@ -10,17 +10,17 @@ import pytest
 from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.term_selection import select_terms
 from calib.diagnosis.problems.arm import lack_of_fit as arm_excess_scatter
-from calib.diagnosis.problems.arm.arm_evidence import pose_repeatability
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
+from calib.diagnosis.problems.arm.arm_recording_evidence import pose_repeatability
 from calib.diagnosis.problems.arm.candidate_search import joint_products, search_candidates, solved_grid, solved_nodes
 from calib.diagnosis.problems.arm.joint_candidates import joint_candidates
-from calib.diagnosis.problems.arm.lack_of_fit import lack_of_fit
+from calib.diagnosis.problems.arm.lack_of_fit import find_lack_of_fit_by_joint
 from calib.diagnosis.problems.arm.linearised_poses import linearise_poses
 from calib.diagnosis.problems.arm.projected_pose_residuals import Term, fit_poses
 from calib.diagnosis.problems.arm.whitened_columns import Columns, Part
 from calib.diagnosis.problems.requested_effects import RequestedEffects
 from calib.identify.robust_fit import excess_scatter, robust_weights
-from tests.calib import arm_worlds
+from tests.calib import secret_arms
 from tests.rig.arms import UR10
 
 SIGMA = 2e-5  # m, per axis
@@ -28,8 +28,8 @@ SIGMA = 2e-5  # m, per axis
 
 def seen(deviation, count=200, seed=3, again=0):
     rng = np.random.default_rng(seed)
-    samples = arm_worlds.tracked(arm_worlds.secret(UR10, rng), UR10, count, rng, deviation=deviation, again=again)
-    return linearise_poses(samples, arm_worlds.design(UR10))[0]
+    samples = secret_arms.tracked(secret_arms.secret(UR10, rng), UR10, count, rng, deviation=deviation, again=again)
+    return linearise_poses(samples, secret_arms.design(UR10))[0]
 
 
 def only(joint, function):
@@ -159,7 +159,10 @@ def test_what_the_catalogue_lacks_is_unknown_at_its_joint():
     arms = seen(only(2, lambda q: 2e-4 * np.sin(q[:, 0])), again=60)
     chosen = select_terms(ArmProblem(arms, joint_candidates(arms, RequestedEffects())[0])).fit
     assert chosen.terms == ()
-    left = [*lack_of_fit(chosen, 5), *arm_excess_scatter.excess_scatter(chosen, pose_repeatability(chosen), [])]
+    left = [
+        *find_lack_of_fit_by_joint(chosen, 5),
+        *arm_excess_scatter.excess_scatter(chosen, pose_repeatability(chosen), []),
+    ]
     assert left[0].place == "joint 3" and left[0].depends_on == ("pose",)
     assert left[0].magnitude == pytest.approx(np.std(2e-4 * np.sin(arms.q[:, 0])), rel=0.3)
     assert left[-1].place == "rig" and left[-1].depends_on == ("configuration",)

@@ -5,9 +5,9 @@ coil wholly wound up.
 import pytest
 
 from rig.effects.catalogue import effect_list
-from rig.effects.texts.effect_notation import parse_effect
-from tests.calib.diagnosing import diagnosis_of
-from tests.calib.recorded import recorded
+from rig.effects.texts.effect_text_and_dict import parse_effect
+from tests.calib.diagnose_recording import diagnosis_of
+from tests.calib.recordings_with_effects import recorded
 
 MODE = "phase=1,mode=0.6/0/0.8/0.5/0/0"
 SHIFT = "motion=2e-4/0/0/0/4e-4/0"

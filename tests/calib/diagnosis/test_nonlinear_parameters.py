@@ -11,8 +11,8 @@ from calib.diagnosis.problems.arm.joint_candidates import joint_candidates
 from calib.diagnosis.problems.arm.linearised_poses import linearise_poses
 from calib.diagnosis.problems.arm.nonlinear_parameters import term_parameter_covariance
 from calib.diagnosis.problems.requested_effects import RequestedEffects
-from rig.effects.framework.play_operator import play_operator
-from tests.calib import arm_worlds
+from rig.effects.framework.machine_motion_and_play import play_operator
+from tests.calib import secret_arms
 from tests.rig.arms import UR10
 
 RANGE, WEIGHT, PLAYS = 0.14, 2.8e-3, 8  # rad, 1, operators
@@ -30,7 +30,7 @@ def lagging(q):
 def found(seed):
     rng = np.random.default_rng(seed)
     arms, _ = linearise_poses(
-        arm_worlds.tracked(arm_worlds.secret(UR10, rng), UR10, 220, rng, deviation=lagging), arm_worlds.design(UR10)
+        secret_arms.tracked(secret_arms.secret(UR10, rng), UR10, 220, rng, deviation=lagging), secret_arms.design(UR10)
     )
     candidates, _ = joint_candidates(arms, RequestedEffects())
     return select_terms(ArmProblem(arms, candidates)).fit

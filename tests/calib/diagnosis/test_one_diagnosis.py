@@ -12,21 +12,21 @@ from calib.diagnosis.engine import problem_interface as interface
 from calib.diagnosis.engine.selection_inputs import ARM
 from calib.diagnosis.engine.term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
-from calib.diagnosis.problems.arm.finding_parameters import _under, temperature_offsets
+from calib.diagnosis.problems.arm.finding_parameters import _under, term_errors_by_temperature_logs
 from calib.diagnosis.problems.arm.joint_candidates import NO_CORNERS, POSES_ALONE, joint_candidates
 from calib.diagnosis.problems.arm.projected_pose_residuals import Term, fit_poses
 from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
 from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
-from calib.diagnosis.problems.repeated_commands import FEWEST, repeated_pairs, repeats_of_pairs
+from calib.diagnosis.problems.repeated_commands import FEWEST, repeatability_of_pairs, repeated_pairs
 from calib.diagnosis.problems.requested_effects import RequestedEffects
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.diagnosis.report.report_entries import diagnosis_report
 from rig.effects.catalogue.effect_list import ALL
 from rig.recording.recording_folder import Sensors
-from tests.calib.diagnosing import page_text
+from tests.calib.diagnose_recording import page_text
 from tests.calib.diagnosis.test_arm_diagnosis import recorded as arm_recorded
-from tests.calib.recorded import recorded
+from tests.calib.recordings_with_effects import recorded
 
 CAPABILITIES = (
     interface.AdmissionRules,
@@ -103,11 +103,11 @@ def test_repeats_tell_noise_from_what_comes_again():
     assert pairs.tolist() == [[2 * i, 2 * i + 1] for i in range(60)]
     noise, again = 1e-5 * rng.normal(size=(120, 6)), np.repeat(3e-5 * rng.normal(size=(60, 3)), 2, axis=0)
     one, two = noise[::2], noise[1::2]
-    alone = repeats_of_pairs(pairs, (one, two), (one[:, :3], two[:, :3]))
-    both = repeats_of_pairs(pairs, (one, two), (one[:, :3] + again[::2], two[:, :3] + again[1::2]))
+    alone = repeatability_of_pairs(pairs, (one, two), (one[:, :3], two[:, :3]))
+    both = repeatability_of_pairs(pairs, (one, two), (one[:, :3] + again[::2], two[:, :3] + again[1::2]))
     assert alone.rms == pytest.approx(np.sqrt(3) * 1e-5, rel=0.1) and alone.rms == both.rms and alone.p_value > 1e-3
     assert both.recurring_share == pytest.approx(0.9, abs=0.05) and both.p_value < 1e-6
-    assert repeats_of_pairs(pairs[: FEWEST - 1], (one, two), (one, two)) is None
+    assert repeatability_of_pairs(pairs[: FEWEST - 1], (one, two), (one, two)) is None
 
 
 def test_thermometers_errors_leave_an_arms_sizes_open():
@@ -123,10 +123,10 @@ def test_thermometers_errors_leave_an_arms_sizes_open():
     warm = replace(warm, left=warm.left + shown[..., 0])
     fit = fit_poses(warm, [term])
     error = 0.02 * np.cos(t / np.ptp(t) * 5)[:, None]
-    off = temperature_offsets(fit, 0, {channel: error})
+    off = term_errors_by_temperature_logs(fit, 0, {channel: error})
     other = _under(warm, Sensors(t, {channel: sensors.channels[channel] + error[:, 0]}))
     (moved,) = [c for c in joint_candidates(other, RequestedEffects(("thermal_expansion",)))[0] if c.place == "rig"]
     change = (fit_poses(other, [Term.at(moved, moved.grid[0])]).theta - fit.theta)[fit.slices[0]]
     assert off.shape == (len(size), 1) and np.abs(off).max() > 0
     np.testing.assert_allclose(np.abs(off[:, 0]), np.abs(change), rtol=0.1)
-    assert temperature_offsets(fit, 0, {}).shape == (len(size), 0)
+    assert term_errors_by_temperature_logs(fit, 0, {}).shape == (len(size), 0)

@@ -8,29 +8,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.certification.platform_certification import certify_platform
 from calib.diagnosis.engine.chance_probability import scan_p_value
 from calib.diagnosis.problems.platform import misplaced_markers_and_frames
 from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
-from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, parameter_directions
-from calib.diagnosis.problems.platform.lack_of_fit import lack_of_fit
+from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, effect_parameter_directions
+from calib.diagnosis.problems.platform.lack_of_fit import find_lack_of_fit_by_place
 from calib.diagnosis.problems.platform.linearised_residuals import CORNERS, linearise
 from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
-from calib.diagnosis.problems.platform.simultaneous_refinement import refine
+from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
 from calib.diagnosis.problems.requested_effects import RequestedEffects
 from calib.diagnosis.report.report_entries import diagnosis_report
 from calib.samples.recording_samples import sample_recording
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.texts.effect_notation import parse_effect
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.planning import plan
-from rig.planning.layout.hexapod_and_two_strut_layout import hexapod_layout_rig_toml
+from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine, unlisted_physics
-from tests.calib.diagnosing import diagnosis_of, page_text
-from tests.calib.recorded import recorded
-from tests.numeric import jacobian
-from tests.vision import tumbling
+from tests.calib.diagnose_recording import diagnosis_of, page_text
+from tests.calib.recordings_with_effects import recorded
+from tests.numerical_derivatives import jacobian
+from tests.vision import tumbling_block
 from vision.targets import marker_map
 
 
@@ -52,7 +52,7 @@ def test_without_anything_left_out_both_planes_hold_noise_alone(quiet):
 
 
 def test_nothing_unknown_where_nothing_is(quiet):
-    assert lack_of_fit(linearise(quiet)) == []
+    assert find_lack_of_fit_by_place(linearise(quiet)) == []
 
 
 def test_sensitivities_are_what_effects_do(quiet):
@@ -125,8 +125,8 @@ def test_what_no_catalogue_lists_is_called_unknown(tmp_path, design):
         8 * (lengths[:, 0] - lengths[:, 0].mean()) / np.ptp(lengths[:, 0])
     )  # one strut minds another's place
     odd = replace(point, commands=replace(point.commands, values=lengths))
-    refined = refine(odd, Sensitivities(odd))
-    left = lack_of_fit(refined.model)
+    refined = refine_operating_point(odd, Sensitivities(odd))
+    left = find_lack_of_fit_by_place(refined.model)
     assert left and left[0].place == "strut 4" and left[0].depends_on == ("strut 1's position",)
 
 
@@ -134,7 +134,7 @@ def test_tangents_of_what_is_seen_are_derivatives(quiet):
     effect = parse_effect("camera_drift:cam1:motion=1e-4/2e-4/0/0/1e-4/0,time_constant=500")
     point = quiet.with_effects((effect,))
     model = linearise(point)
-    coordinates, column = parameter_directions(model, Sensitivities(point))
+    coordinates, column = effect_parameter_directions(model, Sensitivities(point))
     at = [c.name for c in coordinates].index("time_constant")
 
     def whitened(x):
@@ -152,7 +152,7 @@ def test_geometry_known_from_elsewhere_shows_what_would_hide_in_it(tmp_path, des
             design, np.random.default_rng(7), 1.0, tuple(parse_effect(text) for text in load)
         )
         recording_simulation.write_recording(
-            recording_simulation.simulate(secret, plan.build_plan(design, "sobol:90", len(load)), rng),
+            recording_simulation.simulate_world(secret, plan.build_plan(design, "sobol:90", len(load)), rng),
             tmp_path / name,
             hexapod_layout_rig_toml(0.3),
             rng,
@@ -180,7 +180,7 @@ def test_a_marker_of_another_size_gets_no_name(tmp_path, design):
     scales = np.where(marker_map(design).id == 7, 4e-3, 0.0)
     secret = secret_machine.draw_machine(design, rng, 1.0, (unlisted_physics.UnevenPrint("markers", tuple(scales)),))
     recording_simulation.write_recording(
-        recording_simulation.simulate(secret, plan.build_plan(design, "sobol:60", 3), rng),
+        recording_simulation.simulate_world(secret, plan.build_plan(design, "sobol:60", 3), rng),
         tmp_path,
         hexapod_layout_rig_toml(0.3),
         rng,
@@ -194,7 +194,7 @@ def test_a_marker_of_another_size_gets_no_name(tmp_path, design):
 
 
 def test_a_body_moved_by_hand_says_which_faces_sit_elsewhere(tmp_path):
-    observations, stated, true, t = tumbling.scene(1)
+    observations, stated, true, t = tumbling_block.scene(1)
     o, names = observations, [camera.name for camera in stated.cameras]
     ids = marker_map(stated).id
     corners = recording_folder.Corners(

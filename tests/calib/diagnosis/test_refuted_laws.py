@@ -7,14 +7,14 @@ from calib.diagnosis.engine.frame_inner_products import Normal, solve_normal_equ
 from calib.diagnosis.engine.lack_of_fit import LackOfFit, delta_chi2_by_column_count
 from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
-from rig.effects.texts.effect_notation import parse_effect
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.formats.rig_toml import design_file
 from rig.planning import plan
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine, unlisted_physics
-from tests.calib.diagnosing import diagnosis_of
-from tests.calib.physical import measured_by
-from tests.calib.recorded import recorded
+from tests.calib.diagnose_recording import diagnosis_of
+from tests.calib.recordings_with_effects import recorded
+from tests.calib.rigs_with_unmodelled_physics import measured_by
 
 # the wait parts the way travelled from time and temperatures
 PLAN = "ladder:3,sobol:15,moving:15,wait:60,ladder:3,axes:8,moving:15"
@@ -32,7 +32,7 @@ def seen(tmp_path_factory, rig_text):
     def diagnosed(effect):
         rng, to = np.random.default_rng(5), folder / f"{effect.name}"
         recording_simulation.write_recording(
-            recording_simulation.simulate(
+            recording_simulation.simulate_world(
                 secret_machine.draw_machine(design, rng, 1.0, (effect,)), plan.build_plan(design, PLAN, 5), rng
             ),
             to,

@@ -12,8 +12,8 @@ from calib.diagnosis.report.report_entries import diagnosis_report
 from rig.effects.catalogue.screw_coupling import ScrewCoupling
 from rig.effects.framework.effect import Parameter
 from rig.errors import RigError
-from tests.calib.diagnosing import diagnosis_of
-from tests.calib.recorded import recorded
+from tests.calib.diagnose_recording import diagnosis_of
+from tests.calib.recordings_with_effects import recorded
 
 
 def test_places_are_asked_for_and_left_out():

@@ -9,7 +9,7 @@ import pytest
 
 from calib.diagnosis.report.report_entries import diagnosis_report
 from rig.recording import recording_folder
-from tests.calib.diagnosing import diagnosis_of
+from tests.calib.diagnose_recording import diagnosis_of
 from tests.conftest import ROOT
 
 VERDICTS = json.loads((ROOT / "tests/data/sealed_verdicts.json").read_text())

@@ -13,11 +13,11 @@ from calib.diagnosis.problems.requested_effects import RequestedEffects, require
 from calib.diagnosis.report.report_entries import diagnosis_report
 from calib.diagnosis.report.report_sentences import evidence_sentence
 from rig.cli import command_line
-from rig.effects.texts.effect_notation import parse_effect_and_place
+from rig.effects.texts.effect_text_and_dict import parse_effect_and_place
 from rig.errors import NotEnoughData, RigError
 from rig.recording.recording_frames import remove_frames
-from tests.calib.diagnosing import diagnosis_of
-from tests.calib.recorded import recorded
+from tests.calib.diagnose_recording import diagnosis_of
+from tests.calib.recordings_with_effects import recorded
 
 STRUT_2, STRUT_4 = ("backlash", "strut 2"), ("backlash", "strut 4")
 

@@ -7,14 +7,14 @@ import pytest
 
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
-from calib.diagnosis.problems.platform.simultaneous_refinement import refine
-from calib.diagnosis.problems.platform.tolerable_findings import temperature_log_errors
+from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
+from calib.diagnosis.problems.platform.tolerable_findings import parameter_errors_by_temperature_logs
 from calib.diagnosis.problems.temperature_smoothing import smooth_temperatures
-from rig.effects.texts.effect_notation import parse_effect
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.recording.recording_folder import Sensors
 from synthetic.secret_machine import draw_temperatures
-from tests.calib.diagnosing import diagnosis_of
-from tests.calib.recorded import recorded
+from tests.calib.diagnose_recording import diagnosis_of
+from tests.calib.recordings_with_effects import recorded
 
 FAR = 8.0
 
@@ -83,8 +83,8 @@ def test_intervals_hold_what_the_thermometer_leaves_open(tmp_path, design):
         ]
     )
     sensitivities = Sensitivities(k)
-    refined = refine(k, sensitivities)
-    more = (temperature_log_errors(refined) ** 2).sum(axis=1)
+    refined = refine_operating_point(k, sensitivities)
+    more = (parameter_errors_by_temperature_logs(refined) ** 2).sum(axis=1)
     seen = np.zeros(2)
     for channel in ("strut2_temperature_C", "ambient_temperature_C"):
         for error in k.log_errors[channel].T:
@@ -92,7 +92,9 @@ def test_intervals_hold_what_the_thermometer_leaves_open(tmp_path, design):
             for size in (-FAR, FAR):  # a fit stops within a part of a standard deviation
                 course = {**k.sensors.channels, channel: k.sensors.channels[channel] + size * error}
                 ends.append(
-                    refine(replace(refined.point, sensors=replace(k.sensors, channels=course)), sensitivities).values
+                    refine_operating_point(
+                        replace(refined.point, sensors=replace(k.sensors, channels=course)), sensitivities
+                    ).values
                 )
             seen += ((ends[1] - ends[0]) / (2 * FAR)) ** 2
     np.testing.assert_allclose(more, seen, rtol=0.15)

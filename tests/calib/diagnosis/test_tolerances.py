@@ -7,12 +7,12 @@ import json
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.frame_inner_products import normal_of_common_weights
+from calib.diagnosis.engine.frame_inner_products import normal_equations_by_common_weights
 from calib.diagnosis.engine.selection_inputs import NO_STATED_TERMS
 from calib.diagnosis.problems.platform import tolerance_columns
 from calib.diagnosis.problems.platform.candidate_search import (
     candidate_column,
-    constant_displacement_normal,
+    constant_displacement_normal_equations,
     corner_products,
     search_candidates,
 )
@@ -24,10 +24,10 @@ from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from calib.diagnosis.problems.requested_effects import RequestedEffects
 from calib.diagnosis.report.report_entries import diagnosis_report
 from rig.effects.catalogue import effect_list
-from rig.model.manufacturing_tolerances import PLACES, SIDES
+from rig.model.marker_and_sensor_tolerances import PLACES, SIDES
 from synthetic import blind_image_settings
-from tests.calib.diagnosing import diagnosis_of, page_text
-from tests.calib.recorded import recorded
+from tests.calib.diagnose_recording import diagnosis_of, page_text
+from tests.calib.recordings_with_effects import recorded
 
 ROUTE, PRINTED = (
     "sobol:30,ladder:1",
@@ -140,8 +140,8 @@ def test_what_lasts_is_scored_by_sums_as_frame_by_frame(tmp_path, design):
     )
     for candidate in candidates[::7]:
         rows, quads = sensitivities.seen(candidate, candidate.grid[0])
-        short = constant_displacement_normal(model, *sensitivities.touched(rows, quads))
-        whole = normal_of_common_weights(
+        short = constant_displacement_normal_equations(model, *sensitivities.touched(rows, quads))
+        whole = normal_equations_by_common_weights(
             corner_products(model, sensitivities.corners(rows, quads)), np.ones((1, model.frames))
         )
         for one, other in zip(short, whole):

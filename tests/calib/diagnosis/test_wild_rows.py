@@ -10,19 +10,25 @@ import pytest
 
 from calib.certification.platform_certification import certify_platform, platform_workspace_claim
 from calib.diagnosis import recording_diagnosis
-from calib.diagnosis.problems.arm import arm_evidence
+from calib.diagnosis.problems.arm import arm_recording_evidence
 from calib.diagnosis.report.diagnosis_page import diagnosis_verdict
 from calib.diagnosis.report.report_entries import diagnosis_report
-from calib.identify.robust_fit import MOST, has_many_deviations, outlier_rows, robust_fit, tail_length_ratio
+from calib.identify.robust_fit import (
+    MOST,
+    has_several_deviating_numbers,
+    isolated_outlier_rows,
+    robust_fit,
+    tail_length_ratio,
+)
 from calib.models.arm.certification import arm_workspace_claim as arm_promised
 from calib.models.arm.certification import certify_arm as arm_certify
 from calib.models.platform.identification import Loops, geometric_parameters, identify_platform
 from calib.samples.recording_samples import sample_recording
 from rig.recording import recording_folder, recording_frames
-from rig.report.verdict import State
-from tests.calib import arm_worlds
-from tests.calib.diagnosing import diagnosis_of, page_text
-from tests.calib.recorded import recorded
+from rig.report.verdict_and_refutations_of_results import State
+from tests.calib import secret_arms
+from tests.calib.diagnose_recording import diagnosis_of, page_text
+from tests.calib.recordings_with_effects import recorded
 from tests.calib.wild_rows import posed, spoilt_corners, spoilt_poses
 from tests.rig.arms import UR10
 from tests.truth import draw, record
@@ -63,7 +69,7 @@ def test_what_a_neighbour_shows_as_well_is_not_wild():
     left[[10, 30]] += [0.0, 25.0, 0.0]  # twice at nearly one configuration
     q[30] = q[10] + 1e-3
     left[20] += [15.0, 15.0, 0.0]
-    assert np.flatnonzero(outlier_rows(left, t, q, 7.0)).tolist() == [20]
+    assert np.flatnonzero(isolated_outlier_rows(left, t, q, 7.0)).tolist() == [20]
 
 
 def test_where_a_tail_is_long_no_row_in_it_is_wild():
@@ -72,9 +78,13 @@ def test_where_a_tail_is_long_no_row_in_it_is_wild():
     t, q, left = np.arange(200.0), rng.uniform(size=(200, 6)), rng.normal(size=(200, 6))
     assert tail_length_ratio(left, 7.0) == pytest.approx(1.0, abs=0.15)
     left[rng.permutation(200)[:50]] *= 3.5
-    assert tail_length_ratio(left, 7.0) > 1.8 and np.abs(left).max() > 7 and not outlier_rows(left, t, q, 7.0).any()
+    assert (
+        tail_length_ratio(left, 7.0) > 1.8
+        and np.abs(left).max() > 7
+        and not isolated_outlier_rows(left, t, q, 7.0).any()
+    )
     left[20] += 60.0
-    assert np.flatnonzero(outlier_rows(left, t, q, 7.0)).tolist() == [20]
+    assert np.flatnonzero(isolated_outlier_rows(left, t, q, 7.0)).tolist() == [20]
 
 
 def test_names_do_not_depend_on_which_wild_rows_are_masked(tmp_path, design):
@@ -142,11 +152,11 @@ def test_many_rows_far_off_are_no_wild_rows(tmp_path, design):
 
 def test_an_arms_wild_poses_are_left_out(tmp_path):
     rng = np.random.default_rng(2)
-    true = arm_worlds.secret(UR10, rng)
-    arm_worlds.write(
+    true = secret_arms.secret(UR10, rng)
+    secret_arms.write(
         tmp_path / "rec",
         UR10,
-        arm_worlds.tracked(true, UR10, 150, rng, deviation=lambda q: 3e-3 * q * (np.arange(6) == 3)),
+        secret_arms.tracked(true, UR10, 150, rng, deviation=lambda q: 3e-3 * q * (np.arange(6) == 3)),
     )
     rec = recording_folder.load_recording(tmp_path / "rec")
     bad, frames = spoilt_poses(rec, rng)
@@ -170,10 +180,10 @@ def test_what_an_arm_lists_as_left_out_is_what_its_last_search_left_out(tmp_path
     """Where nothing is gross beforehand, wild poses show after a search: after the last one it is too late to leave
     them out.
     """
-    monkeypatch.setattr(arm_evidence, "GROSS", np.inf)
+    monkeypatch.setattr(arm_recording_evidence, "GROSS", np.inf)
     monkeypatch.setattr(recording_diagnosis, "ROUNDS", rounds)
     rng = np.random.default_rng(2)
-    arm_worlds.write(tmp_path / "rec", UR10, arm_worlds.tracked(arm_worlds.secret(UR10, rng), UR10, 60, rng))
+    secret_arms.write(tmp_path / "rec", UR10, secret_arms.tracked(secret_arms.secret(UR10, rng), UR10, 60, rng))
     rec = spoilt_poses(recording_folder.load_recording(tmp_path / "rec"), rng)[0]
     found = diagnosis_of(rec, ["scale_error"])
     searched = found.selection.fit.arms.frame[found.selection.fit.used]
@@ -220,7 +230,7 @@ def test_what_one_strut_does_alone_is_not_wild():
     left = np.random.default_rng(2).normal(size=(40, 6))
     left[7, 2] = 15.0
     left[9] += 15.0
-    assert np.flatnonzero(has_many_deviations(left, 7.0)).tolist() == [9]
+    assert np.flatnonzero(has_several_deviating_numbers(left, 7.0)).tolist() == [9]
 
 
 def test_a_platform_is_calibrated_with_wild_poses_as_without_them(tmp_path, design):
@@ -260,7 +270,7 @@ def test_a_fit_starts_without_wild_poses_only_where_it_does_not_close_with_them(
 
 def test_an_arm_is_calibrated_with_wild_poses_as_without_them(tmp_path):
     rng = np.random.default_rng(0)
-    arm_worlds.write(tmp_path / "rec", UR10, arm_worlds.tracked(arm_worlds.secret(UR10, rng), UR10, 120, rng))
+    secret_arms.write(tmp_path / "rec", UR10, secret_arms.tracked(secret_arms.secret(UR10, rng), UR10, 120, rng))
     bad, frames = spoilt_poses(recording_folder.load_recording(tmp_path / "rec"), rng)
     some, without = (
         sample_recording(rec) for rec in (bad, recording_frames.remove_frames(bad, ",".join(map(str, frames))))

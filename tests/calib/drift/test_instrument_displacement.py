@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.drift.instrument_displacement import remove_instrument_displacement
-from rig.effects.texts.effect_notation import parse_effect
+from calib.api.recording_check_and_preparation import remove_instrument_displacement
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.model.design import Instrument
 from rig.model.pose import exp
 from rig.planning import plan
-from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
-from rig.recording.combined_recordings import camera_owners_by_design, join_recordings
+from rig.recording.combined_recordings import camera_owner_recordings, join_recordings
 from synthetic import recording_simulation, secret_machine
 
 MOVED = np.array([1e-3, -5e-4, 2e-3, 1e-3, 0, -2e-3])
@@ -21,7 +21,7 @@ MOVED = np.array([1e-3, -5e-4, 2e-3, 1e-3, 0, -2e-3])
 
 def test_a_place_is_found_and_a_still_one_kept(tmp_path, design):
     text = (
-        hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3)
+        hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3)
         + '\n[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = 1e-5\nrotation_sigma = 2e-5\n'
     )
     rng = np.random.default_rng(3)
@@ -29,28 +29,28 @@ def test_a_place_is_found_and_a_still_one_kept(tmp_path, design):
     secret = secret_machine.draw_machine(stated, rng)
     parts = []
     for k in range(2):
-        done = recording_simulation.simulate(secret, plan.build_plan(stated, "sobol:40", seed=k), rng)
+        done = recording_simulation.simulate_world(secret, plan.build_plan(stated, "sobol:40", seed=k), rng)
         recording_simulation.write_recording(done, tmp_path / f"rec{k}", text, rng, noise=0.04)
         parts.append(recording_folder.load_recording(tmp_path / f"rec{k}"))
     moved = replace(
         parts[1], poses=replace(parts[1].poses, T_base_platform=exp(MOVED) * parts[1].poses.T_base_platform)
     )
-    assert remove_instrument_displacement(join_recordings(parts, camera_owners_by_design(parts)))[1] == []
+    assert remove_instrument_displacement(join_recordings(parts, camera_owner_recordings(parts)))[1] == []
     lags = replace(
         secret, effects=(parse_effect("servo_lag:rig:time_constant=0.04"),)
     )  # what one plan shows of the model is no place
     turning = []
     for route in ("sobol:24", "moving:16"):
         recording_simulation.write_recording(
-            recording_simulation.simulate(lags, plan.build_plan(stated, route, seed=1), rng),
+            recording_simulation.simulate_world(lags, plan.build_plan(stated, route, seed=1), rng),
             tmp_path / route,
             text,
             rng,
             noise=0.04,
         )
         turning.append(recording_folder.load_recording(tmp_path / route))
-    assert remove_instrument_displacement(join_recordings(turning, camera_owners_by_design(turning)))[1] == []
-    found, (place,) = remove_instrument_displacement(join_recordings([parts[0], moved], camera_owners_by_design(parts)))
+    assert remove_instrument_displacement(join_recordings(turning, camera_owner_recordings(turning)))[1] == []
+    found, (place,) = remove_instrument_displacement(join_recordings([parts[0], moved], camera_owner_recordings(parts)))
     assert place.recording == 1 and "rec1" in place.line("rec1")
     np.testing.assert_allclose(place.motion, MOVED, atol=3e-5)
     np.testing.assert_allclose(

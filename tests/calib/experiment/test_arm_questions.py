@@ -7,13 +7,13 @@ import json
 import numpy as np
 import pytest
 
+from calib.api.next_experiment import evaluate_experiment
 from calib.diagnosis.problems.arm.joint_candidates import joint_candidate
 from calib.diagnosis.problems.arm.linearised_poses import linearise_planned_poses
 from calib.experiment.arm_questions import arm_questions
-from calib.experiment.experiment_choice import evaluate_experiment
 from rig.cli.command_line import main
 from rig.effects.catalogue.time_offset import TimeOffset
-from rig.effects.texts.effect_notation import parse_effect
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
@@ -21,7 +21,7 @@ from rig.planning import configuration_sets, plan
 from rig.planning.layout import shipped_arm_layout
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
-from tests.calib.diagnosing import diagnosis_of
+from tests.calib.diagnose_recording import diagnosis_of
 
 FRICTION, PLAY = "hysteresis:joint 2:range=0.5,weight=0.001", "backlash:joint 2:gap=2e-4"
 
@@ -38,7 +38,7 @@ def found(tmp_path_factory):
         strokes.mean(axis=1),
         plan.planned_axis_speeds(design),
     )
-    done = recording_simulation.simulate(
+    done = recording_simulation.simulate_world(
         secret_machine.draw_machine(design, rng, 1.0, (parse_effect(FRICTION),)), straight, rng
     )
     recording_simulation.write_recording(done, at / "rec", shipped_arm_layout.shipped_arm_rig_toml("scara"), rng)
@@ -90,7 +90,7 @@ def test_what_names_foretell_differs_as_the_machine_does(found):
         for h in (question.named[first], question.named[other])
     ]
     runs = [
-        motion_simulation.run_machine(design, route.commands, route.t, (effect,), None).T_base_platform
+        motion_simulation.simulate_machine_run(design, route.commands, route.t, (effect,), None).T_base_platform
         for effect in effects
     ]
     apart = float(np.sum((pose_difference(*runs) / sigma) ** 2))  # the geometry's own change is small beside it
@@ -106,7 +106,9 @@ def test_a_clocks_offset_moves_an_arm_as_the_machine_has_it(found):
     assert candidate.joint is None and candidate.grid[0] == {}
     moved = 1e-3 * candidate.weights(candidate.grid[0])[..., 0]
     runs = [
-        motion_simulation.run_machine(there.context.design, route.commands, route.t, effects, None).T_base_platform
+        motion_simulation.simulate_machine_run(
+            there.context.design, route.commands, route.t, effects, None
+        ).T_base_platform
         for effects in ((), (TimeOffset("clock", 1e-3),))
     ]
     expected = pose_difference(*runs)
@@ -131,7 +133,10 @@ def test_what_of_arms_cannot_be_investigated_is_refused(tmp_path, capsys):
     assert "takes an [instrument] that measures its poses" in capsys.readouterr().err
     (tmp_path / "rig.toml").write_text(text)
     assert (
-        main(["simulate", str(tmp_path / "rig.toml"), "--plan", "turn:P1,sobol:3", "--out", str(tmp_path / "rec")]) == 1
+        main(
+            ["simulate_world", str(tmp_path / "rig.toml"), "--plan", "turn:P1,sobol:3", "--out", str(tmp_path / "rec")]
+        )
+        == 1
     )
     assert "there is no cube 'P1'; there are none" in capsys.readouterr().err
     assert not (tmp_path / "out").exists() and not (tmp_path / "rec" / "rig.toml").exists()
@@ -145,7 +150,7 @@ def test_play_is_told_from_friction_by_one_experiment(tmp_path, capsys, effect, 
     assert (
         main(
             [
-                "simulate",
+                "simulate_world",
                 str(rig),
                 "--plan",
                 "sobol:3",
@@ -195,7 +200,7 @@ def test_a_quiet_arm_is_left_in_peace(tmp_path, capsys):
     assert (
         main(
             [
-                "simulate",
+                "simulate_world",
                 str(rig),
                 "--plan",
                 "sobol:3",
@@ -223,7 +228,7 @@ def test_what_a_camera_in_the_hand_leaves_alike_is_told_apart(tmp_path, capsys):
     assert (
         main(
             [
-                "simulate",
+                "simulate_world",
                 str(rig),
                 "--plan",
                 "sobol:3",

@@ -3,20 +3,21 @@
 import numpy as np
 import pytest
 
+from calib.api.next_experiment import CHOSEN, available_plans
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
-from calib.diagnosis.problems.platform.simultaneous_refinement import refine
-from calib.experiment.experiment_choice import CHOSEN, available_plans
-from calib.experiment.experiment_information import (
+from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
+from calib.experiment.experiment_questions_and_information import (
+    Hypothesis,
+    PerFrame,
     camera_information_shares,
     choose_exposures,
     discriminating_configurations,
 )
-from calib.experiment.experiment_question import Hypothesis, PerFrame
-from calib.experiment.platform_outcome_prediction import PlatformQuestion, predict_outcomes_by_frame
-from rig.effects.texts.effect_notation import parse_effect
+from calib.experiment.platform_questions import PlatformQuestion, predict_outcomes_by_frame
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.planning.plan import build_plan
-from tests.calib.recorded import recorded
+from tests.calib.recordings_with_effects import recorded
 
 
 def frames(difference, left_open):
@@ -61,7 +62,7 @@ def test_more_than_there_are_cannot_be_chosen():
 def test_they_are_a_part_of_a_plan(design):
     assert all(f"apart:{count}" in available_plans((), True) for count in CHOSEN)
     own = build_plan(design, "sobol:2", 3).commands.values[-2:]
-    plan = build_plan(design, "apart:2,ladder:1", own_parts={"apart:2": own})
+    plan = build_plan(design, "apart:2,ladder:1", additional_parts={"apart:2": own})
     assert len(plan.t) == 2 + len(build_plan(design, "ladder:1").t)
     np.testing.assert_allclose(plan.commands.at(plan.t[:2]), own)
 
@@ -73,12 +74,12 @@ def test_configurations_are_chosen_by_the_images_and_the_cameras_that_see_it_are
         recorded(tmp_path, design, ["edge_bias:camera cam1:bias=0.1"], route="sobol:20")
     )[0]
     fits = [
-        refine(point.with_effects([parse_effect(text)]), Sensitivities(point))
+        refine_operating_point(point.with_effects([parse_effect(text)]), Sensitivities(point))
         for text in ("edge_bias:camera cam1:bias=0.1", "focal_drift:camera cam1:per_kelvin=1e-4")
     ]
     asked = [PlatformQuestion(tuple(Hypothesis(fit.point.effects[0].name, "camera cam1", 0.5, fit, 0) for fit in fits))]
     own = discriminating_configurations(asked, design, 8, seed=3)
-    plan = build_plan(design, "apart:8", own_parts={"apart:8": own})
+    plan = build_plan(design, "apart:8", additional_parts={"apart:8": own})
     seen = camera_information_shares(asked, plan)
     assert next(iter(seen)) == "cam1" and seen["cam1"] > 0.5 and sum(seen.values()) == pytest.approx(1)
     anywhere = [told(predict_outcomes_by_frame(asked[0], build_plan(design, "sobol:8", seed))) for seed in range(3)]

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from calib.api.next_experiment import Experiment, available_plans, rank_experiments
 from calib.diagnosis.engine.selection_inputs import PLATFORM
-from calib.experiment.experiment_choice import Experiment, available_plans, rank_experiments
-from calib.experiment.experiment_information import experiment_information
-from calib.experiment.experiment_question import Prediction
+from calib.experiment.experiment_questions_and_information import Prediction, experiment_information
 
 HALF, NOTHING = np.array([0.5, 0.5]), np.zeros(2)
 

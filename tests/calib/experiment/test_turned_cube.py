@@ -12,8 +12,8 @@ import pytest
 from calib.diagnosis.problems.platform.linearised_corners import SEAT_LABELS, corner_rows
 from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
 from rig.cli.command_line import main
-from rig.model.cube_remounting import quarter_turns
-from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.model.design_comparison_and_cube_remounting import quarter_turns_of_cubes
+from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from vision.combined_recordings import combine_recordings
 from vision.recording_measurement import measure_recording
@@ -50,7 +50,7 @@ def second(rig_text, tmp_path_factory):
 
 def test_a_recording_says_that_a_cube_was_put_back_and_its_faces_hold_no_pose(second):
     second = recording_folder.load_recording(second)
-    assert quarter_turns(second.design) == {"P1": 1}
+    assert quarter_turns_of_cubes(second.design) == {"P1": 1}
     measured, _ = measure_recording(second)
     o, own = measured.observations, np.array([t == "P1" for t in marker_targets(measured)])
     loose = own[o.marker]
@@ -124,7 +124,7 @@ def others(point):
 @pytest.mark.parametrize(("effect", "name"), [(FACE, "face_misplacement"), (CUBE, "cube_misplacement")])
 def test_a_face_is_told_from_its_cube_by_turning_it(tmp_path, capsys, effect, name):
     """One camera sees one face of a cube; a quarter turn brings both of its faces before it."""
-    text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=1)
+    text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=1)
     start, end = text.index('name = "P1"'), text.index('name = "P2"')
     block = re.sub(r"faces = .*", 'faces = { "-y" = 0, "-x" = 1 }', text[start:end])
     block = re.sub(r"rotvec = \[0.0, 0.0, [\d.]+\]", "rotvec = [0.0, 0.0, 1.135]", block)

@@ -9,39 +9,39 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 import calib
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
 from calib.correction.physics_compensation import Physics
 from calib.files import calibration_file
 from calib.models.arm.correction import ArmCorrection
 from calib.models.chain import error_model as chains
-from calib.models.corrected_pose_covariance import corrected_pose_covariance
+from calib.models.machine_models import corrected_pose_covariance
 from calib.models.platform.identification import geometric_parameters
-from rig.effects.framework.fit_coordinates import coordinates_of_effects
-from rig.effects.texts.effect_notation import parse_effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats import csv_table
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms
 from rig.planning.configuration_sets import sobol_configurations
-from rig.planning.layout import hexapod_and_two_strut_layout, shipped_arm_layout
+from rig.planning.layout import hexapod_layout_and_camera_placement, shipped_arm_layout
 from rig.recording import recording_folder
-from rig.recording.recording_folder import Sensors, Wanted
+from rig.recording.recording_folder import Sensors, WantedPoses
 from rig.recording.recording_tables import Poses, write_poses
-from tests import chained
+from tests import gantry_and_hexapod
 from tests.cli import command
 
 
 def designed(folder, kind):
     """Design of a machine of a kind."""
     if kind == "chain":
-        return chained.written(folder)
+        return gantry_and_hexapod.written(folder)
     text = (
         shipped_arm_layout.shipped_arm_rig_toml("puma560")
         if kind == "arm"
-        else hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3)
+        else hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3)
         if kind == "hexapod"
-        else hexapod_and_two_strut_layout.two_strut_layout_rig_toml(0.3)
+        else hexapod_layout_and_camera_placement.two_strut_layout_rig_toml(0.3)
     )
     (folder / "rig.toml").write_text(text)
     return design_file.load_design(folder / "rig.toml")
@@ -117,7 +117,7 @@ def test_the_library_commands_what_the_command_line_does_and_refuses_to_leave_ph
     sensors = Sensors(np.array([0.0]), {name: np.array([25.0]) for name in calibration.physics.channels})
     t = 100.0 * (1 + np.arange(len(wanted)))
     timed = calib.correct(
-        again, Wanted(Poses(np.arange(len(t)), wanted, None), t), calib.CorrectOptions(sensors)
+        again, WantedPoses(Poses(np.arange(len(t)), wanted, None), t), calib.CorrectOptions(sensors)
     ).commanded
     np.testing.assert_array_equal(timed.route.times, t)
     with pytest.raises(Unreachable, match="frame 0"):

@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
-from calib.online import change_detection
-from calib.online.change_detection import WINDOW, Evidence, detect_changes, jump_threshold, likelihood_ratio_thresholds
+from calib.online import filter_kernels_and_change_detection
+from calib.online.filter_kernels_and_change_detection import (
+    WINDOW,
+    Evidence,
+    detect_changes,
+    jump_threshold,
+    likelihood_ratio_thresholds,
+)
 
 ALARM, TRIALS = 0.02, 3000
 
@@ -40,8 +46,8 @@ def test_the_search_over_struts_and_onsets_is_paid_for():
 
 
 def test_quiet_poses_are_no_change(monkeypatch):
-    monkeypatch.setattr(change_detection, "JUMP", jump_threshold(ALARM / 2))
-    monkeypatch.setattr(change_detection, "MOVED", likelihood_ratio_thresholds(ALARM / 2))
+    monkeypatch.setattr(filter_kernels_and_change_detection, "JUMP", jump_threshold(ALARM / 2))
+    monkeypatch.setattr(filter_kernels_and_change_detection, "MOVED", likelihood_ratio_thresholds(ALARM / 2))
     rng = np.random.default_rng(1)
     assert np.mean([bool(detect_changes(quiet(rng))) for _ in range(TRIALS)]) < ALARM + 3 * np.sqrt(ALARM / TRIALS)
 
@@ -49,4 +55,7 @@ def test_quiet_poses_are_no_change(monkeypatch):
 def test_thresholds_grow_with_what_is_looked_at():
     assert jump_threshold(1e-6, 10) > jump_threshold(1e-6, 3) > jump_threshold(1e-5, 3)
     assert likelihood_ratio_thresholds(1e-6, 10)[3] > likelihood_ratio_thresholds(1e-6, 3)[3]
-    assert pytest.approx((5.31, 48.36), abs=0.01) == (change_detection.JUMP, change_detection.MOVED[6])
+    assert pytest.approx((5.31, 48.36), abs=0.01) == (
+        filter_kernels_and_change_detection.JUMP,
+        filter_kernels_and_change_detection.MOVED[6],
+    )

@@ -14,8 +14,8 @@ from calib.models.platform.parameter_accuracy import frame_motion_columns
 from calib.online.information_filter import Online
 from calib.samples.pose_samples import Samples
 from rig.errors import FileError, RigError
-from tests.calib.streams import COVARIANCE, found_within, learnt, missed_step, stream
-from tests.calib.worlds import OWN, sampled
+from tests.calib.noisy_samples import OWN, sampled
+from tests.calib.pose_streams import COVARIANCE, found_within, learnt, missed_step, stream
 
 
 def off(learner, true):

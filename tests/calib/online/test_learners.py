@@ -9,8 +9,8 @@ from calib.online.learners import Drifting, FirstOrder, Forgetting
 from rig.errors import FileError, RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference
-from tests.calib.streams import COVARIANCE, learnt, stream
-from tests.calib.worlds import OWN, rms, sampled, workspace
+from tests.calib.noisy_samples import OWN, rms, sampled, workspace
+from tests.calib.pose_streams import COVARIANCE, learnt, stream
 
 ALL = (Forgetting, Drifting, FirstOrder)
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import chi2
 
 from calib.certification import measuring_limbs
-from calib.certification.measuring_limb_checks import Limbs
+from calib.certification.redundant_measuring_limb_checks import Limbs
 from calib.models.platform.identification import pose_parameter_jacobian
 from calib.online import measuring_limb_poses, measuring_limbs_file
 from calib.online.information_filter import Online
@@ -34,7 +34,7 @@ def accepted(limbed, by_vision):
     design, read, _ = limbed
     frames, lengths = measuring_limbs.limb_readings(read)
     samples, nominal = (
-        measuring_limbs.samples_by_limbs(by_vision, frames, lengths),
+        measuring_limbs.samples_with_limb_readings_as_commands(by_vision, frames, lengths),
         measuring_limbs.limb_hexapod(design),
     )
     T, expected = measuring_limbs.held_out_limb_poses(samples, nominal, 1e-6)
@@ -168,7 +168,7 @@ def test_a_limb_that_slips_30_um_is_noticed_within_five_poses(accepted, again, l
 def test_limbs_that_slip_while_they_are_held_against_vision_are_not_accepted(limbed, by_vision, limb, at):
     design, read, _ = limbed
     for by in (0.0, 3e-5):
-        samples = measuring_limbs.samples_by_limbs(
+        samples = measuring_limbs.samples_with_limb_readings_as_commands(
             by_vision, *measuring_limbs.limb_readings(slipped(read, limb, by, at))
         )
         limbs, _ = measuring_limbs.calibrate_limbs(samples, measuring_limbs.limb_hexapod(design), 1e-6)

@@ -5,14 +5,14 @@ go astray too.
 import numpy as np
 import pytest
 
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
 from calib.online.run_learning import Learner, LimbWatch
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms
 from rig.model.pose import exp, transform_points
 from rig.planning.configuration_sets import sobol_configurations
-from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.planning.layout import hexapod_layout_and_camera_placement
 from synthetic import secret_machine
 
 SIGMA = np.r_[np.full(3, 2e-6), np.full(3, 1e-5)]
@@ -60,7 +60,7 @@ def test_a_drift_from_the_calibration_is_said_once(machine):
 
 
 def test_limbs_that_go_astray_are_said(tmp_path):
-    (tmp_path / "rig.toml").write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, limbs=6))
+    (tmp_path / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6))
     design = design_file.load_design(tmp_path / "rig.toml")
     rng = np.random.default_rng(8)
     true = secret_machine.draw_machine(design, rng).true

@@ -11,9 +11,9 @@ from calib.two_strut.worked_example import (
     L2,
     NOMINAL,
     REAL,
-    corrected_hinge_positions,
+    compute_worked_example,
     example_figures,
-    worked_example,
+    reached_hinge_positions,
     workspace_grid,
 )
 
@@ -22,7 +22,7 @@ FIGURES = Path(__file__).parents[3] / "docs" / "two-strut"
 
 @pytest.fixture(scope="module")
 def example():
-    return worked_example()
+    return compute_worked_example()
 
 
 def test_the_figures_in_the_pages_are_drawn_by_this_code():
@@ -66,7 +66,7 @@ def test_one_step_takes_out_nearly_all(example):
     """
     wanted = workspace_grid()
     before, after = (
-        np.sqrt(((corrected_hinge_positions(c, wanted) - wanted) ** 2).sum(axis=1).mean())
+        np.sqrt(((reached_hinge_positions(c, wanted) - wanted) ** 2).sum(axis=1).mean())
         for c in (None, example.correction)
     )
     assert before > 1e-3 and after < before / 30

@@ -7,7 +7,11 @@ import pytest
 
 from calib.correction.correction import Correction, require_reachable
 from calib.models.arm.correction import ArmCorrection
-from calib.workspace.reachable_poses import is_pose_lost, reachable_side, uncorrected_machine
+from calib.workspace.workspace_cells_and_reachable_poses import (
+    is_pose_lost,
+    reachable_poses_and_loss,
+    uncorrected_machine,
+)
 from rig.errors import Unreachable
 from rig.model.design import Planar2
 from rig.model.mechanisms import arm as arms
@@ -15,7 +19,7 @@ from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
 from rig.planning.configuration_sets import sobol_configurations
 from synthetic import secret_machine
-from tests.calib.arm_worlds import secret
+from tests.calib.secret_arms import secret
 from tests.rig.arms import UR10
 
 STROKES = [[0.6, 1.2], [0.6, 1.2]]
@@ -33,8 +37,8 @@ def test_a_strut_that_is_longer_than_it_says_loses_its_short_end_and_gains_its_l
     correction = Correction(PLANAR, Planar2(PLANAR.base_joints, STROKES, [0.03, 0.0]), (None, None))
     drawn = sobol_configurations(np.array(STROKES), 4096, 1.0)
     believed, real = (
-        reachable_side(uncorrected_machine(correction), correction, drawn),
-        reachable_side(correction, uncorrected_machine(correction), drawn),
+        reachable_poses_and_loss(uncorrected_machine(correction), correction, drawn),
+        reachable_poses_and_loss(correction, uncorrected_machine(correction), drawn),
     )
     np.testing.assert_array_equal(believed.out, believed.commands[:, 0] < 0.63)  # its command would be below 0.6 m
     np.testing.assert_array_equal(real.out, real.commands[:, 0] > 1.17)  # where the owner believes it longer than 1.2 m

@@ -8,20 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.certification.platform_certification import platform_pose_covariance
 from calib.correction.correction import Correction, calibrate_correction
 from calib.files import calibration_file
 from calib.models.arm.correction import ArmCorrection
-from calib.models.corrected_pose_covariance import calibration_with_workspace
+from calib.models.machine_models import calibration_with_workspace
 from calib.workspace import workspace_page
-from calib.workspace.workspace_cells import COLUMNS, map_workspace, workspace_rows
+from calib.workspace.workspace_cells_and_reachable_poses import COLUMNS, map_workspace, workspace_rows
 from rig.errors import FileError
 from rig.model.design import Planar2
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose
-from tests.calib.arm_worlds import secret
-from tests.calib.worlds import sampled
+from tests.calib.noisy_samples import sampled
+from tests.calib.secret_arms import secret
 from tests.rig.arms import UR10
 
 STROKES = [[0.6, 1.2], [0.6, 1.2]]

@@ -12,12 +12,16 @@ from pathlib import Path
 import pytest
 
 from rig.cli.shared.terminal_output import Progress, print_compilation_notice
-from rig.compute import numba_kernels
+from rig.compute import numba_kernels_and_lazy_exports
 from tests.conftest import ROOT
 
 
 def forget():
-    for found in (numba_kernels.kernel_cache_folder, numba_kernels.user_cache_folder, numba_kernels.is_private_folder):
+    for found in (
+        numba_kernels_and_lazy_exports.kernel_cache_folder,
+        numba_kernels_and_lazy_exports.user_cache_folder,
+        numba_kernels_and_lazy_exports.is_private_folder,
+    ):
         found.cache_clear()
 
 
@@ -26,7 +30,9 @@ def locked(monkeypatch, tmp_path):
     """An installation that cannot be written, and temporary files in tmp_path."""
     writable = os.access
     monkeypatch.setattr(
-        os, "access", lambda path, mode: not Path(path).is_relative_to(numba_kernels.HERE) and writable(path, mode)
+        os,
+        "access",
+        lambda path, mode: not Path(path).is_relative_to(numba_kernels_and_lazy_exports.HERE) and writable(path, mode),
     )
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
@@ -37,7 +43,7 @@ def locked(monkeypatch, tmp_path):
 
 def test_a_home_is_used_where_there_is_one(locked, monkeypatch, tmp_path):
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    assert numba_kernels.kernel_cache_folder() == tmp_path / "home" / ".cache" / "rig"
+    assert numba_kernels_and_lazy_exports.kernel_cache_folder() == tmp_path / "home" / ".cache" / "rig"
 
 
 @pytest.mark.parametrize("planted", [None, "link", "open"])
@@ -51,12 +57,14 @@ def test_without_a_home_a_folder_of_ones_own(planted, locked, monkeypatch, tmp_p
     if planted == "open":
         folder.mkdir()
         folder.chmod(0o777)
-    found = numba_kernels.kernel_cache_folder()
+    found = numba_kernels_and_lazy_exports.kernel_cache_folder()
     assert (found == folder) == (planted is None) and not found.is_symlink() and found.stat().st_mode & 0o077 == 0
     assert f"is kept in {found}" in capsys.readouterr().err
     forget()
     if planted is None:
-        assert numba_kernels.kernel_cache_folder() == folder and not capsys.readouterr().err  # said once
+        assert (
+            numba_kernels_and_lazy_exports.kernel_cache_folder() == folder and not capsys.readouterr().err
+        )  # said once
 
 
 @pytest.mark.parametrize("mode", [0o777, 0o775, 0o707])
@@ -66,23 +74,25 @@ def test_a_folder_to_which_others_can_write_is_not_taken(mode, locked, monkeypat
     (theirs / "below").mkdir(parents=True)
     theirs.chmod(mode)
     own = tmp_path / "home" / ".cache" / "rig"
-    assert numba_kernels.private_or_user_folder(theirs) == own and own.stat().st_mode & 0o077 == 0
-    assert numba_kernels.is_private_folder(theirs / "below") == (mode == 0o775), (
+    assert numba_kernels_and_lazy_exports.private_or_user_folder(theirs) == own and own.stat().st_mode & 0o077 == 0
+    assert numba_kernels_and_lazy_exports.is_private_folder(theirs / "below") == (mode == 0o775), (
         "who can write above can put another folder in its place"
     )
     forget()
     own.chmod(mode)
-    assert numba_kernels.private_or_user_folder(theirs) == tmp_path / f"rig-kernels-{os.getuid()}"
+    assert numba_kernels_and_lazy_exports.private_or_user_folder(theirs) == tmp_path / f"rig-kernels-{os.getuid()}"
     assert f"others can write to {theirs}, and {own.parent} can be written to by others" in capsys.readouterr().err
 
 
 def test_a_folder_of_somebody_else_is_not_taken(monkeypatch, tmp_path):
     forget()
-    assert numba_kernels.is_private_folder(tmp_path) and numba_kernels.is_private_folder(tmp_path / "new" / "folder")
+    assert numba_kernels_and_lazy_exports.is_private_folder(
+        tmp_path
+    ) and numba_kernels_and_lazy_exports.is_private_folder(tmp_path / "new" / "folder")
     forget()
     owner = tmp_path.stat().st_uid
     monkeypatch.setattr(os, "getuid", lambda: owner + 1)
-    assert numba_kernels.is_private_folder(tmp_path) == (owner == 0)
+    assert numba_kernels_and_lazy_exports.is_private_folder(tmp_path) == (owner == 0)
     forget()
 
 
@@ -98,8 +108,8 @@ def test_another_folder_still_tells_versions_of_the_sources_apart(locked, monkey
     (theirs / "kernels-1").mkdir(parents=True)
     (theirs / "kernels-1").chmod(0o777)
     before = numba.config.CACHE_DIR
-    assert numba_kernels.Kernel(forget, {}, lambda: str(theirs / "kernels-1"))() is None
-    assert numba_kernels.Kernel(forget, {}, lambda: str(theirs / "kernels-2"))() is None
+    assert numba_kernels_and_lazy_exports.Kernel(forget, {}, lambda: str(theirs / "kernels-1"))() is None
+    assert numba_kernels_and_lazy_exports.Kernel(forget, {}, lambda: str(theirs / "kernels-2"))() is None
     assert (
         used == [str(tmp_path / "home" / ".cache" / "rig" / "kernels-1"), str(theirs / "kernels-2")]
         and before == numba.config.CACHE_DIR
@@ -167,7 +177,7 @@ def test_a_kernel_runs_on_a_read_only_installation_without_a_home(tmp_path):
 
 def test_who_waits_for_what_is_compiled_is_told_once_and_not_again_where_it_is_loaded(tmp_path):
     code = (
-        "from rig.compute.numba_kernels import announce_compilation; from rig.effects.framework import "
+        "from rig.compute.numba_kernels_and_lazy_exports import announce_compilation; from rig.effects.framework import "
         "play_operator; import "
         "numpy as np\n"
         "with announce_compilation(lambda: print('compiling')):\n    "

@@ -11,20 +11,20 @@ from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearised_residuals import linearise
 from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnosis.problems.requested_effects import RequestedEffects
-from rig.compute import parallel_map
+from rig.compute import parallel_map_and_dask_cluster
 from rig.compute.worker_processes import MOST, split_for_workers
-from tests.calib.recorded import recorded
+from tests.calib.recordings_with_effects import recorded
 
 
 @pytest.fixture(params=[1, 3])
 def processes(request, monkeypatch):
-    monkeypatch.setattr(parallel_map, "worker_count", lambda: request.param)
+    monkeypatch.setattr(parallel_map_and_dask_cluster, "worker_count", lambda: request.param)
     return request.param
 
 
 def test_results_come_in_order_and_progress_reaches_the_end(processes):
     things, seen = [object() for _ in range(40)], []
-    out = parallel_map.parallel_map(
+    out = parallel_map_and_dask_cluster.parallel_map(
         lambda thing: (things.index(thing), os.getpid()), things, lambda done, of: seen.append((done, of))
     )
     done = [of_all for of_all, of in seen if of == 40]
@@ -53,8 +53,8 @@ def test_what_a_process_raises_is_raised_here(processes):
         return i
 
     with pytest.raises(ValueError, match="thing 17"):
-        parallel_map.parallel_map(fail, range(40))
-    assert parallel_map.parallel_map(abs, [-1, 2]) == [1, 2]  # and the next call is not disturbed
+        parallel_map_and_dask_cluster.parallel_map(fail, range(40))
+    assert parallel_map_and_dask_cluster.parallel_map(abs, [-1, 2]) == [1, 2]  # and the next call is not disturbed
 
 
 def test_a_search_finds_the_same_on_one_process_and_on_several(tmp_path, design, monkeypatch):
@@ -63,7 +63,7 @@ def test_a_search_finds_the_same_on_one_process_and_on_several(tmp_path, design,
     model, (candidates, _) = linearise(point), platform_candidates(point, asked)
     both = []
     for count in (1, 3):
-        monkeypatch.setattr(parallel_map, "worker_count", lambda count=count: count)
+        monkeypatch.setattr(parallel_map_and_dask_cluster, "worker_count", lambda count=count: count)
         sensitivities = Sensitivities(point)
         both.append((search_candidates(model, candidates, sensitivities), sensitivities.pixels))
     (one, pixels), (several, kept) = both

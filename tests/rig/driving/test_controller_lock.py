@@ -12,10 +12,10 @@ import pytest
 
 from rig.driving import serial_port as ports
 from rig.driving.clock import SystemClock
-from rig.driving.controller_lock import Occupied, lock_names, stop_lock_holder
+from rig.driving.controller_lock import ControllerLock, lock_names, stop_lock_holder
 from rig.driving.serial_port import SerialPort
 from rig.errors import LinkLost, RigError
-from rig.model.controller_settings import port_problem
+from rig.model.design import port_problem
 from tests.conftest import ROOT
 
 HOLD = (
@@ -113,15 +113,15 @@ def test_one_device_has_one_name_whatever_path_or_address_leads_there(device, tm
 
 
 def test_who_only_looks_stops_nobody_and_a_forked_child_holds_nothing(device):
-    with Occupied(device):
+    with ControllerLock(device):
         for _ in range(50):
             with pytest.raises(RigError, match=f"process {os.getpid()} is driving"):
-                Occupied(device)
+                ControllerLock(device)
         child = os.fork()
         if not child:
             signal.pause()
     try:
-        Occupied(device).__exit__()
+        ControllerLock(device).__exit__()
     finally:
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
@@ -133,7 +133,7 @@ def test_a_killed_process_leaves_nothing(device):
     first.kill()
     first.communicate()
     assert stop_lock_holder(device, SystemClock(), 0.0) is None
-    Occupied(device).__exit__()
+    ControllerLock(device).__exit__()
 
 
 def test_an_open_device_is_locked_for_others_and_free_again(device, monkeypatch):

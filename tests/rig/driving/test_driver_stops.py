@@ -11,8 +11,8 @@ import pytest
 from rig.driving.emulators.emulator_opening import EmulatorPort, home_lengths
 from rig.driving.strut_driver import Driver
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, Stopped
-from tests.rig.driven import STEP, order, truly
-from tests.rig.judge import bench
+from tests.rig.driver_steps import STEP, order, truly
+from tests.rig.moves_with_faults import bench
 
 SLOW = np.full(6, 2e-4)  # m/s; homing takes ten seconds
 

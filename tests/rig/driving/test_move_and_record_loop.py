@@ -9,15 +9,15 @@ from rig.driving.run_journal import Arrival, Departure, Ended, Exposed, Resumed,
 from rig.driving.run_steps_and_progress import check_steps, steps_of_plan
 from rig.errors import ControllerFault, RigError, Stopped, Unreachable
 from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.planning.plan import build_plan
 from rig.recording import recording_folder
-from tests.rig.room import RAMP, SPEED, Killed, Onlooker, Room
+from tests.rig.run_folder import RAMP, SPEED, Killed, Onlooker, Room
 
 
 @pytest.fixture
 def rig(tmp_path):
-    text = hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=1, width=64, height=48)
+    text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=1, width=64, height=48)
     (tmp_path / "rec").mkdir()
     (tmp_path / "rec" / "rig.toml").write_text(text)
     return design_file.load_design(tmp_path / "rec" / "rig.toml")

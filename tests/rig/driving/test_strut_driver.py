@@ -12,8 +12,8 @@ from rig.driving.emulators.controller_faults import ALWAYS, KINDS
 from rig.driving.emulators.emulator_opening import home_lengths
 from rig.driving.strut_driver import Driver
 from rig.errors import ControllerFault, MotionError, PositionLost, RigError, Stalled, Unreachable
-from tests.rig.driven import STEP, order, truly
-from tests.rig.judge import bench, judged
+from tests.rig.driver_steps import STEP, order, truly
+from tests.rig.moves_with_faults import bench, judged
 
 RECOVERED = (
     "lost-ok",

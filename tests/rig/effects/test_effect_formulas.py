@@ -7,12 +7,12 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.effects.catalogue.servo_lag import first_order_lag
-from rig.effects.framework.play_operator import play_operator
-from rig.effects.texts.effect_notation import parse_effect
+from rig.effects.framework.machine_motion_and_play import play_operator
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Camera, Platform
-from rig.model.hexapod_geometry import cardan_twist
+from rig.model.mechanism_kinds_and_hexapod_properties import cardan_twist
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose, pose_difference
 from rig.recording.recording_folder import Commands, Sensors
@@ -23,7 +23,7 @@ from vision.targets import marker_map
 def moved(design, values, t, effect, sensors=None):
     """(n, 6) deviation of the struts along a path of commands (m, 6) at times 0, 1, .., exposed at t."""
     commands = Commands(np.arange(len(values), dtype=float), np.asarray(values, float))
-    return motion_simulation.run_machine(design, commands, np.asarray(t, float), [effect], sensors).deviation
+    return motion_simulation.simulate_machine_run(design, commands, np.asarray(t, float), [effect], sensors).deviation
 
 
 @pytest.fixture
@@ -94,7 +94,7 @@ def test_creep_by_hand(design, home):
     values = np.tile(home, (4, 1))
     values[1:, 2] += 0.01
     commands = Commands(np.array([0.0, 1e-6, 20.0, 1e4]), values)
-    found = motion_simulation.run_machine(
+    found = motion_simulation.simulate_machine_run(
         design, commands, np.array([1e-6, 20.0, 9e3]), [parse_effect("creep:strut3:fraction=3e-3,time_constant=20")]
     ).deviation
     np.testing.assert_allclose(found[:, 2], [-3e-5, -3e-5 / np.e, 0], rtol=1e-6, atol=1e-12)
@@ -110,7 +110,7 @@ def test_thermal_expansion_by_hand(design, home):
 
 def test_warm_up_by_hand(design, home):
     commands = Commands(np.array([0.0, 1e5]), np.tile(home, (2, 1)))
-    found = motion_simulation.run_machine(
+    found = motion_simulation.simulate_machine_run(
         design, commands, np.array([0.0, 900.0, 9e4]), [parse_effect("warm_up:strut3:amplitude=5e-5,time_constant=900")]
     ).deviation
     np.testing.assert_allclose(found[:, 2], [0, 5e-5 * (1 - 1 / np.e), 5e-5], atol=1e-12)
@@ -159,7 +159,7 @@ def test_base_expansion_by_hand(design, home):
     warm = Sensors(np.array([0.0, 9.0]), {"ambient_temperature_C": np.full(2, 22.0)})
     m = design.mechanism
     commands = Commands(np.array([0.0, 1.0]), np.tile(home, (2, 1)))
-    T = motion_simulation.run_machine(
+    T = motion_simulation.simulate_machine_run(
         design, commands, np.array([1.0]), [parse_effect("base_expansion:rig:coefficient=5e-5")], warm
     ).T_base_platform
     grown = replace(m, base_joints=m.base_joints * (1 + 5e-5 * 2))
@@ -168,7 +168,7 @@ def test_base_expansion_by_hand(design, home):
 
 def test_vibration_by_hand(design, home):
     commands = Commands(np.array([0.0, 1.0]), np.tile(home, (2, 1)))
-    T = motion_simulation.run_machine(
+    T = motion_simulation.simulate_machine_run(
         design, commands, np.array([0.25]), [parse_effect("vibration:rig:amplitude=2e-5,frequency=1,mode=2")]
     ).T_base_platform
     np.testing.assert_allclose(pose_difference(design.mechanism.home, T[0]), [0, 0, 2e-5, 0, 0, 0], atol=1e-12)
@@ -284,14 +284,16 @@ def test_rolling_shutter_by_hand(setting):
     design, commands, t, _ = setting
     effect = parse_effect("rolling_shutter:cameras:row_time=2e-5")
     markers = marker_map(design)
-    run = motion_simulation.run_machine(design, commands, t, rates=True)
+    run = motion_simulation.simulate_machine_run(design, commands, t, rates=True)
     state = State(design.cameras, run.T_base_platform, {})
     found = markers_facing_cameras(state, markers)
     uv = predict_sightings(found, state, markers, t, [effect], None, run)
     k = np.flatnonzero(markers.on_platform[found.marker])[::29]
     late = 2e-5 * (uv[k, 0, 1] - 512)
     for j, seconds in zip(k, late):
-        then = motion_simulation.run_machine(design, commands, np.array([t[found.frame[j]] + seconds])).T_base_platform
+        then = motion_simulation.simulate_machine_run(
+            design, commands, np.array([t[found.frame[j]] + seconds])
+        ).T_base_platform
         one = type(found)(np.array([0]), found.camera[[j]], found.marker[[j]])
         np.testing.assert_allclose(
             predict_sightings(one, State(design.cameras, then, {}), markers)[0, 0], uv[j, 0], atol=0.02

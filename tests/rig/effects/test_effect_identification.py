@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.effects.texts.effect_notation import (
+from rig.effects.texts.effect_text_and_dict import (
     effect_from_dict,
     parse_effect,
     require_existing_place,

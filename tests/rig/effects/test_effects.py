@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
-from rig.effects.framework.effect_validity import check_effect
-from rig.effects.texts.effect_notation import effect_from_dict, effect_to_dict, parse_effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect
+from rig.effects.texts.effect_text_and_dict import effect_from_dict, effect_to_dict, parse_effect
 from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
@@ -63,9 +63,9 @@ SOME = {  # one instance of each, of a size that rigs show
 def corners(setting, effects):
     """All corners that face a camera, through machine and cameras with the effects."""
     design, commands, t, sensors = setting
-    clean = motion_simulation.run_machine(design, commands, t)
+    clean = motion_simulation.simulate_machine_run(design, commands, t)
     found = markers_facing_cameras(State(design.cameras, clean.T_base_platform, {}), marker_map(design))
-    run = motion_simulation.run_machine(design, commands, t, effects, sensors, rates=True)
+    run = motion_simulation.simulate_machine_run(design, commands, t, effects, sensors, rates=True)
     return predict_sightings(
         found, State(design.cameras, run.T_base_platform, {}), marker_map(design), t, effects, sensors, run
     )
@@ -112,7 +112,8 @@ def test_halving_the_step_of_the_history_changes_nothing(setting, name):
     finer = np.sort(np.r_[commands.t, halves])
     fine = Commands(finer, commands.at(finer))
     one, two = (
-        motion_simulation.run_machine(design, c, t, [effect], sensors).T_base_platform for c in (commands, fine)
+        motion_simulation.simulate_machine_run(design, c, t, [effect], sensors).T_base_platform
+        for c in (commands, fine)
     )
     np.testing.assert_allclose(pose_difference(one, two), 0, atol=1e-11)
 
@@ -144,20 +145,24 @@ def test_what_is_no_effect_is_refused_by_name(text, says):
 def test_effects_act_together(setting):
     """Several at once is not the sum of each alone, but nearly: effects are small."""
     design, commands, t, sensors = setting
-    clean = motion_simulation.run_machine(design, commands, t).T_base_platform
+    clean = motion_simulation.simulate_machine_run(design, commands, t).T_base_platform
     both = [parse_effect("compliance:rig:stiffness=5e6"), parse_effect("screw_coupling:rig:gain=0.5")]
     alone = sum(
-        pose_difference(clean, motion_simulation.run_machine(design, commands, t, [e], sensors).T_base_platform)
+        pose_difference(
+            clean, motion_simulation.simulate_machine_run(design, commands, t, [e], sensors).T_base_platform
+        )
         for e in both
     )
-    together = pose_difference(clean, motion_simulation.run_machine(design, commands, t, both, sensors).T_base_platform)
+    together = pose_difference(
+        clean, motion_simulation.simulate_machine_run(design, commands, t, both, sensors).T_base_platform
+    )
     np.testing.assert_allclose(together, alone, atol=0.01 * np.abs(alone).max())
 
 
 def test_forces_balance_the_weight(setting):
     design, commands, t, sensors = setting
     state = motion_simulation.motion_of_commands(design, commands, t, (), sensors)
-    run = motion_simulation.run_machine(design, commands, t)
+    run = motion_simulation.simulate_machine_run(design, commands, t)
     forces = replace(state, T=run.T_base_platform).loads()
     tips = run.T_base_platform.as_matrix()[:, None, :3, :3] @ design.mechanism.platform_joints[..., None]
     tips = tips[..., 0] + run.T_base_platform.translation[:, None]

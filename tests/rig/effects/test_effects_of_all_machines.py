@@ -10,10 +10,10 @@ import pytest
 from calib.diagnosis.problems.platform.vibration_frequency import rank_one_least_squares
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Context
-from rig.effects.framework.effect_validity import check_effect
-from rig.effects.framework.machine_motion import Path
-from rig.effects.framework.parameter import Drawing
-from rig.effects.texts.effect_notation import parse_effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect
+from rig.effects.framework.effect_data_types import Drawing
+from rig.effects.framework.machine_motion_and_play import Path
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.errors import RigError
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Actuator, Arm, Design, Planar2, Platform
@@ -50,7 +50,7 @@ def setting_of(design, kind):
 
 def context_of(setting):
     design, commands, t, sensors = setting
-    T = motion_simulation.run_machine(design, commands, t).T_base_platform
+    T = motion_simulation.simulate_machine_run(design, commands, t).T_base_platform
     return Context(
         design, t, sensors, replace(motion_simulation.motion_of_commands(design, commands, t, (), sensors), T=T)
     )
@@ -78,13 +78,15 @@ def test_zero_changes_nothing_and_a_drawn_one_something(there, kind):
         with pytest.raises(RigError, match=f"{kind.name} takes"):
             kind.sites(context)
         return
-    clean = motion_simulation.run_machine(design, commands, t, (), sensors).T_base_platform
+    clean = motion_simulation.simulate_machine_run(design, commands, t, (), sensors).T_base_platform
     rng = np.random.default_rng(1)
     drawing = Drawing(design, t, context.motion, lambda effect, camera: 1.0)
     for place in kind.sites(context)[-2:]:
-        zero = motion_simulation.run_machine(design, commands, t, [_other(check_effect(kind(place)), context)], sensors)
+        zero = motion_simulation.simulate_machine_run(
+            design, commands, t, [_other(check_effect(kind(place)), context)], sensors
+        )
         np.testing.assert_allclose(pose_difference(zero.T_base_platform, clean), 0, atol=1e-9)
-        found = motion_simulation.run_machine(
+        found = motion_simulation.simulate_machine_run(
             design, commands, t, [check_effect(kind.drawn(place, drawing, rng))], sensors
         )
         moved = np.abs(pose_difference(found.T_base_platform, clean))
@@ -150,7 +152,7 @@ def test_what_a_machine_lacks_is_said(design):
         ("axis_coupling:joint2:scale=1e-3,other=2", "than its own"),
     ):
         with pytest.raises(RigError, match=says):
-            motion_simulation.run_machine(*bare[:3], [parse_effect(text)], bare[3])
+            motion_simulation.simulate_machine_run(*bare[:3], [parse_effect(text)], bare[3])
     found = [
         c
         for name in ("compliance", "joint_clearance")
@@ -173,13 +175,18 @@ def test_effects_that_show_on_the_way_are_not_asked_for_at_rest(design):
 
 def test_a_joint_holds_its_links_as_newton_and_euler_say(design):
     """The regressor times masses and mass moments is the torque of recursive Newton-Euler at rest."""
-    from rig.model.mechanisms import arm, arm_dynamics
+    from rig.model.mechanisms import arm, arm_dynamics_and_step_by_step_kinematics
 
     rng, mechanism = np.random.default_rng(4), Arm(UR10.joints, UR10.limits)
     q, mass, centre = rng.uniform(-2, 2, (20, 6)), rng.uniform(1, 5, 6), rng.uniform(-0.1, 0.1, (6, 3))
     own = np.column_stack([mass, mass[:, None] * centre]).ravel()
-    torque = arm_dynamics.joint_torques(
-        q, np.zeros(6), np.zeros(6), mechanism, arm_dynamics.Links(mass, centre, np.zeros((6, 3, 3))), design.gravity
+    torque = arm_dynamics_and_step_by_step_kinematics.joint_torques(
+        q,
+        np.zeros(6),
+        np.zeros(6),
+        mechanism,
+        arm_dynamics_and_step_by_step_kinematics.LinkMasses(mass, centre, np.zeros((6, 3, 3))),
+        design.gravity,
     )
     np.testing.assert_allclose(arm.links(None, q, mechanism, design.gravity) @ own, torque, atol=1e-9)
 

@@ -13,8 +13,8 @@ import pytest
 from rig.cli.command_line import main
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_notation import effect_from_dict, effect_to_dict, parse_effect
-from rig.effects.texts.user_effect_files import catalogue_with_files, load_effect_file
+from rig.effects.texts.effect_text_and_dict import effect_from_dict, effect_to_dict, parse_effect
+from rig.effects.texts.user_effect_file_loading import catalogue_with_files, load_effect_file
 from rig.errors import FileError
 from rig.model import motion_simulation
 from tests.conftest import ROOT
@@ -118,7 +118,7 @@ def test_the_effects_of_the_page_are_effects(tmp_path, design):
     assert bearing.action_at("joint 2") == "Exchange the bearing of the joint."
     setting = setting_of(design, "hexapod")
     still, moved = (
-        motion_simulation.run_machine(*setting[:3], [bearing("strut 3", height=height)], setting[3])
+        motion_simulation.simulate_machine_run(*setting[:3], [bearing("strut 3", height=height)], setting[3])
         for height in (0.0, 1e-4)
     )
     difference = moved.deviation - still.deviation
@@ -140,7 +140,7 @@ def test_a_sound_file_is_an_effect_like_any_other(tmp_path, design):
     effect = parse_effect("mine:strut3:size=2e-5", known)
     assert effect_from_dict(effect_to_dict(effect), known) == effect
     setting = setting_of(design, "hexapod")
-    done = motion_simulation.run_machine(*setting[:3], [effect], setting[3])
+    done = motion_simulation.simulate_machine_run(*setting[:3], [effect], setting[3])
     stroke = context_of(setting).moved().stroke
     np.testing.assert_allclose(done.deviation, 2e-5 * np.sin(90 * stroke[:, [1]]) * (np.arange(6) == 2), atol=1e-18)
 

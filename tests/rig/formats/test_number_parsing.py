@@ -7,7 +7,7 @@ import pytest
 from rig.cli import certify
 from rig.cli.command_line import main
 from rig.cli.go import parse_pose
-from rig.effects.texts.effect_notation import parse_effect
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.errors import FileError, RigError
 from rig.formats import csv_table
 from rig.formats.importers.foreign_table_columns import NUMBER
@@ -92,7 +92,7 @@ def test_poses_on_the_command_line():
     [
         (certify.parse_share, "0.9999", ("0.4", "1", "1_0")),
         (certify.parse_relative_uncertainty, "0", ("0.1", "-1e-9", "1_0")),
-        (certify.parse_load, "12.5", ("1e6", "-1", "1_0", "nan")),
+        (certify.parse_rated_load, "12.5", ("1e6", "-1", "1_0", "nan")),
     ],
 )
 def test_what_a_certificate_is_asked_for_is_a_number_within_its_bounds(read, good, bad):

@@ -9,7 +9,11 @@ import pytest
 
 from rig.errors import FileError, RigError
 from rig.formats.rig_toml import design_file
-from rig.model.cube_remounting import design_with_turned_cubes, quarter_turns, rig_toml_with_turns
+from rig.model.design_comparison_and_cube_remounting import (
+    design_with_turned_cubes,
+    quarter_turns_of_cubes,
+    rig_toml_with_turns,
+)
 from rig.planning.plan import build_plan
 from rig.planning.plan_construction_and_table import write_plan_table
 from rig.recording import combined_recordings
@@ -29,7 +33,7 @@ def test_what_a_rig_toml_says_of_cubes(rig_text, tmp_path):
     path.write_text(rig_text + '\n[experiment]\nmay = ["wait", "turn cube 2", "turn cube B1"]\n[turned]\nP1 = 1\n')
     design = design_file.load_design(path)
     assert design.experiment.may == ("wait", "turn cube P2", "turn cube B1") and design.experiment.cubes == ("P2", "B1")
-    assert quarter_turns(design) == {"P1": 1}
+    assert quarter_turns_of_cubes(design) == {"P1": 1}
     line, value, says = refused(path, rig_text, '[experiment]\nmay = ["turn cube P9"]\n')
     assert (line, value) == (
         lines + 2,
@@ -90,7 +94,9 @@ def test_a_plan_says_how_cubes_stand(design, tmp_path):
 def test_the_text_of_a_rig_says_it_and_keeps_its_comments(rig_text, tmp_path):
     path = tmp_path / "rig.toml"
     path.write_text(rig_toml_with_turns("# ours\n" + rig_text, {"P1": 2}))
-    assert quarter_turns(design_file.load_design(path)) == {"P1": 2} and path.read_text().startswith("# ours\n")
+    assert quarter_turns_of_cubes(design_file.load_design(path)) == {"P1": 2} and path.read_text().startswith(
+        "# ours\n"
+    )
     assert rig_toml_with_turns(rig_text, {}) == rig_text
 
 
@@ -99,8 +105,8 @@ def test_recordings_share_a_seat_until_the_cube_is_turned_again(design):
         design_with_turned_cubes(design, {} if quarter is None else {"P1": quarter})
         for quarter in (None, 1, 1, 0, 0, None, 1)
     ]
-    assert [own["P1"] for own in combined_recordings.target_owners_by_design(stood)] == [0, 1, 1, 3, 3, 0, 6]
-    assert all(own["P2"] == 0 for own in combined_recordings.target_owners_by_design(stood))
+    assert [own["P1"] for own in combined_recordings.target_owner_recordings(stood)] == [0, 1, 1, 3, 3, 0, 6]
+    assert all(own["P2"] == 0 for own in combined_recordings.target_owner_recordings(stood))
 
 
 def test_a_cube_that_is_alone_on_its_body_stays(design):

@@ -12,7 +12,7 @@ from rig.model.pose import (
     roll_pitch_yaw,
     transform_points,
 )
-from tests.numeric import jacobian
+from tests.numerical_derivatives import jacobian
 
 
 def test_exp_and_log_undo_each_other_over_batch_shapes():

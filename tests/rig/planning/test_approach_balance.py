@@ -10,7 +10,7 @@ from calib.samples.pose_samples import approach_direction
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.planning import configuration_sets, plan
-from rig.planning.approach_balance import REACHES, balanced_order
+from rig.planning.visiting_order_and_approach_balance import REACHES, time_balanced_order
 from rig.recording.recording_folder import PAYLOAD
 
 SCATTERED = (
@@ -106,7 +106,7 @@ def test_an_order_alone_balances_what_it_can(design: Design) -> None:
     start = strokes.mean(axis=1)
     before = confounds_of_configurations(values, start, design.mechanism)
     after = confounds_of_configurations(
-        values[balanced_order(values, np.random.default_rng(0), start)], start, design.mechanism
+        values[time_balanced_order(values, np.random.default_rng(0), start)], start, design.mechanism
     )
     assert before.serious and not after.serious
     assert max(row.share for row in after.rows) < 0.35

@@ -14,11 +14,16 @@ from rig.cli import command_line
 from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import arm as mechanism
-from rig.model.mechanisms import arm_dynamics
+from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
 from rig.model.pose import pose_difference, pose_to_vector
-from rig.posture import force_transmission, null_space_search, posture_transition, wrench_from_torques
-from rig.posture.force_transmission import TransmissionObjective
-from tests.numeric import jacobian
+from rig.posture import (
+    force_transmission_and_exertable_wrench,
+    null_space_search,
+    posture_transition,
+    wrench_estimation_from_torques,
+)
+from rig.posture.force_transmission_and_exertable_wrench import TransmissionObjective
+from tests.numerical_derivatives import jacobian
 from tests.rig.arms import SEVEN, UR10, configurations, random_arm
 from tests.rig.pinocchio_arm import build
 
@@ -37,10 +42,12 @@ WISHES = [
 def test_slope_of_the_measure_agrees_with_differences(wish):
     for arm in (PANDA, random_arm(np.random.default_rng(3), 8)):
         q = configurations(arm, 4, np.random.default_rng(0), 0.8)
-        for one, slope in zip(q, force_transmission.transmission_gradient(q, arm, wish)):
+        for one, slope in zip(q, force_transmission_and_exertable_wrench.transmission_gradient(q, arm, wish)):
             np.testing.assert_allclose(
                 slope,
-                jacobian(lambda x, arm=arm: force_transmission.transmission_measure(x, arm, wish), one),
+                jacobian(
+                    lambda x, arm=arm: force_transmission_and_exertable_wrench.transmission_measure(x, arm, wish), one
+                ),
                 atol=1e-7,
             )
 
@@ -51,15 +58,21 @@ def test_measures_are_hand_worked():
     """
     arm = type(PANDA)([[0, 0, 1.0, 0], [0, 0, 1.0, 0]], [[-3, 3]] * 2)
     np.testing.assert_allclose(
-        force_transmission.torque_norms_by_direction(np.zeros(2), arm, TransmissionObjective()),
+        force_transmission_and_exertable_wrench.torque_norms_by_direction(np.zeros(2), arm, TransmissionObjective()),
         [0, np.sqrt(5), 0, 0, 0, np.sqrt(2)],
         atol=1e-15,
     )
     assert (
-        force_transmission.transmission_measure(np.zeros(2), arm, TransmissionObjective(("fx", "fy"))) == 0
-        and force_transmission.transmission_measure(np.zeros(2), arm, TransmissionObjective(("fy",), np.inf)) == 2
+        force_transmission_and_exertable_wrench.transmission_measure(
+            np.zeros(2), arm, TransmissionObjective(("fx", "fy"))
+        )
+        == 0
+        and force_transmission_and_exertable_wrench.transmission_measure(
+            np.zeros(2), arm, TransmissionObjective(("fy",), np.inf)
+        )
+        == 2
     )
-    assert force_transmission.transmission_measure(
+    assert force_transmission_and_exertable_wrench.transmission_measure(
         np.zeros(2), arm, TransmissionObjective(("mz",), length=0.1)
     ) == pytest.approx(0.1 * np.sqrt(2))
 
@@ -81,7 +94,7 @@ def test_searches_leave_the_hand_and_keep_the_limits(wish):
             and (found.value >= found.start).all()
         )
         np.testing.assert_allclose(
-            found.value, force_transmission.transmission_measure(found.q, PANDA, wish), rtol=1e-12
+            found.value, force_transmission_and_exertable_wrench.transmission_measure(found.q, PANDA, wish), rtol=1e-12
         )
         np.testing.assert_allclose(
             pose_difference(mechanism.forward(q, PANDA), mechanism.forward(found.q, PANDA)), 0, atol=1e-9
@@ -101,7 +114,7 @@ def test_global_search_is_the_best_of_the_traced_self_motion():
             for k in (0, -1)
         ]
         assert all(ends) or np.linalg.norm(np.sin((path[0] - path[-1]) / 2)) < 2 * null_space_search.TRACE
-        reached = force_transmission.transmission_measure(path, PANDA, wish).max()
+        reached = force_transmission_and_exertable_wrench.transmission_measure(path, PANDA, wish).max()
         assert reached <= value <= reached * 1.001
 
 
@@ -117,7 +130,7 @@ def test_a_full_turn_of_the_elbow_is_traced_once():
 def test_a_limit_suffices():
     q = configurations(PANDA, 20, np.random.default_rng(4), 0.9)
     wish = TransmissionObjective(("fy",))
-    limit = float(np.median(force_transmission.transmission_measure(q, PANDA, wish)))
+    limit = float(np.median(force_transmission_and_exertable_wrench.transmission_measure(q, PANDA, wish)))
     found = null_space_search.gradient_search(q, PANDA, wish, sufficient_value=limit)
     already = found.start > limit
     assert (
@@ -131,10 +144,10 @@ def test_a_six_joint_arm_may_turn_its_hand_only():
     q = configurations(UR10, 5, np.random.default_rng(5), 0.3)
     with pytest.raises(RigError, match="6 joints hold the hand's pose with none to spare"):
         null_space_search.gradient_search(q, UR10, TransmissionObjective(("fy",)))
-    found = null_space_search.gradient_search(q, UR10, TransmissionObjective(("fy",)), held="position")
+    found = null_space_search.gradient_search(q, UR10, TransmissionObjective(("fy",)), fixed_hand_part="position")
     assert found.moved[:, 0].max() < 1e-9 and (found.value > found.start).all()
     with pytest.raises(RigError, match="3 dimensions"):
-        null_space_search.global_search(q, UR10, TransmissionObjective(("fy",)), held="position")
+        null_space_search.global_search(q, UR10, TransmissionObjective(("fy",)), fixed_hand_part="position")
 
 
 def test_a_start_beyond_its_limits_is_refused():
@@ -144,7 +157,7 @@ def test_a_start_beyond_its_limits_is_refused():
 
 def links(rng, n=7):
     half = rng.normal(size=(n, 3, 3))
-    return arm_dynamics.Links(
+    return arm_dynamics_and_step_by_step_kinematics.LinkMasses(
         rng.uniform(1, 4, n), 0.1 * rng.normal(size=(n, 3)), 0.01 * half @ np.swapaxes(half, 1, 2)
     )
 
@@ -162,22 +175,27 @@ def test_weight_and_motion_agree_with_pinocchio():
     data = model.createData()
     q, v, a = rng.normal(size=(3, 20, 7))
     theirs = [pinocchio.rnea(model, data, *state) for state in zip(q, v, a)]
-    np.testing.assert_allclose(arm_dynamics.joint_torques(q, v, a, arm, own, gravity), theirs, atol=1e-10)
+    np.testing.assert_allclose(
+        arm_dynamics_and_step_by_step_kinematics.joint_torques(q, v, a, arm, own, gravity), theirs, atol=1e-10
+    )
 
 
 def test_stated_covariance_of_a_wrench_covers_its_scatter():
     rng = np.random.default_rng(7)
     count, own, gravity = 4000, links(rng), np.array([0, 0, -9.80665])
     q = configurations(PANDA, count, rng, 0.8)
-    q = q[force_transmission.transmission_measure(q, PANDA, TransmissionObjective()) > 1e-4]
+    q = q[force_transmission_and_exertable_wrench.transmission_measure(q, PANDA, TransmissionObjective()) > 1e-4]
     v, a = rng.normal(size=(2, *q.shape))
     true = rng.normal(size=(len(q), 6)) * [20, 20, 20, 3, 3, 3]
     half = 0.1 * (np.eye(7) + 0.3 * rng.normal(size=(7, 7)))
     noise = rng.normal(size=q.shape) @ half.T
     pushed = np.einsum("mai,ma->mi", mechanism.jacobian(q, PANDA, "base"), true)
-    measured = arm_dynamics.joint_torques(q, v, a, PANDA, own, gravity) - pushed + noise
-    found = wrench_from_torques.estimate_wrench(
-        wrench_from_torques.external_joint_torques(measured, q, v, a, PANDA, own, gravity), q, PANDA, half @ half.T
+    measured = arm_dynamics_and_step_by_step_kinematics.joint_torques(q, v, a, PANDA, own, gravity) - pushed + noise
+    found = wrench_estimation_from_torques.estimate_wrench(
+        wrench_estimation_from_torques.external_joint_torques(measured, q, v, a, PANDA, own, gravity),
+        q,
+        PANDA,
+        half @ half.T,
     )
     error = found.value - true
     inside = np.einsum("mi,mij,mj->m", error, np.linalg.inv(found.covariance), error) < chi2.ppf(0.95, 6)
@@ -189,14 +207,14 @@ def test_stated_covariance_of_a_wrench_covers_its_scatter():
 def test_equal_sensors_give_the_plain_pseudo_inverse():
     q = configurations(PANDA, 1, np.random.default_rng(8), 0.7)[0]
     tau = np.arange(7.0)
-    found = wrench_from_torques.estimate_wrench(tau, q, PANDA, 0.01 * np.eye(7))
+    found = wrench_estimation_from_torques.estimate_wrench(tau, q, PANDA, 0.01 * np.eye(7))
     np.testing.assert_allclose(found.value, np.linalg.pinv(mechanism.jacobian(q, PANDA, "base").T) @ tau, rtol=1e-9)
 
 
 def test_a_blind_posture_names_what_it_does_not_feel():
     stretched = np.zeros(7)  # every axis meets the line of the arm
     with pytest.raises(RigError, match=r"posture 0 is blind to \("):
-        wrench_from_torques.estimate_wrench(np.zeros(7), stretched, SEVEN, np.eye(7))
+        wrench_estimation_from_torques.estimate_wrench(np.zeros(7), stretched, SEVEN, np.eye(7))
 
 
 def test_motions_end_in_the_posture():
@@ -236,7 +254,9 @@ def test_the_command_finds_and_certifies(capsys, tmp_path):
     np.testing.assert_allclose(pose_to_vector(mechanism.forward(q, PANDA)), np.array(POSE.split(","), float), atol=1e-9)
     assert (
         tree["value"]
-        == pytest.approx(force_transmission.transmission_measure(q, PANDA, TransmissionObjective(("fy",))))
+        == pytest.approx(
+            force_transmission_and_exertable_wrench.transmission_measure(q, PANDA, TransmissionObjective(("fy",)))
+        )
         and tree["value"] > tree["start"]["value"]
     )
     assert (

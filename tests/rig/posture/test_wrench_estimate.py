@@ -15,19 +15,28 @@ from rig.errors import FileError, RigError
 from rig.formats import csv_table
 from rig.formats.rig_toml import arm_dynamics_entries
 from rig.model.mechanisms import arm as mechanism
-from rig.model.mechanisms import arm_dynamics
-from rig.model.mechanisms import arm_dynamics as dynamics
+from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
+from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics as dynamics
 from rig.model.pose import pose_difference
-from rig.posture import exertable_wrench, momentum_observer, null_space_search, posture_transition
-from rig.posture.exertable_wrench import Exertion, Strength
+from rig.posture import (
+    force_transmission_and_exertable_wrench,
+    null_space_search,
+    posture_transition,
+    wrench_estimation_from_torques,
+)
 from rig.posture.external_wrench import SETTLED
-from rig.posture.force_transmission import DIRECTIONS, TransmissionObjective
-from tests.numeric import jacobian
+from rig.posture.force_transmission_and_exertable_wrench import (
+    DIRECTIONS,
+    ExertionObjective,
+    TorqueBounds,
+    TransmissionObjective,
+)
+from tests.numerical_derivatives import jacobian
 from tests.rig.arms import UR10, configurations
 
 DESIGN, DYNAMICS = arm_dynamics_entries.load_arm_dynamics(files("rig") / "arms" / "panda.toml")
 PANDA, LINKS, GRAVITY = DESIGN.mechanism, DYNAMICS.links, DESIGN.gravity
-STRENGTH = Strength(DYNAMICS.torque_limits, LINKS, GRAVITY)
+STRENGTH = TorqueBounds(DYNAMICS.torque_limits, LINKS, GRAVITY)
 RATES = np.repeat([20.0, 2.0], 3)  # N, Nm per root second
 SIGMAS = np.full(7, 0.1), np.full(7, 1e-5), np.full(7, 2e-3)
 POSE = "0.4,0.1,0.5,3.0,0.2,0"
@@ -60,9 +69,9 @@ def coverage(records, seed):
     many records.
     """
     t, q, v, torque, wrench = moved(np.random.default_rng(seed), records, 90)
-    seen = momentum_observer.observe_wrench(
-        momentum_observer.observer_model(
-            momentum_observer.Motion(t, q, v, True, torque), PANDA, LINKS, GRAVITY, SIGMAS
+    seen = wrench_estimation_from_torques.observe_wrench(
+        wrench_estimation_from_torques.momentum_observer_model(
+            wrench_estimation_from_torques.ArmMotion(t, q, v, True, torque), PANDA, LINKS, GRAVITY, SIGMAS
         ),
         RATES,
     )
@@ -93,14 +102,20 @@ def test_momentum_changes_by_what_is_said():
     q, v, a = configurations(PANDA, 4, rng, 0.7), rng.normal(size=(4, 7)), rng.normal(size=(4, 7))
 
     def moments(s):
-        return np.einsum("mij,mj->mi", arm_dynamics.mass_matrix(q + s * v + s**2 / 2 * a, PANDA, LINKS), v + s * a)
+        return np.einsum(
+            "mij,mj->mi",
+            arm_dynamics_and_step_by_step_kinematics.mass_matrix(q + s * v + s**2 / 2 * a, PANDA, LINKS),
+            v + s * a,
+        )
 
     change = (moments(1e-5) - moments(-1e-5)) / 2e-5
     torque = dynamics.joint_torques(q, v, a, PANDA, LINKS, GRAVITY)
     np.testing.assert_allclose(
-        torque + arm_dynamics.torque_free_momentum_rate(q, v, PANDA, LINKS, GRAVITY), change, atol=1e-6
+        torque + arm_dynamics_and_step_by_step_kinematics.torque_free_momentum_rate(q, v, PANDA, LINKS, GRAVITY),
+        change,
+        atol=1e-6,
     )
-    M = arm_dynamics.mass_matrix(q, PANDA, LINKS)
+    M = arm_dynamics_and_step_by_step_kinematics.mass_matrix(q, PANDA, LINKS)
     np.testing.assert_allclose(M, np.swapaxes(M, 1, 2), atol=1e-12)
     assert np.linalg.eigvalsh(M).min() > 0
 
@@ -120,30 +135,34 @@ def test_greatest_forces_are_those_of_linear_programming():
         low, high = STRENGTH.box(one, PANDA)
         assert (low < 0).all() and (high > 0).all()
         A = mechanism.jacobian(one, PANDA, "base").T[:, :3]
-        every = exertable_wrench.force_polytope_corners(A, low, high)
+        every = force_transmission_and_exertable_wrench.force_polytope_corners(A, low, high)
         for direction in rng.normal(size=(4, 3)):
             assert (every @ direction).max() == pytest.approx(programmed(A, low, high, direction), rel=1e-9)
             wrench = np.r_[direction, 0, 0, 0]
             along = programmed((A @ direction)[:, None], low, high, np.ones(1))
-            assert Exertion(wrench, STRENGTH).value(one, PANDA) == pytest.approx(along, rel=1e-9)
-        least, weak = exertable_wrench.weakest_force_direction(A, low, high)
+            assert ExertionObjective(wrench, STRENGTH).value(one, PANDA) == pytest.approx(along, rel=1e-9)
+        least, weak = force_transmission_and_exertable_wrench.weakest_force_direction(A, low, high)
         rays = (
-            exertable_wrench.greatest_load_multiple(np.vstack([rng.normal(size=(2000, 3)), weak]) @ A.T, low, high)
+            force_transmission_and_exertable_wrench.greatest_load_multiple(
+                np.vstack([rng.normal(size=(2000, 3)), weak]) @ A.T, low, high
+            )
             * np.r_[np.ones(2000), 1.0]
         )
         assert (
-            exertable_wrench.greatest_load_multiple(A @ weak, low, high)
+            force_transmission_and_exertable_wrench.greatest_load_multiple(A @ weak, low, high)
             == pytest.approx(least, rel=1e-9)
             == pytest.approx(rays[-1], rel=1e-9)
         )
         unit = rng.normal(size=(2000, 3))
         unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-        assert exertable_wrench.greatest_load_multiple(unit @ A.T, low, high).min() >= least * (1 - 1e-12)
+        assert force_transmission_and_exertable_wrench.greatest_load_multiple(unit @ A.T, low, high).min() >= least * (
+            1 - 1e-12
+        )
 
 
 def test_a_posture_is_found_that_exerts_more_and_its_slope_is_that_of_differences():
     wish, q = (
-        Exertion(np.array([0, 0, -30.0, 0, 0, 0]), STRENGTH),
+        ExertionObjective(np.array([0, 0, -30.0, 0, 0, 0]), STRENGTH),
         configurations(PANDA, 4, np.random.default_rng(3), 0.7),
     )
     np.testing.assert_allclose(
@@ -158,16 +177,18 @@ def test_a_posture_is_found_that_exerts_more_and_its_slope_is_that_of_difference
 
 
 def test_a_weight_that_cannot_be_held_is_negative_and_said():
-    feeble = Strength(np.full(7, 5.0), LINKS, GRAVITY)
+    feeble = TorqueBounds(np.full(7, 5.0), LINKS, GRAVITY)
     q = np.array([0, 0.5, 0, -1.5, 0, 1.5, 0.0])
-    assert Exertion(np.eye(6)[2], feeble).value(q, PANDA) < 0
+    assert ExertionObjective(np.eye(6)[2], feeble).value(q, PANDA) < 0
     with pytest.raises(RigError, match="bears any force along"):
-        exertable_wrench.force_polytope_corners(np.eye(7, 3) * [1, 1, 0], -np.ones(7), np.ones(7))
+        force_transmission_and_exertable_wrench.force_polytope_corners(
+            np.eye(7, 3) * [1, 1, 0], -np.ones(7), np.ones(7)
+        )
 
 
 def test_the_hand_may_move_while_its_orientation_is_held():
     q = configurations(UR10, 4, np.random.default_rng(5), 0.3)
-    found = null_space_search.gradient_search(q, UR10, TransmissionObjective(("fy",)), held="orientation")
+    found = null_space_search.gradient_search(q, UR10, TransmissionObjective(("fy",)), fixed_hand_part="orientation")
     assert found.moved[:, 1].max() < 1e-9 and found.moved[:, 0].min() > 1e-3 and (found.value > found.start).all()
     rows = posture_transition.motion_with_hand_still(q[0], found.q[0], UR10, "orientation")
     turned = pose_difference(mechanism.forward(q[0], UR10), mechanism.forward(rows, UR10))[:, 3:]
@@ -244,9 +265,11 @@ def test_the_best_of_postures_visited_is_gone_back_to_the_way_it_came(tmp_path, 
         == 0
     )
     tree = json.loads(capsys.readouterr().out)
-    from rig.posture import force_transmission
+    from rig.posture import force_transmission_and_exertable_wrench
 
-    value = force_transmission.transmission_measure(visited[:-1], PANDA, TransmissionObjective(("fz",)))
+    value = force_transmission_and_exertable_wrench.transmission_measure(
+        visited[:-1], PANDA, TransmissionObjective(("fz",))
+    )
     assert (
         tree["frame"] == value.argmax()
         and tree["value"] == pytest.approx(value.max(), rel=1e-6)

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from rig.cli.command_line import main
-from rig.effects.framework.parameter import Drawing
-from rig.effects.texts.effect_notation import parse_effect
+from rig.effects.framework.effect_data_types import Drawing
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.model import motion_simulation
 from rig.model.pose import exp, pose, pose_to_vector
 from rig.recording import recording_folder as recording
-from rig.recording.combined_recordings import camera_owners_by_design, join_recordings
+from rig.recording.combined_recordings import camera_owner_recordings, join_recordings
 from rig.recording.exposures_and_images import Exposures
 from rig.recording.recording_folder import Commands, Recording
 from tests.rig.effects.test_effects_of_all_machines import MOVING, context_of, setting_of
@@ -49,7 +49,7 @@ def two(design):
         )
         for k in range(2)
     ]
-    return parts, join_recordings(parts, camera_owners_by_design(parts))
+    return parts, join_recordings(parts, camera_owner_recordings(parts))
 
 
 @pytest.mark.parametrize("kind", BOTH, ids=lambda kind: kind.name)
@@ -75,7 +75,7 @@ def test_had_it_gone_on_remembering_that_would_show(two, text):
 
 def positions(recorded, commands, effect):
     """(n, 3) m where the platform of a recording's rig stands at its exposures."""
-    return motion_simulation.run_machine(
+    return motion_simulation.simulate_machine_run(
         recorded.design, commands, recorded.exposures.times()[1], (effect,), recorded.sensors
     ).T_base_platform.translation
 
@@ -130,8 +130,8 @@ def test_a_camera_stated_with_another_lens_is_another_camera(recording_folder, t
     text = (tmp_path / "again" / "rig.toml").read_text()
     (tmp_path / "again" / "rig.toml").write_text(text.replace("[-0.1, 0.08,", "[-0.12, 0.08,", 1))
     parts = [recording.load_recording(recording_folder), recording.load_recording(tmp_path / "again")]
-    assert camera_owners_by_design(parts)[1] == {"cam0": 1, "cam1": 0, "cam2": 0}
-    both = join_recordings(parts, camera_owners_by_design(parts))
+    assert camera_owner_recordings(parts)[1] == {"cam0": 1, "cam1": 0, "cam2": 0}
+    both = join_recordings(parts, camera_owner_recordings(parts))
     assert [c.name for c in both.design.cameras] == ["cam0", "cam1", "cam2", "cam0@2"]
     assert set(np.array(both.corners.camera)[both.corners.frame >= 10]) == {"cam0@2", "cam1", "cam2"}
 

@@ -10,8 +10,8 @@ import pytest
 from rig.errors import FileError
 from rig.recording import recording_folder as recording
 from rig.recording import recording_tables
-from rig.recording.time_origin import Origin
-from tests.origins import ORIGINS, counted_from
+from rig.recording.time_origin import TimeOrigin
+from tests.shifted_clock import ORIGINS, counted_from
 
 
 @pytest.mark.parametrize("origin", [*ORIGINS, "-86400.5", "1700000000.123456789"])
@@ -43,7 +43,7 @@ def test_a_measured_recording_keeps_the_owners_clock(recording_folder, tmp_path)
 
 
 def test_nanoseconds_of_a_clock_that_counts_from_1970_are_kept():
-    origin, texts = Origin(Decimal("1700000000.000000001")), [f"170000{k:04d}.{k:09d}" for k in range(1, 2000, 7)]
+    origin, texts = TimeOrigin(Decimal("1700000000.000000001")), [f"170000{k:04d}.{k:09d}" for k in range(1, 2000, 7)]
     t = origin.seconds(texts)
     assert [Decimal(origin.text(s)).quantize(Decimal("1e-9")) for s in t] == [Decimal(text) for text in texts]
 

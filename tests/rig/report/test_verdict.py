@@ -8,11 +8,23 @@ import pytest
 
 from rig.cli.command_line import main
 from rig.errors import FileError
-from rig.formats.output_files import Outputs
-from rig.report.pages.page_and_svg_templates import Page, write_page
-from rig.report.pages.page_index import read_page_summary
-from rig.report.refutations import NAME, Refutation, add_refutation, load_refutations, refutations_of_file
-from rig.report.verdict import BALANCE, Evidence, Missing, State, Verdict, exit_status, judge_evidence, worst_state
+from rig.formats.output_files import CommandOutputs
+from rig.report.pages.page_templates_and_page_index import Page, read_page_summary, write_page
+from rig.report.verdict_and_refutations_of_results import (
+    BALANCE,
+    NAME,
+    Evidence,
+    MissingEvidence,
+    Refutation,
+    State,
+    Verdict,
+    add_refutation,
+    exit_status,
+    judge_evidence,
+    load_refutations,
+    refutations_of_file,
+    worst_state,
+)
 
 FINE = Evidence("12 times better", ("go on: `rig x`",), held_out=1.1)
 
@@ -43,7 +55,7 @@ def test_good_needs_everything():
         {"unexplained": ("strut 3 depends on direction",)},
         {"confounds": ("play and place cannot be separated",)},
         {"held_out": 1.3},
-        {"missing": (Missing("no scale is certified", "certify it"),)},
+        {"missing": (MissingEvidence("no scale is certified", "certify it"),)},
     ):
         verdict = judge_evidence(
             Evidence(**({"statement": FINE.statement, "steps": FINE.steps, "held_out": 1.1} | doubt))
@@ -74,7 +86,7 @@ def test_a_refuted_file_is_known_by_its_content(tmp_path):
     path = tmp_path / "calibration.json"
     path.write_text("{}")
     for recording in ("ladder", "other", "ladder"):
-        with Outputs("verify") as outputs:
+        with CommandOutputs("verify") as outputs:
             add_refutation(outputs.file(tmp_path / NAME, own=True), tmp_path, refutation(path, recording))
     assert [one.recording for one in refutations_of_file(path)] == ["other", "ladder"]
     assert (
@@ -91,7 +103,7 @@ def test_an_index_shows_what_was_refuted_later(tmp_path, capsys):
     write_page(
         tmp_path / "calibration.html", Page("calibrate", "Calibration", Verdict(State.GOOD, "347 times better"), [])
     )
-    with Outputs("verify") as outputs:
+    with CommandOutputs("verify") as outputs:
         add_refutation(outputs.file(tmp_path / NAME, own=True), tmp_path, refutation(path))
     found = read_page_summary(tmp_path / "calibration.html")
     assert (

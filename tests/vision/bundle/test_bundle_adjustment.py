@@ -9,13 +9,13 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.errors import NotEnoughData
 from rig.model.pose import exp, log, pose_difference
-from tests.vision.scenes import known, scene
-from vision.bundle.adjustment_validation import determined_combinations
+from tests.vision.drawn_observations import known, scene
+from vision.bundle.adjustment_validation_and_determinacy import determined_combinations
 from vision.bundle.bundle_adjustment import adjust_bundle
 from vision.bundle.normal_equations import linearise
 from vision.bundle.unknown_priors import TERM_PRIOR, adjustment_unknowns
 from vision.bundle.unknowns_and_estimate import align_points, offset_from_stated, update_estimate
-from vision.corner_observations import corner_covariance_rows, whitener
+from vision.corner_observations import corner_correlation_rows, whitener_of_observations
 from vision.predict import State, predict_corners
 from vision.targets import marker_map
 
@@ -31,7 +31,7 @@ def start(stated, true, T, seed=0):
 
 
 def whitened(observations, state):
-    return whitener(observations)(observations.uv - predict_corners(observations, state)[0])
+    return whitener_of_observations(observations)(observations.uv - predict_corners(observations, state)[0])
 
 
 EVERYTHING = ("poses", "lenses", "markers", "targets")
@@ -51,7 +51,7 @@ def test_jacobian_agrees_with_differences(setting, moving, correlated, free):
     if correlated:
         root = np.random.default_rng(8).normal(size=(len(observations) // 4, 8, 8)) + 3 * np.eye(8)
         observations = replace(
-            observations, correlation=corner_covariance_rows(root @ np.swapaxes(root, 1, 2)).reshape(-1, 2, 8)
+            observations, correlation=corner_correlation_rows(root @ np.swapaxes(root, 1, 2)).reshape(-1, 2, 8)
         )
         observations = observations.take(np.arange(len(observations)) % 7 != 0)
     state = with_markers(start(stated, true, T), stated)
@@ -62,7 +62,7 @@ def test_jacobian_agrees_with_differences(setting, moving, correlated, free):
     estimate = update_estimate(
         estimate, u, 1e-3 * rng.normal(size=u.shared), np.zeros((6, u.local))
     )  # not where moves are still zero
-    _, found = linearise(observations, estimate, u, whitener(observations))
+    _, found = linearise(observations, estimate, u, whitener_of_observations(observations))
     shared, local = rng.normal(size=u.shared), rng.normal(size=(6, u.local))
     h = 1e-5
     up, down = (

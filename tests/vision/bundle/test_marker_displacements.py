@@ -9,12 +9,12 @@ import pytest
 
 from rig.formats.rig_toml import camera_instrument_and_cube_entries, design_file
 from rig.model.pose import log, pose_difference
-from tests.vision.tumbling import scene
-from vision.bundle.adjustment_validation import crossvalidate_adjustment, determined_combinations
+from tests.vision.tumbling_block import scene
+from vision.bundle.adjustment_validation_and_determinacy import crossvalidate_adjustment, determined_combinations
 from vision.bundle.bundle_adjustment import adjust_bundle
 from vision.bundle.marker_displacements import adjusted_markers, compare_stated_and_adjusted_places
 from vision.bundle.unknowns_and_estimate import align_points
-from vision.recording_adjustment import measure
+from vision.recording_adjustment import measure_observations
 from vision.recording_measurement import unsolved_frames_with_enough_markers
 from vision.targets import marker_map
 
@@ -24,7 +24,7 @@ FREE = ("lenses", "markers")
 @pytest.fixture(scope="module")
 def worked():
     observations, stated, true, t = scene(1)
-    return observations, stated, true, t, measure(observations, stated, marker_map(stated), FREE, t=t)
+    return observations, stated, true, t, measure_observations(observations, stated, marker_map(stated), FREE, t=t)
 
 
 def datums(measured, true):
@@ -86,7 +86,7 @@ def test_the_statement_names_who_holds_the_frames(worked):
 
 def test_stated_places_that_contradict_are_told(worked):
     observations, stated, true, t, _ = worked
-    m = measure(observations, stated, marker_map(stated), ("lenses",), t=t)
+    m = measure_observations(observations, stated, marker_map(stated), ("lenses",), t=t)
     assert len(unsolved_frames_with_enough_markers(m)) > 0.05 * len(t) and len(m.frames) < len(worked[-1].frames)
 
 
@@ -99,8 +99,8 @@ def test_one_sighting_counts_only_where_neighbours_confirm_it(worked):
     mine = (observations.frame == f) & observations.on_platform
     one = observations.marker == observations.marker[mine][0]
     alone = observations.take(~mine | one)
-    timed = measure(alone, stated, marker_map(stated), FREE, t=t)
-    untimed = measure(alone, stated, marker_map(stated), FREE)
+    timed = measure_observations(alone, stated, marker_map(stated), FREE, t=t)
+    untimed = measure_observations(alone, stated, marker_map(stated), FREE)
     assert f in timed.frames and "single sighting" in untimed.unsolved[f]
     k, j = timed.frames.tolist().index(f), m.frames.tolist().index(f)
     assert np.linalg.norm(pose_difference(timed.T_base_platform[k], m.T_base_platform[j])[3:]) < 0.2

@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.model.manufacturing_tolerances import PLACES, SIDES
+from rig.model.marker_and_sensor_tolerances import PLACES, SIDES
 from rig.model.pose import exp, pose_difference
-from tests.numeric import jacobian
-from tests.vision.scenes import nees, scene, standing
+from tests.numerical_derivatives import jacobian
+from tests.vision.drawn_observations import nees, scene, standing
 from tests.vision.test_recording_adjustment import joint_chi2
 from vision.bundle.normal_equations import linearise
 from vision.bundle.printing_errors import Printing
 from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.bundle.unknowns_and_estimate import offset_from_stated, update_estimate
-from vision.corner_observations import whitener
+from vision.corner_observations import whitener_of_observations
 from vision.predict import State, predict_corners
-from vision.recording_adjustment import measure
+from vision.recording_adjustment import measure_observations
 from vision.targets import marker_map
 
 FREE = ("poses", "lenses")
@@ -51,7 +51,7 @@ def test_derivatives_of_prints_agree_with_differences(design):
     u, estimate = adjustment_unknowns(
         observations, state, replace(state, markers=marker_map(stated)), FREE, printing=Printing(1.0, 0.5, 1.0, 1.0)
     )
-    W, rng = whitener(observations), np.random.default_rng(2)
+    W, rng = whitener_of_observations(observations), np.random.default_rng(2)
     _, found = linearise(observations, estimate, u, W)
     shared, local, h = rng.normal(size=u.shared), np.zeros((3, u.local)), 1e-3
     up, down = (
@@ -93,7 +93,7 @@ def test_poses_own_up_to_how_markers_are_printed(design):
     chi2, alone, count, told = 0.0, [], 0, []
     for seed in range(200, 206):
         observations, stated, T = off_recording(design, seed)
-        m = measure(observations, stated, marker_map(stated))
+        m = measure_observations(observations, stated, marker_map(stated))
         errors = pose_difference(m.T_base_platform, T[m.frames])
         chi2, count = chi2 + joint_chi2(m, errors), count + len(errors)
         alone.append(np.mean(nees(errors, m.covariance)) / 6)
@@ -109,7 +109,7 @@ def test_prints_are_told_from_what_the_pixel_grid_does_to_corners_that_stand_sti
     chi2, count = 0.0, 0
     for seed in range(200, 203):
         observations, stated, T = off_recording(design, seed)
-        m = measure(standing(observations, np.random.default_rng(seed), 0.006), stated, marker_map(stated))
+        m = measure_observations(standing(observations, np.random.default_rng(seed), 0.006), stated, marker_map(stated))
         chi2, count = chi2 + joint_chi2(m, pose_difference(m.T_base_platform, T[m.frames])), count + len(T)
         assert m.standing == pytest.approx(0.006, rel=0.15)
         assert m.adjustment.printing.place == pytest.approx(0.6, rel=0.25) and not m.adjustment.printing.turn
@@ -119,4 +119,4 @@ def test_prints_are_told_from_what_the_pixel_grid_does_to_corners_that_stand_sti
 def test_markers_printed_as_stated_are_taken_as_stated(design):
     for seed in range(300, 302):
         observations, stated, *_ = scene(design, seed, frames=20, noise=0.02)
-        assert measure(observations, stated, marker_map(stated)).adjustment.printing is None
+        assert measure_observations(observations, stated, marker_map(stated)).adjustment.printing is None

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.vision.scenes import known, scene
+from tests.vision.drawn_observations import known, scene
 from vision.bundle import bundle_adjustment as adjusting
 from vision.bundle.normal_equations import linearise, normal_equations
 from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.bundle.unknowns_and_estimate import offset_from_stated
-from vision.corner_observations import corner_covariance_rows, merge_repeated_corners, whitener
+from vision.corner_observations import corner_correlation_rows, merge_repeated_corners, whitener_of_observations
 from vision.predict import State
 
 
@@ -33,7 +33,7 @@ def test_cost_and_normal_equations_are_the_same(setting):
     u, estimate = adjustment_unknowns(observations, state, state, ("poses", "lenses"))
     both = []
     for o, rest in ((observations, 0.0), (few, spare)):
-        residual, derivatives = linearise(o, estimate, u, whitener(o))
+        residual, derivatives = linearise(o, estimate, u, whitener_of_observations(o))
         both.append(
             (
                 normal_equations(o, derivatives, u, offset_from_stated(estimate, state, u)),
@@ -64,7 +64,7 @@ def test_what_hangs_together_and_what_moves_stays_as_it_is(setting):
     m = -(-len(observations) // 4)
     tied = replace(
         observations,
-        correlation=corner_covariance_rows(np.tile(np.eye(8), (m, 1, 1))).reshape(-1, 2, 8)[: len(observations)],
+        correlation=corner_correlation_rows(np.tile(np.eye(8), (m, 1, 1))).reshape(-1, 2, 8)[: len(observations)],
     )
     assert merge_repeated_corners(tied, state) == (tied, 0.0)
     moving = replace(state, moving={0: state.platform})

@@ -6,10 +6,10 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from tests.vision.corners.sheet import NAME, sheet
-from tests.vision.pictures import SIZE, camera, picture, quad
+from tests.vision.exact_pictures import SIZE, camera, picture, quad
 from vision import lens
 from vision.corners.marker_detection import detect_markers, fit_read_markers
-from vision.corners.marker_reader import ReadMarkers
+from vision.corners.whole_image_marker_reader import ReadMarkers
 
 
 def test_noise_free_corners_are_exact(design):

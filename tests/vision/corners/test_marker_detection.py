@@ -9,9 +9,9 @@ import pytest
 from rig.model.design import DICTIONARIES, Marker, Target
 from rig.model.pose import pose
 from tests.vision.corners.sheet import NAME, sheet
-from tests.vision.pictures import SIZE, camera, picture, quad
+from tests.vision.exact_pictures import SIZE, camera, picture, quad
 from vision.corners.marker_detection import detect_markers, fit_read_markers
-from vision.corners.marker_reader import ReadMarkers
+from vision.corners.whole_image_marker_reader import ReadMarkers
 from vision.predict import markers_expected_in_image
 from vision.targets import marker_map
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tests.vision.corners.sheet import NAME, sheet
-from tests.vision.pictures import quad
-from vision.corners.marker_reader import read_markers
+from tests.vision.exact_pictures import quad
+from vision.corners.whole_image_marker_reader import read_markers
 from vision.targets import marker_cells
 
 FINE = 12  # texture pixels to a cell

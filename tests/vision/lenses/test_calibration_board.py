@@ -12,7 +12,7 @@ from scipy.stats import multivariate_normal
 from rig.errors import RigError
 from rig.model.design import Camera
 from rig.model.pose import pose, transform_points
-from tests.numeric import jacobian
+from tests.numerical_derivatives import jacobian
 from vision import lens
 from vision.lenses import chessboard_corner
 from vision.lenses.calibration_board import find_board_corners, parse_board
@@ -90,17 +90,17 @@ def test_share_is_the_bivariate_normals():
     h, k = rng.uniform(-3, 3, (2, 20))
     for rho in (-0.7, 0.0, 0.4):
         normal = multivariate_normal([0, 0], [[1, rho], [rho, 1]])
-        value, dh, dk, dr = chessboard_corner.crossing_whiteness(h, k, rho)
+        value, dh, dk, dr = chessboard_corner.crossing_white_share(h, k, rho)
         expected = [normal.cdf([a, b]) + normal.cdf([-a, -b]) for a, b in zip(h, k)]
         np.testing.assert_allclose(value, expected, atol=1e-6)
         np.testing.assert_allclose(
-            np.diagonal(jacobian(lambda x, r=rho: chessboard_corner.crossing_whiteness(x, k, r)[0], h)), dh, atol=1e-6
+            np.diagonal(jacobian(lambda x, r=rho: chessboard_corner.crossing_white_share(x, k, r)[0], h)), dh, atol=1e-6
         )
         np.testing.assert_allclose(
-            np.diagonal(jacobian(lambda x, r=rho: chessboard_corner.crossing_whiteness(h, x, r)[0], k)), dk, atol=1e-6
+            np.diagonal(jacobian(lambda x, r=rho: chessboard_corner.crossing_white_share(h, x, r)[0], k)), dk, atol=1e-6
         )
         np.testing.assert_allclose(
-            jacobian(lambda r: chessboard_corner.crossing_whiteness(h, k, r[0])[0], np.array([rho]))[:, 0],
+            jacobian(lambda r: chessboard_corner.crossing_white_share(h, k, r[0])[0], np.array([rho]))[:, 0],
             dr,
             atol=1e-6,
         )

@@ -13,7 +13,7 @@ from vision import lens
 from vision.lenses.calibration_board import BoardView, parse_board
 from vision.lenses.lens_calibration import (
     calibrate_lens,
-    choose_lens_model,
+    choose_simplest_adequate_lens_model,
     cross_validate_lens,
     observations_from_board_views,
     projection_uncertainty,
@@ -60,11 +60,11 @@ def test_the_simplest_model_that_serves_is_taken():
     o = observations_from_board_views(views(3), BOARD)
     inliers = np.ones(len(o), bool)
     held = [cross_validate_lens(o, TRUE.width, TRUE.height, terms, inliers) for terms in (0, 4, 5)]
-    assert held[0].rms > 5 * held[1].rms and choose_lens_model(held).terms in (4, 5)
+    assert held[0].rms > 5 * held[1].rms and choose_simplest_adequate_lens_model(held).terms in (4, 5)
     assert held[1].rms == pytest.approx(0.05, rel=0.1) and held[1].corners == len(o) and len(held[1].by_image) == 12
     straight = observations_from_board_views(views(3, camera=replace(TRUE, distortion=np.zeros(5))), BOARD)
     assert (
-        choose_lens_model(
+        choose_simplest_adequate_lens_model(
             [
                 cross_validate_lens(straight, TRUE.width, TRUE.height, terms, inliers[: len(straight)])
                 for terms in (0, 4)

@@ -7,8 +7,8 @@ import pytest
 
 from rig.model.design import Marker, Target
 from rig.model.pose import pose, pose_difference
-from tests.vision import tumbling
-from tests.vision.scenes import known, nees, scene
+from tests.vision import tumbling_block
+from tests.vision.drawn_observations import known, nees, scene
 from vision.pose.body_pose import View, locate_body, undistort_corners
 from vision.targets import marker_map
 
@@ -133,7 +133,9 @@ def test_a_flip_that_the_image_cannot_exclude_is_said(distance):
     pose is the true one.
     """
     listed = tuple(Marker(k, 0.03, pose([0.04 * k, 0, 0], [0, 0, 0]), 0.003) for k in range(2))
-    markers = marker_map(replace(tumbling.design(), targets=(Target("t", "platform", "DICT_5X5_100", listed=listed),)))
+    markers = marker_map(
+        replace(tumbling_block.design(), targets=(Target("t", "platform", "DICT_5X5_100", listed=listed),))
+    )
     T, points = pose([0, 0, distance], [np.pi - 0.4, 0.1, 0.0]), markers.corners.reshape(-1, 3)
     ahead = T.apply(points)
     said = []

@@ -16,7 +16,7 @@ from tests.vision.reading.test_marker_identity import printed
 from vision.corners import marker_detection
 from vision.reading import expected_marker_places
 from vision.reading import recording_corners as collecting
-from vision.reading.marker_identity import find_suspicious_markers
+from vision.reading.marker_identity_mistakes import find_suspicious_markers
 from vision.reading.recording_corners import LEARN_FROM, collect_corners
 from vision.recording_measurement import measure_recording
 from vision.targets import marker_map

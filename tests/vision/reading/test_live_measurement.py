@@ -20,7 +20,7 @@ from rig.recording import recording_folder
 from synthetic import secret_machine
 from synthetic.emulated_cameras import EmulatedCameras
 from synthetic.image_simulation import Images
-from tests.vision import in_hand
+from tests.vision import camera_on_platform
 from vision.reading import live_measurement as module
 from vision.reading.live_measurement import TAUGHT, Live
 from vision.reading.recording_corners import read_image
@@ -45,7 +45,7 @@ def frames():
 
 def test_frames_do_not_wait_for_the_cameras_to_be_adjusted(frames, monkeypatch):
     design, images = frames
-    gate, measure = threading.Event(), module.measure
+    gate, measure = threading.Event(), module.measure_observations
     monkeypatch.setattr(module, "measure", lambda *arguments: gate.wait(60) and measure(*arguments))
     live, sights = Live(design), []
 
@@ -87,7 +87,7 @@ def test_the_base_is_seen_from_the_platform_while_a_run_goes_on(tmp_path, opengl
     """Through the emulator's eyes: a camera that the platform carries, drawn as the struts stand, and where the
     platform is told by what it sees.
     """
-    (tmp_path / "rig.toml").write_text(in_hand.text())
+    (tmp_path / "rig.toml").write_text(camera_on_platform.text())
     design = design_file.load_design(tmp_path / "rig.toml")
     secret, strokes = secret_machine.draw_machine(design, np.random.default_rng(2)), design.mechanism.strut_range
     goals = sobol_configurations(strokes, TAUGHT[0] + 4, 0.5, 1)

@@ -8,18 +8,18 @@ import pytest
 
 from rig.effects.catalogue.marker_swap import MarkerSwap
 from rig.model.pose import pose_difference
-from tests.vision.scenes import nees, scene
+from tests.vision.drawn_observations import nees, scene
 from vision.predict import markers_expected_in_image
-from vision.reading.marker_identity import Suspect, find_suspicious_markers, no_marker_reason
+from vision.reading.marker_identity_mistakes import Suspect, find_suspicious_markers, no_marker_reason
 from vision.reading.recording_corners import Collected, Unplaced
-from vision.recording_adjustment import measure
+from vision.recording_adjustment import measure_observations
 from vision.targets import marker_cells, marker_map
 
 
 def spoilt(design, spoil=None, repeated=(), read=None, frames=12):
     """(suspects, NEES of the poses) of a recording whose corners were spoilt."""
     observations, stated, _, T = scene(design, 4, frames, spoil=spoil)
-    m = measure(observations, stated, marker_map(design))
+    m = measure_observations(observations, stated, marker_map(design))
     assert len(m.frames) == frames
     return find_suspicious_markers(m, marker_map(design), repeated, read), nees(
         pose_difference(m.T_base_platform, T), m.covariance
@@ -133,7 +133,7 @@ def test_an_identity_that_rig_toml_lacks_is_seen_in_its_place(design):
     a, markers = seen_often(design)[0], marker_map(design)
     observations, stated, true, T = scene(design, 4)
     observations = observations.take(markers.id[observations.marker] != a)
-    m = measure(observations, stated, markers)
+    m = measure_observations(observations, stated, markers)
     cameras = {camera.name: camera for camera in true.cameras}
 
     def read(frame, name):

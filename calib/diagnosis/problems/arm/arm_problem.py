@@ -11,8 +11,8 @@ from calib.diagnosis.engine.cross_validation import (
     FOLDS,
     STRETCHES,
     CrossValidation,
+    make_refit_without_columns,
     signed_rank_gain_in_standard_errors,
-    sizes_without_columns,
     time_stretch_folds,
 )
 from calib.diagnosis.engine.finding_confirmation import labelled_progress
@@ -22,24 +22,24 @@ from calib.diagnosis.engine.problem_interface import Progress, Wald
 from calib.diagnosis.engine.selection_inputs import ARM, SelectionPolicy, StatedTerms
 from calib.diagnosis.engine.term_selection import fit_selected_terms, remove_redundant_terms
 from calib.diagnosis.problems.arm import lack_of_fit as remainder
-from calib.diagnosis.problems.arm.candidate_search import candidate_with_nodes, score_column, search_candidates
+from calib.diagnosis.problems.arm.candidate_search import candidate_with_grid_nodes, score_column, search_candidates
 from calib.diagnosis.problems.arm.joint_candidates import JointCandidate, JointScore
 from calib.diagnosis.problems.arm.linearised_poses import Arms, Geometry
 from calib.diagnosis.problems.arm.nonlinear_parameters import has_continuous_parameters
-from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_poses
-from calib.diagnosis.problems.arm.term_simplification import (
+from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import (
     FINE,
     QUICK,
-    admissible_candidates,
+    candidates_compatible_with_terms,
     merge_sinusoids_into_profiles,
     optimise_terms,
-    refine_profiles,
+    refine_knots_and_parameters,
     simplify_profiles,
 )
-from calib.diagnosis.problems.measured_evidence import HeldOutPoses
+from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_poses
+from calib.diagnosis.problems.evidence_interface import HeldOutPoses
 from calib.samples.pose_samples import time_block_folds
-from rig.arrays import Booleans, Floats, Integers
-from rig.compute.parallel_map import parallel_map
+from rig.array_types import Booleans, Floats, Integers
+from rig.compute.parallel_map_and_dask_cluster import parallel_map
 
 ALIASES = 3  # other orders of a sinusoid that are looked at
 KNOWN = 0.5  # numbers that data must determine of a term for it to be tested
@@ -81,7 +81,7 @@ class ArmProblem:
         return model.linear
 
     def admissible(self, fit: Fit) -> list[JointCandidate]:
-        return admissible_candidates(fit, self.candidates)
+        return candidates_compatible_with_terms(fit, self.candidates)
 
     def search(
         self,
@@ -107,7 +107,7 @@ class ArmProblem:
             if c[i] >= max(c[i - 1], c[i + 1]) and abs(grid[i][name] - own.node[name]) > apart
         ]
         best = sorted(peaks, key=lambda i: -c[i])[:ALIASES]
-        return [other for i in best for other in self.search(model, [candidate_with_nodes(candidate, [grid[i]])])]
+        return [other for i in best for other in self.search(model, [candidate_with_grid_nodes(candidate, [grid[i]])])]
 
     def column(self, model: Fit, score: JointScore) -> Column:
         return score_column(model, score)
@@ -116,7 +116,7 @@ class ArmProblem:
         return fit.with_terms([Term.of(score)])
 
     def companion(self, fit: Fit, score: JointScore) -> JointScore | None:
-        again = self.search(fit, [candidate_with_nodes(score.candidate, [score.node])])
+        again = self.search(fit, [candidate_with_grid_nodes(score.candidate, [score.node])])
         return replace(again[0], candidate=score.candidate) if again else None
 
     def remove_term(self, fit: Fit, number: int) -> Fit:
@@ -129,7 +129,7 @@ class ArmProblem:
         return fit_poses(self.arms, terms, self.train, now.weighing, rounds=QUICK)
 
     def refine_terms(self, fit: Fit) -> Fit:
-        return refine_profiles(fit, self.train, self.policy)
+        return refine_knots_and_parameters(fit, self.train, self.policy)
 
     def simplify_terms(self, now: Fit) -> Fit:
         now = merge_sinusoids_into_profiles(now, self.candidates, self.train, self.policy, self.given)
@@ -173,7 +173,7 @@ class ArmProblem:
             fold[order] = time_block_folds(len(order), FOLDS)
         parts = [now.X.take(fold == f) for f in np.unique(fold)]
         rows = [fold == f for f in np.unique(fold)]
-        sizes = sizes_without_columns(
+        sizes = make_refit_without_columns(
             [p.gram() for p in parts],
             [p.onto(target[r][..., None])[:, 0] for p, r in zip(parts, rows)],
             now.information,
@@ -200,8 +200,10 @@ class ArmProblem:
 
     def lack_of_fit(self, model: Fit, place: str | None = None) -> list[LackOfFit]:
         if place is None:
-            return remainder.lack_of_fit(model, cluster=self.policy.cluster)
-        return remainder.lack_of_fit(model, cluster=self.policy.cluster, place=place, alpha=self.policy.alpha)
+            return remainder.find_lack_of_fit_by_joint(model, correlated_frames=self.policy.cluster)
+        return remainder.find_lack_of_fit_by_joint(
+            model, correlated_frames=self.policy.cluster, place=place, alpha=self.policy.alpha
+        )
 
     def within(self, left: LackOfFit, place: str) -> bool:
         return left.place == place

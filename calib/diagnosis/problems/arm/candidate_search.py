@@ -11,7 +11,7 @@ from calib.diagnosis.engine.frame_inner_products import (
     FrameProducts,
     Normal,
     Solved,
-    normal_of_weighted_directions,
+    normal_equations_by_direction_weights,
     sinusoid_sums,
     solve_with_prior,
 )
@@ -19,7 +19,7 @@ from calib.diagnosis.engine.linear_model import Column
 from calib.diagnosis.engine.selection_inputs import Node
 from calib.diagnosis.problems.arm.joint_candidates import Form, JointCandidate, JointScore
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 
 CHUNK = 96  # nodes at a time
 REFINE, FINER = 4, 2  # rounds about the best order, each with a step so many times as fine
@@ -38,8 +38,8 @@ SLOWEST = 0.05  # cycles per radian times 2 pi; a sinusoid of a lower order is a
 def search_candidates(
     fit: Fit,
     candidates: list[JointCandidate],
-    least: float = 0.0,
-    cluster: int = 1,
+    least_delta_bic: float = 0.0,
+    correlated_frames: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[JointScore]:
     """[Score] of all candidates, the greatest raw delta BIC first. least : raw delta BIC of those listed;
@@ -49,7 +49,7 @@ def search_candidates(
     for i, candidate in enumerate(candidates):
         if candidate.joint not in known:
             known[candidate.joint] = joint_products(fit, candidate.joint)
-        score = _score(fit, candidate, known[candidate.joint], least, cluster)
+        score = _score(fit, candidate, known[candidate.joint], least_delta_bic, correlated_frames)
         if score is not None:
             out.append(score)
         if progress:
@@ -109,7 +109,7 @@ def _node_weights(fit: Fit, candidate: JointCandidate, node: Node) -> Floats:
     return candidate.weights(node)[fit.used]
 
 
-def solved_grid(fit: Fit, candidate: JointCandidate, products: FrameProducts, least: float = 0.0) -> Solved:
+def solved_grid(fit: Fit, candidate: JointCandidate, products: FrameProducts, least_gain: float = 0.0) -> Solved:
     """Solved of all nodes of a candidate's grid, by short cuts for even orders and time steps."""
     if candidate.step:
         long = _orders(candidate, fit.arms.q[fit.used, candidate.joint], products)
@@ -117,7 +117,7 @@ def solved_grid(fit: Fit, candidate: JointCandidate, products: FrameProducts, le
         long = _steps(candidate, fit.arms.t[fit.used], products)
     else:
         return solved_nodes(fit, candidate, products, candidate.grid)
-    return _promising(long, candidate.prior(candidate.grid[0]), least)
+    return _promising(long, candidate.prior(candidate.grid[0]), least_gain)
 
 
 def solved_nodes(fit: Fit, candidate: JointCandidate, products: FrameProducts, nodes: list[Node]) -> Solved:
@@ -129,7 +129,8 @@ def solved_nodes(fit: Fit, candidate: JointCandidate, products: FrameProducts, n
         even = len({w.shape[2] for w in part}) == 1
         groups = [(np.stack(part), chunk[0])] if even else [(w[None], node) for w, node in zip(part, chunk)]
         parts += [
-            solve_with_prior(normal_of_weighted_directions(products, w), candidate.prior(node)) for w, node in groups
+            solve_with_prior(normal_equations_by_direction_weights(products, w), candidate.prior(node))
+            for w, node in groups
         ]
     return Solved.of(parts)
 
@@ -142,7 +143,9 @@ def _finer(fit: Fit, candidate: JointCandidate, products: FrameProducts, node: N
         orders = np.maximum(order + reach * np.linspace(-1, 1, 2 * FINER + 1), SLOWEST)
         angles = orders[:, None] * q
         found = solve_with_prior(
-            normal_of_weighted_directions(products, np.stack([np.sin(angles), np.cos(angles)], axis=-1)[:, :, None]),
+            normal_equations_by_direction_weights(
+                products, np.stack([np.sin(angles), np.cos(angles)], axis=-1)[:, :, None]
+            ),
             prior,
         )
         i = int(np.argmax(found.delta_chi2))
@@ -214,6 +217,6 @@ def _promising(long: LongGrid, prior: Floats, least: float) -> Solved:
     return Solved(deltas, coefficients, rank, bound.seen)
 
 
-def candidate_with_nodes(candidate: JointCandidate, nodes: list[Node]) -> JointCandidate:
-    """The candidate with the given nodes for its grid."""
+def candidate_with_grid_nodes(candidate: JointCandidate, nodes: list[Node]) -> JointCandidate:
+    """Candidate with the given nodes as its parameter grid."""
     return replace(candidate, grid=nodes, step=0.0)

@@ -14,16 +14,18 @@ from calib.diagnosis.problems.arm.joint_candidates import SPAN, Form, JointCandi
 from calib.diagnosis.problems.arm.linearised_poses import Arms
 from calib.diagnosis.problems.arm.nonlinear_parameters import onset_time_interval, term_parameter_covariance
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
-from calib.diagnosis.problems.measured_evidence import Value, bounded_value, moment_value
-from rig.arrays import Floats
+from calib.diagnosis.problems.evidence_interface import Value, bounded_value, onset_time_value
+from rig.array_types import Floats
 from rig.model import motion_simulation
 from rig.recording.recording_folder import Sensors
-from rig.recording.time_origin import Origin
+from rig.recording.time_origin import TimeOrigin
 
 SMALL = 1e-4  # step of an order, for its derivative
 
 
-def finding_parameters(fit: Fit, finding: Finding[JointCandidate], origin: Origin, added: Floats) -> dict[str, Value]:
+def finding_parameters(
+    fit: Fit, finding: Finding[JointCandidate], origin: TimeOrigin, added_covariance: Floats
+) -> dict[str, Value]:
     """{name: Value} of a finding of a Fit; intervals allow for the dispersion seen.
 
     origin : of the clock that tells moments; added : (c, c) covariance of the sizes by what the fit took to be exact
@@ -34,7 +36,7 @@ def finding_parameters(fit: Fit, finding: Finding[JointCandidate], origin: Origi
     if candidate.form is Form.SINUSOID:
         return _cycle(fit, finding, theta)
     joint = term_parameter_covariance(fit, number)
-    covariance = joint.covariance[: len(theta), : len(theta)] * finding.score.dispersion + added
+    covariance = joint.covariance[: len(theta), : len(theta)] * finding.score.dispersion + added_covariance
     bounds = {p.name: p.bounds for p in candidate.kind.parameters_at(candidate.place)}
     units = {p.name: p.unit for p in candidate.kind.parameters_at(candidate.place)}
     sigma = Z95 * np.sqrt(np.diag(covariance))
@@ -62,7 +64,7 @@ def finding_parameters(fit: Fit, finding: Finding[JointCandidate], origin: Origi
     spreads = Z95 * np.sqrt(np.diag(joint.covariance)[len(theta) :] * finding.score.dispersion)
     spread = {n: float(s) for n, s in zip(joint.names, spreads)}
     return out | {
-        key: moment_value(fit.arms.t, v, origin, onset_time_interval(fit, number, finding.score.dispersion))
+        key: onset_time_value(fit.arms.t, v, origin, onset_time_interval(fit, number, finding.score.dispersion))
         if roles[key] == "moment"
         else bounded_value(v, units[key], (v - spread[key], v + spread[key]), bounds[key])
         if key in spread
@@ -113,12 +115,12 @@ def _cycle(fit: Fit, finding: Finding[JointCandidate], theta: Floats) -> dict[st
     }
 
 
-def temperature_offsets(fit: Fit, number: int, log_errors: Mapping[str, Floats]) -> Floats:
-    """(c, q) by which a term's sizes are off for each standard deviation of temperatures' own errors.
+def term_errors_by_temperature_logs(fit: Fit, term_number: int, log_errors: Mapping[str, Floats]) -> Floats:
+    """Errors (c, q) of a term's sizes per standard deviation of the temperature logs' errors.
 
     log_errors : {channel: (rows, r)} of the log, as `smooth_temperatures` gives them
     """
-    arms, sensors, here = fit.arms, fit.arms.context.sensors, fit.slices[number]
+    arms, sensors, here = fit.arms, fit.arms.context.sensors, fit.slices[term_number]
     none = np.zeros((here.stop - here.start, 0))
     if sensors is None or not log_errors:
         return none

@@ -10,10 +10,10 @@ from calib.diagnosis.engine.candidate_score import Score
 from calib.diagnosis.engine.selection_inputs import Candidate, Node, NotAsked
 from calib.diagnosis.problems.arm.linearised_poses import Arms
 from calib.diagnosis.problems.requested_effects import EffectSites, RequestedEffects
-from rig.arrays import Floats
-from rig.effects.framework.diagnosis_interface import COUNT, QUADRATURE
+from rig.array_types import Floats
 from rig.effects.framework.effect import Candidate as EffectCandidate
 from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_data_types import COUNT, QUADRATURE
 from rig.errors import RigError
 
 
@@ -79,8 +79,8 @@ class JointCandidate(Candidate):
 JointScore = Score[JointCandidate]
 
 
-def joint_candidates(arms: Arms, asked: RequestedEffects) -> tuple[list[JointCandidate], list[NotAsked]]:
-    """(joint candidates, what cannot be tested) of an arm's poses, of the requested catalogue.
+def joint_candidates(arms: Arms, requested_effects: RequestedEffects) -> tuple[list[JointCandidate], list[NotAsked]]:
+    """Joint candidates of the requested effects on an arm's poses, and what the recording cannot test.
 
     Raises RigError for a place where what is asked for cannot sit.
     """
@@ -95,7 +95,7 @@ def joint_candidates(arms: Arms, asked: RequestedEffects) -> tuple[list[JointCan
             return EffectSites(None, (), [*lacking, NotAsked(kind.name, reason)])
         return EffectSites(found, found, lacking)
 
-    return asked.candidates(
+    return requested_effects.candidates(
         sites_of, lambda kind, place: _candidates(tuple(kind.candidates(place, arms.context)), arms)
     )
 

@@ -11,18 +11,18 @@ from calib.diagnosis.engine.lack_of_fit import (
     Share,
     Test,
     detect_excess_scatter,
-    explained_share,
     rank_covariates,
+    share_explained_by_functions,
     significant_lack_of_fit,
     test_lack_of_fit,
 )
 from calib.diagnosis.problems.arm.candidate_search import joint_products
 from calib.diagnosis.problems.arm.linearised_poses import Arms
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
-from calib.diagnosis.problems.measured_evidence import Repeats
+from calib.diagnosis.problems.evidence_interface import Repeats
 from calib.diagnosis.problems.remainder_covariates import motion_functions, time_and_sensor_functions
-from rig.arrays import Floats
-from rig.effects.framework.machine_motion import independent_load_columns
+from rig.array_types import Floats
+from rig.effects.framework.machine_motion_and_play import independent_load_columns
 
 KNOTS = 8  # of a smooth function of time
 PRIOR = 1e-3  # rad; size of a coefficient
@@ -30,8 +30,10 @@ SHARE = 0.05  # of the squares left, from which a covariate is named beside the 
 JOINTS = "joints"
 
 
-def lack_of_fit(fit: Fit, cluster: int = 1, place: str | None = None, alpha: float = ALPHA) -> list[LackOfFit]:
-    """[LackOfFit] of the residuals of a Fit to smooth functions at each joint, the largest first.
+def find_lack_of_fit_by_joint(
+    fit: Fit, correlated_frames: int = 1, place: str | None = None, alpha: float = ALPHA
+) -> list[LackOfFit]:
+    """Find lack of fit ([LackOfFit]) of a Fit's residuals to smooth functions at each joint, largest first.
 
     place : where alone they are asked, None for everywhere; alpha : chance of any where there is nothing
     """
@@ -42,7 +44,7 @@ def lack_of_fit(fit: Fit, cluster: int = 1, place: str | None = None, alpha: flo
         information = float(products.gamma.sum())
         for depends, basis in _bases(arms, j):
             test = Test(moved.places[j], moved.units[j], (depends,), basis[fit.used][:, None, :], information, PRIOR)
-            found.append(test_lack_of_fit(fit.linear, products, test, cluster))
+            found.append(test_lack_of_fit(fit.linear, products, test, correlated_frames))
     return sorted(
         significant_lack_of_fit([u for u in found if u is not None and place in (None, u.place)], alpha),
         key=lambda u: -u.delta_chi2,
@@ -120,6 +122,8 @@ def _shares(fit: Fit, cluster: int) -> dict[str, dict[str, Share]]:
     for name, functions in asked.items():
         wide = np.broadcast_to(functions, (len(arms), count, functions.shape[2]))[used]
         out[name] = {
-            JOINTS: explained_share(fit.linear, 0, [(products[j], wide[:, [j]]) for j in range(count)], cluster)
+            JOINTS: share_explained_by_functions(
+                fit.linear, 0, [(products[j], wide[:, [j]]) for j in range(count)], cluster
+            )
         }
     return out

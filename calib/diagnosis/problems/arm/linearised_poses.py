@@ -7,20 +7,20 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.models.arm import error_model
+from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import calibrate_arm
-from calib.models.arm.instrument_observations import observation_jacobian, sample_observations
+from calib.models.arm.error_model_and_observations import observation_jacobian, sample_observations
 from calib.models.chain import error_model as chains
 from calib.models.chain.identification import identify_chain
 from calib.samples.pose_samples import Samples
-from rig.arrays import Floats, Integers
-from rig.effects.framework.diagnosis_interface import Context
+from rig.array_types import Floats, Integers
 from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_data_types import Context
 from rig.errors import NotEnoughData, RigError
 from rig.model import motion_simulation
 from rig.model.design import Design
-from rig.model.mechanism_geometry import Arm, Chain
-from rig.model.mechanism_kinds import require_arm, require_chain
+from rig.model.mechanism_geometry_classes import Arm, Chain
+from rig.model.mechanism_kinds_and_hexapod_properties import require_arm, require_chain
 from rig.model.mechanisms import chain as mechanism
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Sensors
@@ -103,18 +103,18 @@ def linearise_poses(
     design: Design,
     commands: Commands | None = None,
     sensors: Sensors | None = None,
-    fewest: int = FEWEST,
+    least_poses: int = FEWEST,
 ) -> tuple[Arms, Geometry]:
     """(Arms, Geometry) of Samples: calibrated, and linear about it.
 
     design : whose mechanism is the nominal Arm or Chain; commands : the whole path; the samples' own commands in their
         order where None
-    fewest : poses that it takes
+    least_poses : poses that it takes
     Raises NotEnoughData for too few poses, RigError for what is neither, and what calibrating raises
     """
-    if len(samples) < fewest:
+    if len(samples) < least_poses:
         raise NotEnoughData(
-            f"{len(samples)} poses are too few to diagnose an arm or a chain; it takes {fewest}, better 500"
+            f"{len(samples)} poses are too few to diagnose an arm or a chain; it takes {least_poses}, better 500"
         )
     if samples.measured in ("orientation", "distance"):
         raise RigError(f"an arm is diagnosed by its poses or positions; the {samples.measured} alone was measured")
@@ -147,17 +147,21 @@ def linearise_planned_poses(
         raise RigError("poses that are not there yet are told of an arm alone")
     frame, view = np.arange(len(t)), None
     if arms.sight is not None:
-        view = arms.sight(error_model.predicted_target_poses(commands.at(t), geometry.mechanism))
+        view = arms.sight(error_model_and_observations.predicted_target_poses(commands.at(t), geometry.mechanism))
         frame, t = np.flatnonzero(view.seen), t[view.seen]
         if not len(t):
             raise RigError(f"in none of the plan's {len(view.seen)} exposures a camera would see enough of the hand")
     q, k, design = commands.at(t), arms.left.shape[1], replace(arms.context.design, mechanism=geometry.mechanism)
     kind = "pose" if k == 6 else "position"
     freedoms = (
-        observation_jacobian(kind, error_model.parameter_jacobian(q, geometry.mechanism), q, geometry.mechanism)
+        observation_jacobian(
+            kind, error_model_and_observations.parameter_jacobian(q, geometry.mechanism), q, geometry.mechanism
+        )
         @ geometry.basis
     )
-    joints = observation_jacobian(kind, error_model.joint_jacobian(q, geometry.mechanism), q, geometry.mechanism)
+    joints = observation_jacobian(
+        kind, error_model_and_observations.joint_jacobian(q, geometry.mechanism), q, geometry.mechanism
+    )
     context = replace(
         arms.context,
         design=design,
@@ -180,7 +184,11 @@ def _of_arm(samples: Samples, design: Design) -> Linear:
     _, found = calibrate_arm(samples, require_arm(design.mechanism), design.instrument, profiles=False)
     observations, free = sample_observations(samples), found.free
     return (
-        Geometry(found.arm, np.eye(len(free))[:, free], partial(error_model.arm_with_parameter_step, found.arm)),
+        Geometry(
+            found.arm,
+            np.eye(len(free))[:, free],
+            partial(error_model_and_observations.arm_with_parameter_step, found.arm),
+        ),
         observations.residuals(found.arm),
         observations.jacobian(found.arm)[..., free],
         observations.joint_jacobian(found.arm),

@@ -1,4 +1,4 @@
-"""A term's nonlinear parameters between the values of its grid: at their best, and how sure they and the sizes beside
+"""Nonlinear parameters of an arm's terms, optimised between grid values, and how sure they and the sizes with
 them are.
 """
 
@@ -11,13 +11,13 @@ import numpy as np
 import scipy
 from scipy.linalg import cho_solve
 
-from calib.diagnosis.engine.frame_inner_products import normal_of_weighted_directions, solve_with_prior
+from calib.diagnosis.engine.frame_inner_products import normal_equations_by_direction_weights, solve_with_prior
 from calib.diagnosis.engine.selection_inputs import Node
 from calib.diagnosis.problems.arm.candidate_search import joint_products, solved_nodes
 from calib.diagnosis.problems.arm.joint_candidates import Form, JointCandidate
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
-from rig.arrays import Floats
-from rig.effects.framework.parameter import Parameter
+from rig.array_types import Floats
+from rig.effects.framework.effect_data_types import Parameter
 
 SEARCHED = ("size", "log", "even")  # roles of parameters that have a value between those of a grid
 CLOSE = 1e-3  # of the way between two values of a grid, to which a parameter is found
@@ -45,13 +45,13 @@ def has_continuous_parameters(term: Term) -> bool:
     return term.candidate.form is not Form.SINUSOID and bool(_continuous_parameters(term))
 
 
-def optimise_nonlinear_parameters(rest: Fit, term: Term) -> Term:
-    """The term with its nonlinear parameters optimised on what a Fit without it leaves."""
-    products = joint_products(rest, term.candidate.joint)
+def optimise_nonlinear_parameters(fit_without_term: Fit, term: Term) -> Term:
+    """Optimise a term's nonlinear parameters on the residuals of a Fit without it; returns the term."""
+    products = joint_products(fit_without_term, term.candidate.joint)
 
     def loss(node: Node) -> float:
-        weights = term.candidate.weights(node)[rest.used]
-        normal = normal_of_weighted_directions(products, weights[None])
+        weights = term.candidate.weights(node)[fit_without_term.used]
+        normal = normal_equations_by_direction_weights(products, weights[None])
         if not _is_linear(term.candidate):
             size = next(iter(node.values()))
             return float(size * size * normal.G[0, 0, 0] - 2 * size * normal.b[0, 0])

@@ -19,8 +19,8 @@ from calib.diagnosis.engine.selection_inputs import ARM
 from calib.diagnosis.problems.arm.candidate_search import joint_products
 from calib.diagnosis.problems.arm.joint_candidates import joint_candidate
 from calib.diagnosis.problems.arm.nonlinear_parameters import has_continuous_parameters, term_parameter_covariance
+from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import optimise_terms
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_poses
-from calib.diagnosis.problems.arm.term_simplification import optimise_terms
 from calib.diagnosis.problems.formula_suggestion import (
     AGREE,
     NAME,
@@ -29,7 +29,7 @@ from calib.diagnosis.problems.formula_suggestion import (
     formula_text,
     library_of_quantities,
 )
-from rig.effects.texts.formula_effect_file import Written
+from rig.effects.texts.effect_file_from_formula import Written
 
 # joints of which a formula is held out: something unnamed remains of every real arm, and the largest are worth a look
 SHOWN = 2

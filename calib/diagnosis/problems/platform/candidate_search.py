@@ -15,12 +15,12 @@ from calib.diagnosis.problems.platform import vibration_frequency
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore, Reach
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
-from rig.arrays import Floats, Integers
-from rig.compute.numba_kernels import njit
-from rig.compute.parallel_map import parallel_map
+from rig.array_types import Floats, Integers
+from rig.compute.numba_kernels_and_lazy_exports import njit
+from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.compute.worker_processes import Progress
-from rig.effects.framework.machine_motion import Motion
-from rig.effects.framework.place import Place
+from rig.effects.framework.effect_data_types import Place
+from rig.effects.framework.machine_motion_and_play import Motion
 from vision.bundle.corner_jacobians import corner_jacobians
 
 CHUNK = 64  # nodes at a time
@@ -54,13 +54,13 @@ def search_candidates(
     model: LinearisedModel,
     candidates: list[PlatformCandidate],
     sensitivities: Sensitivities,
-    least: float = -np.inf,
+    least_delta_bic: float = -np.inf,
     progress: Progress | None = None,
 ) -> list[PlatformScore]:
     """[Score] of all candidates, the greatest raw delta BIC first.
 
     sensitivities : at the model's OperatingPoint; progress : called with (done, of), or None
-    least : of delta chi-square; what explains less is not asked how likely it is, see `best_node_score`
+    least_delta_bic : of delta chi-square; what explains less is not asked how likely it is, see `best_node_score`
     """
     k = model.point
     motion = k.motion(k.effects) if k.axes else None
@@ -75,14 +75,16 @@ def search_candidates(
             score = (
                 vibration_frequency.best_frequency(model, candidate, axes)
                 if candidate.reach is Reach.SPECTRUM
-                else _along_axes(model, candidate, sensitivities, axes, motion, least)
+                else _along_axes(model, candidate, sensitivities, axes, motion, least_delta_bic)
             )
         elif candidate.reach is Reach.MOUNT:
             if candidate.place not in mounts:
-                mounts[candidate.place] = corner_products(model, mount_pixels(model, Place.parse(candidate.place)))
-            score = _mounted(model, candidate, mounts[candidate.place], least)
+                mounts[candidate.place] = corner_products(
+                    model, camera_mount_pixel_derivatives(model, Place.parse(candidate.place))
+                )
+            score = _mounted(model, candidate, mounts[candidate.place], least_delta_bic)
         else:
-            score = _viewed(model, candidate, sensitivities, least)
+            score = _viewed(model, candidate, sensitivities, least_delta_bic)
         new = {key: sensitivities.pixels[key] for key in sensitivities.pixels.keys() - held}
         held.update(new)
         unnamed: Any = None  # a candidate is known by its identity, which no copy has
@@ -110,7 +112,7 @@ def candidate_column(
         return model.lengthened(sensitivities.deviation(candidate, node, motion or k.motion(k.effects)))
     if candidate.reach is Reach.MOUNT:
         pixels = (
-            mount_pixels(model, Place.parse(candidate.place))
+            camera_mount_pixel_derivatives(model, Place.parse(candidate.place))
             * _share(model, candidate, node)[k.observed.observations.frame][:, None, None]
         )
         return model.fold(pixels)
@@ -156,8 +158,10 @@ def corner_products(model: LinearisedModel, pixels: Floats) -> FrameProducts:
     return FrameProducts(beta, gamma, kappa)
 
 
-def constant_displacement_normal(model: LinearisedModel, displaced_corners: Integers, pixels: Floats) -> inner.Normal:
-    """Normal of one candidate with a constant displacement, the same in every frame, of observed corners (h,)."""
+def constant_displacement_normal_equations(
+    model: LinearisedModel, displaced_corners: Integers, pixels: Floats
+) -> inner.Normal:
+    """Normal equations of one constant displacement, the same in every frame, of observed corners (h,)."""
     k, c = model.point, model.corners
     at = np.empty(len(c.order), int)
     at[c.order] = np.arange(len(c.order))
@@ -187,8 +191,8 @@ def constant_displacement_normal(model: LinearisedModel, displaced_corners: Inte
     return inner.Normal(b[None], (G - K.T @ K)[None], np.diag(G)[None].copy())
 
 
-def mount_pixels(model: LinearisedModel, camera: Place) -> Floats:
-    """(n, 2, 6) px of corner displacement per unit tangent of a camera's mount."""
+def camera_mount_pixel_derivatives(model: LinearisedModel, camera: Place) -> Floats:
+    """Derivatives (n, 2, 6) of corner pixels by the tangent of a camera's mount."""
     k = model.point
     o = k.observed.observations
     out = np.zeros((len(o), 2, 6))
@@ -207,7 +211,7 @@ def _along_axes(
     least: float,
 ) -> PlatformScore:
     solver: Callable[[inner.Normal], Solved] = (
-        inner.solve_normal_equations if candidate.spec.linear else inner.solve_fixed_size
+        inner.solve_normal_equations if candidate.spec.linear else inner.solve_with_unit_coefficient
     )
     normals = []
     for start in range(0, len(candidate.grid), CHUNK):
@@ -216,7 +220,7 @@ def _along_axes(
         )
         moved = np.atleast_1d(weights.any(axis=(0, 1, 3)))
         moved |= not moved.any()
-        normals.append(inner.normal_of_weighted_directions(products.confined(moved), weights[:, :, moved]))
+        normals.append(inner.normal_equations_by_direction_weights(products.confined(moved), weights[:, :, moved]))
     solved = solver(inner.Normal(*(np.concatenate(part) for part in zip(*normals))))
     return best_node_score(
         model.linear,
@@ -232,7 +236,7 @@ def _mounted(
     model: LinearisedModel, candidate: PlatformCandidate, products: FrameProducts, least: float
 ) -> PlatformScore:
     w = np.stack([_share(model, candidate, node) for node in candidate.grid])
-    solved = inner.solve_normal_equations(inner.normal_of_common_weights(products, w))
+    solved = inner.solve_normal_equations(inner.normal_equations_by_common_weights(products, w))
     return best_node_score(
         model.linear, candidate, solved, products, lambda best: w[best][:, None, None] * np.eye(6), least
     )
@@ -250,7 +254,9 @@ def _viewed(
     seen = [sensitivities.seen(candidate, node) for node in candidate.grid]
     solved = Solved.of(
         [
-            inner.solve_normal_equations(constant_displacement_normal(model, *sensitivities.touched(rows, quads)))
+            inner.solve_normal_equations(
+                constant_displacement_normal_equations(model, *sensitivities.touched(rows, quads))
+            )
             for rows, quads in seen
         ]
     )

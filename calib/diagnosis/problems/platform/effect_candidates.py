@@ -9,11 +9,10 @@ from calib.diagnosis.engine.candidate_score import Score
 from calib.diagnosis.engine.selection_inputs import Candidate, Node, NotAsked, Role, UsualRange
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from calib.diagnosis.problems.requested_effects import EffectSites, RequestedEffects
-from rig.arrays import Floats
-from rig.effects.framework.diagnosis_interface import QUADRATURE, Context
+from rig.array_types import Floats
 from rig.effects.framework.effect import Candidate as EffectCandidate
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.place import Place
+from rig.effects.framework.effect_data_types import QUADRATURE, Context, Place
 
 SIZED = ("linear", "inverse", "size")  # roles of the numbers that tell how large an effect is
 ROUNDED = 1e-12  # share by which a sinusoid stays below its amplitude's bound, so that rounding does not take it beyond
@@ -84,9 +83,9 @@ def affects_images_only(kind: type[Effect] | Effect) -> bool:
 
 
 def platform_candidates(
-    point: OperatingPoint, asked: RequestedEffects
+    point: OperatingPoint, requested_effects: RequestedEffects
 ) -> tuple[list[PlatformCandidate], list[NotAsked]]:
-    """(candidates, what cannot be tested) of an OperatingPoint, of the requested catalogue."""
+    """Platform candidates of the requested effects at an OperatingPoint, and what the recording cannot test."""
     context = effect_context(point)
 
     def sites_of(kind: type[Effect]) -> EffectSites:
@@ -96,7 +95,7 @@ def platform_candidates(
         ids = dict.fromkeys(point.observed.markers.id)  # a face that nobody saw may have been exchanged as well
         return EffectSites(tuple(str(Place("marker", str(number))) for number in ids), ())
 
-    return asked.candidates(
+    return requested_effects.candidates(
         sites_of, lambda kind, place: [platform_candidate(spec) for spec in kind.candidates(place, context)]
     )
 

@@ -10,12 +10,11 @@ from calib.diagnosis.engine.selection_inputs import Node
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, affects_images_only
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
-from rig.arrays import Floats, Integers
-from rig.effects.framework.diagnosis_interface import COUNT, Linear
+from rig.array_types import Floats, Integers
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of_effects
-from rig.effects.framework.machine_motion import Motion
-from rig.effects.framework.place import Place
+from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
+from rig.effects.framework.effect_data_types import COUNT, Linear, Place
+from rig.effects.framework.machine_motion_and_play import Motion
 
 
 @dataclass(slots=True, eq=False)
@@ -143,10 +142,10 @@ class Sensitivities:
         return hit, quads[at[seen.row[hit]], seen.observations.corner[hit]]
 
 
-def parameter_directions(
+def effect_parameter_directions(
     model: LinearisedModel, sensitivities: Sensitivities
 ) -> tuple[list[Coordinate], Column | None]:
-    """(coordinates, Column of directions) of the continuous parameters of the admitted effects."""
+    """Directions of the admitted effects' continuous parameters in the residuals: (coordinates, Column)."""
     k, parts = model.point, []
     sensitivities, coordinates = sensitivities.at(k), coordinates_of_effects(k.effects)
     for number, effect in enumerate(k.effects):

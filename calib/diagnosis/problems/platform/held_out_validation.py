@@ -16,39 +16,43 @@ from calib.diagnosis.engine.cross_validation import (
 )
 from calib.diagnosis.engine.linear_model import Column
 from calib.diagnosis.problems.platform.effect_candidates import affects_images_only
-from calib.diagnosis.problems.platform.linearised_corners import edge_bias_freedoms
+from calib.diagnosis.problems.platform.linearised_corners import camera_edge_bias_freedoms
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
-from calib.diagnosis.problems.platform.simultaneous_refinement import Refined
+from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.samples.pose_samples import time_block_folds
-from rig.arrays import Booleans, Floats, Integers
+from rig.array_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
 
 
-def cross_validate(refined: Refined, numbers: set[int], block: int) -> CrossValidation:
-    """CrossValidation of several admitted effects together, in one block: CORNERS or CLOSURES."""
-    before, after, _ = _both(refined, numbers)
-    return _compared(refined.model, before, after, (block,))[0]
+def cross_validate_effects(refinement: Refinement, numbers: set[int], residual_block: int) -> CrossValidation:
+    """Cross-validate several admitted effects together, in one block of residuals: CORNERS or CLOSURES."""
+    before, after, _ = _both(refinement, numbers)
+    return _compared(refinement.model, before, after, (residual_block,))[0]
 
 
-def cross_validate_blocks(refined: Refined, numbers: set[int], blocks: tuple[int, ...]) -> tuple[CrossValidation, ...]:
-    """(CrossValidation, ..) of several admitted effects together, one for each block."""
-    before, after, _ = _both(refined, numbers)
-    return _compared(refined.model, before, after, blocks)
+def cross_validate_effects_by_residual_block(
+    refinement: Refinement, numbers: set[int], residual_blocks: tuple[int, ...]
+) -> tuple[CrossValidation, ...]:
+    """Cross-validate several admitted effects together, once for each block of residuals (corners, closures)."""
+    before, after, _ = _both(refinement, numbers)
+    return _compared(refinement.model, before, after, residual_blocks)
 
 
-def cross_validate_region(refined: Refined, number: int, block: int, along: Floats) -> CrossValidation:
-    """CrossValidation of one admitted effect in a block, whole regions held out in turn.
+def cross_validate_effect_by_regions(
+    refinement: Refinement, number: int, residual_block: int, ordering_values: Floats
+) -> CrossValidation:
+    """Cross-validate one admitted effect, whole regions of the frames' ordering values held out in turn.
 
-    along : (F,) what frames are put in order by
+    ordering_values : (F,) what frames are put in order by
     """
-    order = np.argsort(along, kind="stable")
-    fold = np.empty(len(along), int)
+    order = np.argsort(ordering_values, kind="stable")
+    fold = np.empty(len(ordering_values), int)
     fold[order] = time_block_folds(len(order), min(FOLDS, max(len(order) // FEWEST, 2)))
-    before, after, _ = _both(refined, {number}, fold)
-    return _compared(refined.model, before, after, (block,), order)[0]
+    before, after, _ = _both(refinement, {number}, fold)
+    return _compared(refinement.model, before, after, (residual_block,), order)[0]
 
 
-def _both(refined: Refined, numbers: set[int], fold: Integers | None = None) -> tuple[HeldOut, HeldOut, Integers]:
+def _both(refined: Refinement, numbers: set[int], fold: Integers | None = None) -> tuple[HeldOut, HeldOut, Integers]:
     """(held out without the effects, with them, folds (F,)). fold : stretches of time where None"""
     model, k = refined.model, refined.point
     asked = [k.effects[i] for i in sorted(numbers)]
@@ -91,7 +95,7 @@ def _compared(
 ) -> tuple[CrossValidation, ...]:
     """CrossValidation in each block. order : (F,) in which frames are neighbours, time's where None"""
     F, axes = model.frames, model.point.axes
-    finder = [j for _, j in edge_bias_freedoms(model.nuisances.names, model.point.design)]
+    finder = [j for _, j in camera_edge_bias_freedoms(model.nuisances.names, model.point.design)]
     squares = []
     for held in (before, after):
         corners, closures = held.frames

@@ -17,14 +17,14 @@ from calib.diagnosis.engine.lack_of_fit import (
     Share,
     Test,
     detect_excess_scatter,
-    explained_share,
     rank_covariates,
+    share_explained_by_functions,
     significant_lack_of_fit,
     test_lack_of_fit,
 )
 from calib.diagnosis.problems.platform.candidate_search import (
     axis_products,
-    constant_displacement_normal,
+    constant_displacement_normal_equations,
     corner_products,
 )
 from calib.diagnosis.problems.platform.effect_candidates import effect_context, lacks_temperature_log
@@ -34,20 +34,20 @@ from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.smooth_functions import (
     FAST,
     SLOW,
+    camera_mount_and_focal_pixel_derivatives,
+    camera_time_functions,
+    corner_shift_pixel_derivatives,
     edge_pixels,
-    marker_corner_pixels,
+    image_warp_pixel_derivatives,
     smooth_strut_functions,
-    view_pixels,
-    view_time_functions,
-    warp_pixels,
 )
 from calib.diagnosis.problems.remainder_covariates import motion_functions, separate_weights, time_and_sensor_functions
 from calib.models.platform.identification import geometric_parameters
-from rig.arrays import Floats, Integers
-from rig.compute.parallel_map import parallel_map
+from rig.array_types import Floats, Integers
+from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.place import Place
+from rig.effects.framework.effect_data_types import Place
 
 MEDIAN_SPREAD = (
     5.6  # variance of a sample's middle square over its square, times the sample's size, for normal residuals
@@ -57,14 +57,16 @@ MIDDLE = 5.6 / 2  # a middle square has so many times the variance of a mean squ
 STRUTS, IMAGES = "struts", "images"
 
 
-def is_at_place(left: LackOfFit, place: str) -> bool:
+def is_lack_of_fit_at_place(lack: LackOfFit, place: str) -> bool:
     """Whether a LackOfFit is at a place, or at a part of it."""
-    at, own = Place.parse(place), Place.parse(left.place)
+    at, own = Place.parse(place), Place.parse(lack.place)
     return at.includes(own) or (at.kind == "clock" and Place("rig").includes(own))  # a clock moves all axes
 
 
-def lack_of_fit(model: LinearisedModel, place: str | None = None, alpha: float = ALPHA) -> list[LackOfFit]:
-    """[LackOfFit] of the residuals at each place, the most significant first.
+def find_lack_of_fit_by_place(
+    model: LinearisedModel, place: str | None = None, alpha: float = ALPHA
+) -> list[LackOfFit]:
+    """Find lack of fit ([LackOfFit]) of the residuals at each place, the most significant first.
 
     place : where alone they are asked, None for everywhere; alpha : chance of any where there is nothing
     """
@@ -77,7 +79,7 @@ def lack_of_fit(model: LinearisedModel, place: str | None = None, alpha: float =
         asked += [partial(_marker, model, edges, number, count) for number, count in zip(ids.tolist(), counts.tolist())]
     found = [u for several in parallel_map(lambda question: question(), asked) for u in several]
     return significant_lack_of_fit(
-        [u for u in found if u is not None and (place is None or is_at_place(u, place))], alpha
+        [u for u in found if u is not None and (place is None or is_lack_of_fit_at_place(u, place))], alpha
     )
 
 
@@ -135,12 +137,12 @@ def _camera(model: LinearisedModel, i: int) -> list[LackOfFit | None]:
     out: list[LackOfFit | None] = []
     at, information = Place("camera", camera.name), count / model.corner_noise() ** 2
     if i not in k.moving:
-        products = corner_products(model, view_pixels(model, at))
+        products = corner_products(model, camera_mount_and_focal_pixel_derivatives(model, at))
         out += [
             test_lack_of_fit(
                 model.linear,
                 products,
-                Test(str(at), "px", ("time",), view_time_functions(k, count)[:, :, part], information),
+                Test(str(at), "px", ("time",), camera_time_functions(k, count)[:, :, part], information),
             )
             for count in (SLOW, FAST)
             for part in _apart(k, at, count)
@@ -148,12 +150,14 @@ def _camera(model: LinearisedModel, i: int) -> list[LackOfFit | None]:
         out.append(_following(products, np.argsort(k.t), str(at), information))
     if not any(e.warps and e.site == at for e in k.effects):  # else what its image still bends by belongs to that lens
         seen = np.flatnonzero(k.observed.observations.camera == i)
-        out.append(_still(model, seen, warp_pixels(k, i)[seen], str(at), "image position", information))
+        out.append(
+            _still(model, seen, image_warp_pixel_derivatives(k, i)[seen], str(at), "image position", information)
+        )
     return out
 
 
 def _apart(k: OperatingPoint, place: Place, count: int) -> list[slice]:
-    """Which of the functions of `view_time_functions` at a camera are tested together: a mount's motion and the focal
+    """Which of the functions of `camera_time_functions` at a camera are tested together: a mount's motion and the focal
     length each for itself, but all together
     where an admitted effect moves the focal length, or one would by a temperature that was not logged: by what a log
     does not tell it comes and goes in time."""
@@ -168,7 +172,7 @@ def _apart(k: OperatingPoint, place: Place, count: int) -> list[slice]:
 
 def _marker(model: LinearisedModel, edges: Floats, number: int, count: int) -> list[LackOfFit | None]:
     """Of a marker seen so many times. edges : see `edge_pixels`"""
-    hit, moved = marker_corner_pixels(model.point, edges, number)
+    hit, moved = corner_shift_pixel_derivatives(model.point, edges, number)
     return [
         _still(
             model,
@@ -186,7 +190,7 @@ def _still(
 ) -> LackOfFit | None:
     """LackOfFit of displacements (h, 2, q) px of observed corners (h,) that are the same in every frame; where they are
     likely by chance, as without dispersion."""
-    solved = solve_normal_equations(constant_displacement_normal(model, hit, moved))
+    solved = solve_normal_equations(constant_displacement_normal_equations(model, hit, moved))
     delta, rank = float(solved.delta_chi2[0]), int(solved.rank[0])
     chance = scan_p_value(solved.delta_chi2, rank, np.inf)
     if rank and chance > LIKELY:
@@ -224,7 +228,7 @@ def excess_scatter(model: LinearisedModel, left: list[LackOfFit]) -> list[LackOf
         for u in found
         if u is not None
         and u.place not in known
-        and not any(is_at_place(u, effect.place) for effect in model.point.effects)
+        and not any(is_lack_of_fit_at_place(u, effect.place) for effect in model.point.effects)
     ]
 
 
@@ -280,17 +284,19 @@ def _shares(model: LinearisedModel) -> dict[str, dict[str, Share]]:
             **time_and_sensor_functions(k.t, k.sensors),
             **motion_functions(k.motion(()).path, k.commanded, k.t),
         }.items():
-            out.setdefault(name, {})[STRUTS] = explained_share(
+            out.setdefault(name, {})[STRUTS] = share_explained_by_functions(
                 model.linear, CLOSURES, [(products, separate_weights(functions, k.axes))]
             )
     if k.seen is not None and len(k.moving) < len(k.design.cameras):
         seen = np.unique(k.seen.observations.camera)
         views = [
-            corner_products(model, view_pixels(model, Place("camera", k.design.cameras[i].name)))
+            corner_products(
+                model, camera_mount_and_focal_pixel_derivatives(model, Place("camera", k.design.cameras[i].name))
+            )
             for i in seen
             if i not in k.moving
         ]
         for name, functions in time_and_sensor_functions(k.t, k.sensors).items():
             parts = [(products, separate_weights(functions, products.beta.shape[1])) for products in views]
-            out.setdefault(name, {})[IMAGES] = explained_share(model.linear, CORNERS, parts)
+            out.setdefault(name, {})[IMAGES] = share_explained_by_functions(model.linear, CORNERS, parts)
     return out

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.diagnosis.problems.platform.operating_point import EDGE_SHIFT, OperatingPoint
-from rig.arrays import Floats, Integers
-from rig.effects.framework.place import Place
+from rig.array_types import Floats, Integers
+from rig.effects.framework.effect_data_types import Place
 from rig.model.design import Design
-from rig.model.manufacturing_tolerances import FINDER, SEAT
+from rig.model.marker_and_sensor_tolerances import FINDER, SEAT
 from vision import lens
 from vision.bundle.corner_jacobians import (
     corner_jacobians,
@@ -175,16 +175,16 @@ def _own_basis(J_local: Floats, edges: Integers) -> tuple[Floats, Floats]:
     return local, to_local
 
 
-def edge_bias_freedoms(names: Sequence[tuple[str, str | int]], design: Design) -> list[tuple[int, int]]:
-    """[(camera's index, freedom's)] of the freedoms (their names) that are a bias of all edges in a camera's images."""
+def camera_edge_bias_freedoms(freedom_names: Sequence[tuple[str, str | int]], design: Design) -> list[tuple[int, int]]:
+    """Freedoms that are an edge bias of one camera's images: [(camera's index, freedom's index)]."""
     cameras = [camera.name for camera in design.cameras]
-    return [(cameras.index(name), j) for j, (name, what) in enumerate(names) if what == EDGES]
+    return [(cameras.index(name), j) for j, (name, what) in enumerate(freedom_names) if what == EDGES]
 
 
-def seat_freedoms(names: Sequence[tuple[str, str | int]]) -> dict[str, list[int]]:
-    """{place of a cube that was put back: its six freedoms} among the freedoms (their names)."""
+def cube_seat_freedoms(freedom_names: Sequence[tuple[str, str | int]]) -> dict[str, list[int]]:
+    """Freedoms of the seats of remounted cubes: {cube's place: indices of its six freedoms}."""
     out: dict[str, list[int]] = {}
-    for j, (place, what) in enumerate(names):
+    for j, (place, what) in enumerate(freedom_names):
         if what in SEAT_LABELS:
             out.setdefault(place, []).append(j)
     return out

@@ -13,9 +13,9 @@ from calib.diagnosis.engine.linear_model import Block, Column, LinearModel, orth
 from calib.diagnosis.problems.platform.linearised_corners import (
     MEDIAN,
     CornerRows,
+    camera_edge_bias_freedoms,
     corner_rows,
-    edge_bias_freedoms,
-    seat_freedoms,
+    cube_seat_freedoms,
 )
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from calib.models.platform.identification import (
@@ -24,9 +24,9 @@ from calib.models.platform.identification import (
     loop_closure_jacobian,
     strut_length_jacobian,
 )
-from rig.arrays import Floats, Integers
-from rig.compute.parallel_map import thread_map
-from rig.model.manufacturing_tolerances import FINDER, SEAT
+from rig.array_types import Floats, Integers
+from rig.compute.parallel_map_and_dask_cluster import thread_map
+from rig.model.marker_and_sensor_tolerances import FINDER, SEAT
 
 CORNERS, CLOSURES = 0, 1  # the blocks
 # standard deviations; a residual counts for no more, so that one wild corner proves nothing and a crowd still does
@@ -187,9 +187,9 @@ def linearise(point: OperatingPoint) -> LinearisedModel:
         names += [("geometry", j) for j in range(p)]
         priors += [1 / PRIOR] * p
     beforehand = np.column_stack([np.zeros(len(priors)), np.diag(np.array(priors))])
-    for i, j in edge_bias_freedoms(tuple(names), k.design) if k.finder else ():
+    for i, j in camera_edge_bias_freedoms(tuple(names), k.design) if k.finder else ():
         beforehand[j, 0] = -k.finder[i] / FINDER.sigma
-    at = seat_freedoms(names)
+    at = cube_seat_freedoms(names)
     for seat in (seat for seat in k.seats if seat.place in at):
         beforehand[at[seat.place], 0] = -seat.numbers() / np.repeat(SEAT, 3)
     if k.axes and k.known is not None:

@@ -8,21 +8,21 @@ from scipy.spatial import cKDTree
 
 from calib.diagnosis.engine.selection_inputs import Crowd, LeftOut, Outliers
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint, group_sightings
-from calib.diagnosis.problems.remainder_covariates import axis_speeds, scaled_to_unit_interval, time_cosines
+from calib.diagnosis.problems.remainder_covariates import axis_speeds, scaled_to_plus_minus_one, time_cosines
 from calib.identify.robust_fit import (
     ALIKE,
     CONSISTENT,
     IN_PLACE,
     IN_TIME,
     MOST,
-    has_many_deviations,
-    outlier_rows,
+    has_several_deviating_numbers,
+    isolated_outlier_rows,
     robust_fit,
 )
 from calib.models.platform.identification import loop_closure_jacobian, strut_length_jacobian
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.place import Place
+from rig.effects.framework.effect_data_types import Place
 from rig.model import mechanisms
 from rig.recording.recording_folder import PAYLOAD
 from vision.corner_observations import observations_of_frames
@@ -91,7 +91,9 @@ def _wild_frames(k: OperatingPoint, covariance: Floats) -> Outliers:
         columns = np.column_stack([own, smooth[:, i, :free]])
         parts.append(((closures[:, i] / sigma[:, i])[:, None], (columns / sigma[:, i, None])[:, None]))
     found = robust_fit(parts)
-    far = outlier_rows(found.relative, k.t, k.commanded.at(k.t), GATE) & has_many_deviations(found.relative, GATE)
+    far = isolated_outlier_rows(found.relative, k.t, k.commanded.at(k.t), GATE) & has_several_deviating_numbers(
+        found.relative, GATE
+    )
     if far.sum() > MOST * len(far):
         return Outliers(crowd=Crowd("frames", int(far.sum()), len(far)))
     told = []
@@ -112,9 +114,9 @@ def _smooth(k: OperatingPoint) -> Floats:
     lengths = k.commanded.at(k.t)
     out = [path.direction, pace]
     for name, values in sorted(varying.items(), key=lambda one: one[0] != PAYLOAD):
-        out.append(np.broadcast_to(scaled_to_unit_interval(values)[:, None], lengths.shape))
+        out.append(np.broadcast_to(scaled_to_plus_minus_one(values)[:, None], lengths.shape))
         if name == PAYLOAD:
-            out.append(scaled_to_unit_interval(values)[:, None] * (lengths - lengths.mean(axis=0)))
+            out.append(scaled_to_plus_minus_one(values)[:, None] * (lengths - lengths.mean(axis=0)))
     out += [np.broadcast_to(c[:, None], lengths.shape) for c in time_cosines(k.t, SLOW).T]
     out.append(path.last_step)
     scaled = [values / max(np.abs(values).max(), 1e-300) for values in out if np.any(values)]

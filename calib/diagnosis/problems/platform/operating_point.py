@@ -6,25 +6,25 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.problems.temperature_smoothing import smooth_temperatures
 from calib.samples.recording_samples import Sampled, sample_recording
-from rig.arrays import Booleans, Floats, Integers
+from rig.array_types import Booleans, Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.machine_motion import Motion
-from rig.effects.framework.place import Place
+from rig.effects.framework.effect_data_types import Place
+from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Camera, Design
-from rig.model.manufacturing_tolerances import FINDER, SEAT
-from rig.model.mechanism_geometry import Hexapod, Planar2
-from rig.model.mechanism_kinds import Struts
+from rig.model.marker_and_sensor_tolerances import FINDER, SEAT
+from rig.model.mechanism_geometry_classes import Hexapod, Planar2
+from rig.model.mechanism_kinds_and_hexapod_properties import Struts
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Recording, Sensors
 from vision.corner_observations import Observations
-from vision.hand_mounted_cameras import has_hand_cameras
+from vision.hand_camera_frame_exchange import has_hand_cameras
 from vision.predict import Sightings, State, predict_sightings
 from vision.recording_adjustment import Measurement
 from vision.recording_measurement import measure_recording
@@ -145,18 +145,18 @@ class OperatingPoint:
 
     def swayed(self, sway: Floats) -> Floats:
         """(F, axes) m by which struts seem longer where the platform is displaced by tangents (F, 6)."""
-        return motion_simulation.apparent_strut_elongations(self.design, self.T, sway)
+        return motion_simulation.strut_elongations_of_platform_sway(self.design, self.T, sway)
 
     def closures(self) -> Floats:
         """(F, axes) m by which measured poses ask for longer struts than commands and effects give them."""
         m = self.design.mechanism
         return mechanisms.kinematics_of(m).inverse(self.T, m) - self.effective()
 
-    def run(self, effects: tuple[Effect, ...]) -> motion_simulation.Run | None:
+    def run(self, effects: tuple[Effect, ...]) -> motion_simulation.MachineRun | None:
         """machine.Run with rates where some camera exposes row by row, else None."""
         rolls = any(c.shutter == "rolling" for c in self.design.cameras) or any(e.rolls for e in effects)
         return (
-            motion_simulation.run_machine(
+            motion_simulation.simulate_machine_run(
                 self.design, self.commands, self.t, [e for e in effects if e.stage != "view"], self.sensors, rates=True
             )
             if rolls and self.commands is not None
@@ -167,7 +167,7 @@ class OperatingPoint:
         self,
         effects: tuple[Effect, ...] | None = None,
         rows: Integers | None = None,
-        run: motion_simulation.Run | None = None,
+        run: motion_simulation.MachineRun | None = None,
     ) -> Floats:
         """(n, 2) px where the observed corners should be under effects (those admitted, by default).
 
@@ -273,12 +273,12 @@ def operating_point_of_recording(
     seen = _seen(measured, point)
     if source != "images" and measured.observations.stated:
         seen = replace(seen, stated=measured.noise / np.sqrt(measured.factor))
-    return replace(point, seen=seen, seats=cube_seats(design)), source, measured
+    return replace(point, seen=seen, seats=remounted_cube_seats(design)), source, measured
 
 
-def cube_seats(design: Design, known: Sequence[Effect] = ()) -> tuple[Effect, ...]:
-    """One for each cube of a design that was put back, off by nothing but for those that are known."""
-    own = {seat.place: seat for seat in known}
+def remounted_cube_seats(design: Design, known_seats: Sequence[Effect] = ()) -> tuple[Effect, ...]:
+    """Seats of a design's remounted cubes, a CubeMisplacement each: the known one, else zero."""
+    own = {seat.place: seat for seat in known_seats}
     places = [str(Place("target", target.name)) for target in design.targets if target.turned is not None]
     return tuple(own.get(place, CUBE_MOTION(place)) for place in places)
 

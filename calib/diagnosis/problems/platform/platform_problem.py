@@ -16,15 +16,15 @@ from calib.diagnosis.problems.platform import lack_of_fit as remainder
 from calib.diagnosis.problems.platform import tolerance_columns
 from calib.diagnosis.problems.platform.candidate_search import candidate_column, search_candidates
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore
-from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, parameter_directions
-from calib.diagnosis.problems.platform.held_out_validation import cross_validate
+from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, effect_parameter_directions
+from calib.diagnosis.problems.platform.held_out_validation import cross_validate_effects
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel, linearise
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.simultaneous_refinement import (
-    Refined,
+    Refinement,
     add_term,
-    refine,
     refine_at_fixed_repeated_error,
+    refine_operating_point,
     remove_term,
 )
 from calib.diagnosis.problems.platform.smooth_functions import model_with_smooth_functions, smooth_function_columns
@@ -34,7 +34,7 @@ from calib.diagnosis.problems.platform.smooth_functions import model_with_smooth
 class PlatformFit:
     """refined : Refined of the admitted effects; terms : the candidates that they come from, in the same order."""
 
-    refined: Refined
+    refined: Refinement
     terms: tuple[PlatformCandidate, ...] = ()
 
 
@@ -59,7 +59,7 @@ class PlatformProblem:
         object.__setattr__(self, "sensitivities", Sensitivities(self.point))
 
     def start(self) -> PlatformFit:
-        return PlatformFit(refine(self.point, self.sensitivities))
+        return PlatformFit(refine_operating_point(self.point, self.sensitivities))
 
     def tolerances_explain(self, fit: PlatformFit, best: PlatformScore | None) -> bool:
         if self.tolerant:
@@ -71,7 +71,7 @@ class PlatformProblem:
         seen = found.projected(model)
         if not tolerance_columns.tolerances_explain_residuals(seen, found.sigma):
             return False
-        return best is None or tolerance_columns.tolerance_log_likelihood_ratio(seen, found.sigma) > float(
+        return best is None or tolerance_columns.log_likelihood_ratio_with_tolerances(seen, found.sigma) > float(
             best.raw_delta_bic(model.size)
         )
 
@@ -103,7 +103,7 @@ class PlatformProblem:
 
     def marginalised(self, model: LinearisedModel) -> LinearisedModel:
         """LinearisedModel with the parameters of the effects admitted there among the nuisances."""
-        _, column = parameter_directions(model, self.sensitivities)
+        _, column = effect_parameter_directions(model, self.sensitivities)
         return self.beside_tolerances(model if column is None else model.marginalise(column))
 
     def beside_tolerances(self, model: LinearisedModel) -> LinearisedModel:
@@ -141,14 +141,15 @@ class PlatformProblem:
 
     def remove_term(self, fit: PlatformFit, number: int) -> PlatformFit:
         return PlatformFit(
-            refine(remove_term(fit.refined, number), self.sensitivities), fit.terms[:number] + fit.terms[number + 1 :]
+            refine_operating_point(remove_term(fit.refined, number), self.sensitivities),
+            fit.terms[:number] + fit.terms[number + 1 :],
         )
 
     def in_place(self, fit: PlatformFit, number: int) -> PlatformFit:
         k = fit.refined.point
         order = [*k.effects[:number], k.effects[-1], *k.effects[number:-1]]
         terms = (*fit.terms[:number], fit.terms[-1], *fit.terms[number:-1])
-        return PlatformFit(refine(k.with_effects(order), self.sensitivities), terms)
+        return PlatformFit(refine_operating_point(k.with_effects(order), self.sensitivities), terms)
 
     def wald(self, fit: PlatformFit, number: int) -> Wald:
         return Wald(*fit.refined.wald(number))
@@ -158,7 +159,7 @@ class PlatformProblem:
         return fit.refined.likelihood(least) - other.refined.likelihood(least)
 
     def cross_validations(self, fit: PlatformFit, numbers: list[int]) -> list[CrossValidation]:
-        return [cross_validate(fit.refined, {number}, self.block(fit.terms[number])) for number in numbers]
+        return [cross_validate_effects(fit.refined, {number}, self.block(fit.terms[number])) for number in numbers]
 
     def block(self, candidate: PlatformCandidate) -> int:
         """Where a candidate shows: CORNERS where it changes only what is seen or nothing was commanded, else
@@ -167,7 +168,11 @@ class PlatformProblem:
         return CORNERS if candidate.seen_alone or not self.point.axes else CLOSURES
 
     def lack_of_fit(self, model: LinearisedModel, place: str | None = None) -> list[LackOfFit]:
-        return remainder.lack_of_fit(model) if place is None else remainder.lack_of_fit(model, place, self.policy.alpha)
+        return (
+            remainder.find_lack_of_fit_by_place(model)
+            if place is None
+            else remainder.find_lack_of_fit_by_place(model, place, self.policy.alpha)
+        )
 
     def within(self, left: LackOfFit, place: str) -> bool:
-        return remainder.is_at_place(left, place)
+        return remainder.is_lack_of_fit_at_place(left, place)

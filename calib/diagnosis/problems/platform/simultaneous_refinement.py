@@ -13,23 +13,28 @@ from scipy.linalg import block_diag
 
 from calib.diagnosis.engine.chance_probability import Z95
 from calib.diagnosis.engine.linear_model import Column, join_columns
-from calib.diagnosis.problems.measured_evidence import Interval
+from calib.diagnosis.problems.evidence_interface import Interval
 from calib.diagnosis.problems.platform.candidate_search import candidate_column
 from calib.diagnosis.problems.platform.effect_candidates import SIZED, PlatformScore, coefficient_bounds
-from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, parameter_directions
+from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, effect_parameter_directions
 from calib.diagnosis.problems.platform.linearised_corners import (
-    edge_bias_freedoms,
+    camera_edge_bias_freedoms,
+    cube_seat_freedoms,
     repeated_corner_error,
-    seat_freedoms,
 )
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel, linearise
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint, move_operating_point
 from calib.identify.least_squares import bounded_least_squares_step
 from calib.models.platform.identification import geometric_parameters, mechanism_with_parameters
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_validity import check_effect
-from rig.effects.framework.fit_coordinates import Coordinate, constrained_sums, cost_of_priors, prior_precision
+from rig.effects.framework.effect_checks_and_fit_coordinates import (
+    Coordinate,
+    check_effect,
+    conserved_coordinate_sums,
+    cost_of_priors,
+    prior_precision,
+)
 from rig.model.pose import exp
 
 MAX_ITERATIONS = 20  # few need more than eight; a large effect is not linear in its numbers
@@ -40,7 +45,7 @@ SLACK = 0.05  # of the cost, which rounding and clipped corners make uneven
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Refined:
+class Refinement:
     """point, model : at the optimum; coordinates : of the effects' parameters; values : (c,); covariance : (c, c) of
     them given nothing else; column : Column of their directions"""
 
@@ -130,7 +135,7 @@ class _Freedom:
             np.array([c.loose for c in coordinates]),
             ends[:, 0],
             ends[:, 1],
-            constrained_sums(coordinates, effects),
+            conserved_coordinate_sums(coordinates, effects),
         )
 
     def beside(self, other: "_Freedom") -> "_Freedom":
@@ -143,14 +148,14 @@ class _Freedom:
         )
 
 
-def add_term(refined: Refined, score: PlatformScore, sensitivities: Sensitivities) -> Refined:
-    """Refined with a Score's effect added, all that is free moved with it from the start."""
-    model, k = refined.model, refined.point
+def add_term(refinement: Refinement, score: PlatformScore, sensitivities: Sensitivities) -> Refinement:
+    """Add a Score's effect to a Refinement, all that is free moved with it from the start."""
+    model, k = refinement.model, refinement.point
     column, theta = candidate_column(model, score.candidate, score.node, sensitivities), score.coefficients
-    own = None if refined.column is None else _Freedom.of(refined.coordinates, k.effects, refined.column)
+    own = None if refinement.column is None else _Freedom.of(refinement.coordinates, k.effects, refinement.column)
     if not len(theta):  # its size is its node's: the rest makes room
-        parts = join_columns([c for c in (refined.column, column) if c is not None])
-        step = np.r_[np.zeros(len(refined.coordinates)), 1.0]
+        parts = join_columns([c for c in (refinement.column, column) if c is not None])
+        step = np.r_[np.zeros(len(refinement.coordinates)), 1.0]
     else:
         by = {p.name: p for p in score.candidate.kind.parameters_at(score.candidate.place)}
         priors = np.array(
@@ -160,32 +165,35 @@ def add_term(refined: Refined, score: PlatformScore, sensitivities: Sensitivitie
         new = _Freedom(column, np.zeros(len(theta)), priors, low, high, np.zeros((0, len(theta))))
         free = new if own is None else own.beside(new)
         parts, step = free.column, _step(model, free)[0]
-        theta = score.candidate.allowed(step[len(refined.coordinates) :])
-        step = np.r_[step[: len(refined.coordinates)], theta]
+        theta = score.candidate.allowed(step[len(refinement.coordinates) :])
+        step = np.r_[step[: len(refinement.coordinates)], theta]
     effects = list(k.effects)
-    for c, s in zip(refined.coordinates, step):
+    for c, s in zip(refinement.coordinates, step):
         effects[c.effect] = c.written(effects[c.effect], c.read(effects[c.effect]) + s)
     effects = [check_effect(effect) for effect in (*effects, score.candidate.effect(score.node, theta))]
     z = model.nuisances.at_rest - model.linear.project(parts).onto @ step
-    return refine(_apply(model, model.nuisances.solve @ z, step, parts, effects), sensitivities)
+    return refine_operating_point(_apply(model, model.nuisances.solve @ z, step, parts, effects), sensitivities)
 
 
-def remove_term(refined: Refined, number: int) -> OperatingPoint:
-    """OperatingPoint with an admitted effect removed, all that is free moved to make up for it."""
-    model, effects = refined.model, refined.point.effects
-    if refined.column is None:
-        return refined.point.with_effects(e for i, e in enumerate(effects) if i != number)
+def remove_term(refinement: Refinement, number: int) -> OperatingPoint:
+    """Remove an admitted effect from a Refinement: its OperatingPoint, all that is free moved to compensate."""
+    model, effects = refinement.model, refinement.point.effects
+    if refinement.column is None:
+        return refinement.point.with_effects(e for i, e in enumerate(effects) if i != number)
     step = np.array(
-        [-v if c.effect == number and c.role in SIZED else 0.0 for c, v in zip(refined.coordinates, refined.values)]
+        [
+            -v if c.effect == number and c.role in SIZED else 0.0
+            for c, v in zip(refinement.coordinates, refinement.values)
+        ]
     )
-    z = model.nuisances.at_rest - model.linear.project(refined.column).onto @ step
+    z = model.nuisances.at_rest - model.linear.project(refinement.column).onto @ step
     return _apply(
-        model, model.nuisances.solve @ z, step, refined.column, [e for i, e in enumerate(effects) if i != number]
+        model, model.nuisances.solve @ z, step, refinement.column, [e for i, e in enumerate(effects) if i != number]
     )
 
 
-def refine(point: OperatingPoint, sensitivities: Sensitivities) -> Refined:
-    """Refined of the admitted effects from where their parameters stand. What cannot improve any more stays.
+def refine_operating_point(point: OperatingPoint, sensitivities: Sensitivities) -> Refinement:
+    """Refine an operating point: cameras, geometry, poses and the admitted effects' parameters together.
 
     Standing corners are first taken at their covariance; only what they then still miss together, in every frame,
     loosens them.
@@ -195,10 +203,10 @@ def refine(point: OperatingPoint, sensitivities: Sensitivities) -> Refined:
     return refine_at_fixed_repeated_error(replace(refined.point, standing=left), sensitivities) if left else refined
 
 
-def refine_at_fixed_repeated_error(point: OperatingPoint, sensitivities: Sensitivities) -> Refined:
+def refine_at_fixed_repeated_error(point: OperatingPoint, sensitivities: Sensitivities) -> Refinement:
     """Refined as by `refine`, with the repeated error of standing corners fixed at the OperatingPoint's."""
     model = linearise(point)
-    coordinates, column = parameter_directions(model, sensitivities)
+    coordinates, column = effect_parameter_directions(model, sensitivities)
     freedom = partial(_Freedom.of, coordinates)
     for _ in range(MAX_ITERATIONS):
         step, covariance = (
@@ -209,14 +217,14 @@ def refine_at_fixed_repeated_error(point: OperatingPoint, sensitivities: Sensiti
             break
         gained = _comparable(model) - _comparable(new)
         point, model = new.point, new
-        coordinates, column = parameter_directions(model, sensitivities)
+        coordinates, column = effect_parameter_directions(model, sensitivities)
         freedom = partial(_Freedom.of, coordinates)
         if (np.abs(step) < SMALL * np.sqrt(np.diag(covariance))).all() and gained < 1 or gained < ENOUGH:
             break
     if column is None:
-        return Refined(point, model, coordinates, np.zeros(0), np.zeros((0, 0)), None)
+        return Refinement(point, model, coordinates, np.zeros(0), np.zeros((0, 0)), None)
     last = freedom(point.effects, column)
-    return Refined(point, model, coordinates, last.values, _step(model, last)[1], column)
+    return Refinement(point, model, coordinates, last.values, _step(model, last)[1], column)
 
 
 def _step(model: LinearisedModel, free: _Freedom) -> tuple[Floats, Floats]:
@@ -279,9 +287,9 @@ def _apply(
         matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += value[:4]
         cameras[i] = replace(cameras[i], matrix=matrix, distortion=cameras[i].distortion + value[4:])
     finder = list(k.finder or [0.0] * len(cameras))
-    for i, j in edge_bias_freedoms(model.nuisances.names, k.design):
+    for i, j in camera_edge_bias_freedoms(model.nuisances.names, k.design):
         finder[i] += float(freedoms[j])
-    own = seat_freedoms(model.nuisances.names)
+    own = cube_seat_freedoms(model.nuisances.names)
     seats = tuple(
         type(s).of_numbers(s.place, s.numbers() + freedoms[own[s.place]]) if s.place in own else s for s in k.seats
     )

@@ -6,18 +6,18 @@ import numpy as np
 from scipy.linalg import null_space
 
 from calib.diagnosis.engine.lack_of_fit import LackOfFit
-from calib.diagnosis.problems.platform.candidate_search import mount_pixels
+from calib.diagnosis.problems.platform.candidate_search import camera_mount_pixel_derivatives
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel, linearise
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from calib.diagnosis.problems.remainder_covariates import (
     axis_speeds,
     scaled_powers,
-    scaled_to_unit_interval,
+    scaled_to_plus_minus_one,
     time_cosines,
 )
-from rig.arrays import Floats, Integers
-from rig.effects.framework.image_warp import warp_columns
-from rig.effects.framework.place import Place
+from rig.array_types import Floats, Integers
+from rig.effects.framework.effect_data_types import Place
+from rig.model.image_warp_and_edge_shift import warp_columns
 from rig.model.pose import pose_difference
 
 SLOW, FAST = 8, 24  # cosines of a smooth function of time
@@ -44,7 +44,7 @@ def smooth_strut_functions(point: OperatingPoint) -> list[tuple[str, list[tuple[
     lengths, way_last = motion.lengths, motion.path.direction
     for j in range(point.axes):
         bases.append((f"strut {j + 1}'s position", _alike(scaled_powers(lengths[:, j], 4), ones)))
-    scaled = np.stack([scaled_to_unit_interval(column) for column in lengths.T], axis=1)
+    scaled = np.stack([scaled_to_plus_minus_one(column) for column in lengths.T], axis=1)
     bases.append(("history", np.stack([way_last, way_last * scaled], axis=2)))
     way = motion.path.way
     if np.ptp(way, axis=0).min(initial=np.inf) > 0:
@@ -66,13 +66,13 @@ def smooth_strut_functions(point: OperatingPoint) -> list[tuple[str, list[tuple[
     return out
 
 
-def view_pixels(model: LinearisedModel, camera: Place) -> Floats:
-    """(n, 2, 7) px of corners, per unit tangent of a camera's mount and per unit share of its focal length."""
+def camera_mount_and_focal_pixel_derivatives(model: LinearisedModel, camera: Place) -> Floats:
+    """Derivatives (n, 2, 7) of corner pixels by the tangent of a camera's mount and by its focal length's share."""
     k = model.point
     o = k.observed.observations
     i = _camera_index(k, camera)
     rows, out = o.camera == i, np.zeros((len(o), 2, 7))
-    out[..., :6] = mount_pixels(model, camera)
+    out[..., :6] = camera_mount_pixel_derivatives(model, camera)
     out[rows, :, 6] = k.pixels()[rows] - k.design.cameras[i].matrix[:2, 2]
     return out
 
@@ -81,13 +81,13 @@ def _camera_index(k: OperatingPoint, place: Place) -> int:
     return [c.name for c in k.design.cameras].index(place.name)
 
 
-def view_time_functions(point: OperatingPoint, count: int) -> Floats:
-    """(F, 7, 7 count) cosines of time for each view parameter of `view_pixels`."""
+def camera_time_functions(point: OperatingPoint, count: int) -> Floats:
+    """Time functions (F, 7, 7 count) of a camera: cosines of time for each of its mount and focal parameters."""
     return np.einsum("fk,ab->fabk", time_cosines(point.t, count), np.eye(7)).reshape(len(point.t), 7, -1)
 
 
-def warp_pixels(point: OperatingPoint, camera: int) -> Floats:
-    """(n, 2, q) px of corners under smooth warps of camera i's image; where corners should be, since where they are
+def image_warp_pixel_derivatives(point: OperatingPoint, camera: int) -> Floats:
+    """Derivatives (n, 2, q) of corner pixels by smooth warps of a camera's image, predicted ones: where they are
     seen holds their noise.
     """
     rows = point.observed.observations.camera == camera
@@ -102,13 +102,13 @@ def _marker_pixels(k: OperatingPoint, ids: Integers) -> Floats:
     edges = edge_pixels(k)
     out = np.zeros((len(edges), 2, 8 * len(ids)))
     for j, number in enumerate(ids):
-        rows, moved = marker_corner_pixels(k, edges, number)
+        rows, moved = corner_shift_pixel_derivatives(k, edges, number)
         out[rows, :, 8 * j : 8 * j + 8] = moved
     return out
 
 
 def edge_pixels(point: OperatingPoint) -> Floats:
-    """(n, 2, 2) px of corners moved along the two edges of their marker, per side."""
+    """Derivatives (n, 2, 2) of corner pixels by shifts along the two edges of their marker, per side."""
     seen, quads = point.observed, point.pixels(rows=np.arange(len(point.observed.sightings.frame)))
     depth = _depths(quads)
     edges = np.stack(
@@ -117,8 +117,8 @@ def edge_pixels(point: OperatingPoint) -> Floats:
     return edges[seen.row, seen.observations.corner]
 
 
-def marker_corner_pixels(point: OperatingPoint, edges: Floats, marker: int) -> tuple[Integers, Floats]:
-    """(observed corners (h,), (h, 2, 8) px of them) of one marker: each of its corners moved along its edges, as
+def corner_shift_pixel_derivatives(point: OperatingPoint, edges: Floats, marker: int) -> tuple[Integers, Floats]:
+    """Derivatives (h, 2, 8), with rows (h,), of one marker's corner pixels by shifts along the marker's edges, as
     `edge_pixels` has them.
     """
     seen = point.observed
@@ -149,7 +149,9 @@ def _depths(quads: Floats) -> Floats:
     return np.stack([np.ones(len(g)), 1 + g, 1 + g + h, 1 + h], axis=1)
 
 
-def smooth_function_columns(model: LinearisedModel, left: list[LackOfFit]) -> tuple[Floats | None, Floats | None]:
+def smooth_function_columns(
+    model: LinearisedModel, lacks_of_fit: list[LackOfFit]
+) -> tuple[Floats | None, Floats | None]:
     """(pixels (n, 2, q) or None, weights (F, axes, r) or None) of all smooth functions of what is left depends on: at
     all struts where it is struts, at all markers where it is one, else at the cameras themselves."""
     k = model.point
@@ -158,7 +160,7 @@ def smooth_function_columns(model: LinearisedModel, left: list[LackOfFit]) -> tu
         if k.axes
         else {}
     )  # the finest of each
-    sites = [(u, Place.parse(u.place)) for u in left]
+    sites = [(u, Place.parse(u.place)) for u in lacks_of_fit]
     named = {
         "pose" if d.endswith("position") else d for u, at in sites if at.kind in ("strut", "rig") for d in u.depends_on
     }
@@ -166,10 +168,10 @@ def smooth_function_columns(model: LinearisedModel, left: list[LackOfFit]) -> tu
     pixels = []
     for u, at in sites:
         if at.kind in ("camera", "cameras") and u.depends_on == ("time",):
-            shapes = view_time_functions(k, FAST)[k.observed.observations.frame]
-            pixels.append(np.einsum("nca,nak->nck", view_pixels(model, at), shapes))
+            shapes = camera_time_functions(k, FAST)[k.observed.observations.frame]
+            pixels.append(np.einsum("nca,nak->nck", camera_mount_and_focal_pixel_derivatives(model, at), shapes))
         elif at.kind in ("camera", "cameras") and u.depends_on == ("image position",):
-            pixels.append(warp_pixels(k, _camera_index(k, at)))
+            pixels.append(image_warp_pixel_derivatives(k, _camera_index(k, at)))
     if any(at.kind in ("marker", "markers") for _, at in sites):
         ids = np.unique(k.observed.markers.id[k.observed.sightings.marker])
         pixels.append(_marker_pixels(k, ids) @ np.kron(np.eye(len(ids)), _distortions()))

@@ -1,4 +1,4 @@
-"""Findings beside tolerances: those set apart that tolerances may cause, intervals widened by the rest."""
+"""Tolerable findings: beyond chance, but no larger than tolerances may cause, set apart from what"""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from calib.diagnosis.engine.finding_confirmation import Finding, is_significant
 from calib.diagnosis.engine.lack_of_fit import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, Projection, join_columns
 from calib.diagnosis.engine.selection_inputs import C
-from calib.diagnosis.problems.measured_evidence import Remark, Tolerable, Value
+from calib.diagnosis.problems.evidence_interface import Remark, Tolerable, Value
 from calib.diagnosis.problems.platform.candidate_search import candidate_column
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, effect_context
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
@@ -19,8 +19,8 @@ from calib.diagnosis.problems.platform.held_out_validation import residual_chang
 from calib.diagnosis.problems.platform.linearised_residuals import CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
-from calib.diagnosis.problems.platform.simultaneous_refinement import Refined
-from calib.diagnosis.problems.platform.temperature_alternatives import WARM
+from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
+from calib.diagnosis.problems.platform.temperature_effects_as_alternatives import WARM
 from calib.diagnosis.problems.platform.tolerance_columns import (
     TOGETHER,
     SignificantTolerance,
@@ -30,8 +30,8 @@ from calib.diagnosis.problems.platform.tolerance_columns import (
     significant_tolerances,
     tolerance_model,
 )
-from rig.arrays import Floats
-from rig.model.manufacturing_tolerances import STILL
+from rig.array_types import Floats
+from rig.model.marker_and_sensor_tolerances import STILL
 
 LASTING = ("image position", "place on the marker")  # what is left and depends on these is the same in every frame
 LASTING_VIEWS = ("map", "outward", "markers", "targets")  # effects that residuals show so are, too
@@ -128,18 +128,23 @@ def _corner_displacement(fit: PlatformFit, number: int) -> float:
     return float(model.corner_noise() * np.sqrt(max(square, 0.0) / max(touched, 1)))
 
 
-def widen_intervals(refined: Refined, sensitivities: Sensitivities) -> Refined:
+def widen_intervals(refinement: Refinement, sensitivities: Sensitivities) -> Refinement:
     """Refined with intervals (its covariance) widened by temperature log errors and tolerances."""
     added = [
-        half for half in (temperature_log_errors(refined), tolerance_errors(refined, sensitivities)) if half is not None
+        half
+        for half in (
+            parameter_errors_by_temperature_logs(refinement),
+            parameter_errors_by_tolerances(refinement, sensitivities),
+        )
+        if half is not None
     ]
-    return replace(refined, covariance=refined.covariance + sum(half @ half.T for half in added))
+    return replace(refinement, covariance=refinement.covariance + sum(half @ half.T for half in added))
 
 
-def temperature_log_errors(refined: Refined) -> Floats | None:
-    """(c, k) errors of the coordinates per standard deviation of temperature log errors, or None."""
-    k, sensors, parts = refined.point, refined.point.sensors, []
-    if sensors is None or refined.column is None:
+def parameter_errors_by_temperature_logs(refinement: Refinement) -> Floats | None:
+    """Errors (c, k) of fitted coordinates per standard deviation of the temperature logs' errors, or None."""
+    k, sensors, parts = refinement.point, refinement.point.sensors, []
+    if sensors is None or refinement.column is None:
         return None
     channels = {
         next(name for name in names if name in sensors.channels)
@@ -150,57 +155,62 @@ def temperature_log_errors(refined: Refined) -> Floats | None:
     for channel in sorted(channels & k.log_errors.keys()):
         for error in k.log_errors[channel].T:
             course = {**sensors.channels, channel: sensors.channels[channel] + error}
-            parts += [_moved(refined.model, replace(k, sensors=replace(sensors, channels=course)))]
+            parts += [_moved(refinement.model, replace(k, sensors=replace(sensors, channels=course)))]
     if not parts:
         return None
-    own = len(refined.coordinates)
-    both = join_columns([Column(refined.column.parts), *parts])
-    return refined.covariance @ refined.model.linear.project(both).gram[:own, own:]
+    own = len(refinement.coordinates)
+    both = join_columns([Column(refinement.column.parts), *parts])
+    return refinement.covariance @ refinement.model.linear.project(both).gram[:own, own:]
 
 
-def tolerance_errors(refined: Refined, sensitivities: Sensitivities) -> Floats | None:
-    """(c, q) errors of the coordinates per standard deviation of what tolerances do, or None.
+def parameter_errors_by_tolerances(refinement: Refinement, sensitivities: Sensitivities) -> Floats | None:
+    """Errors (c, q) of fitted coordinates per standard deviation of manufacturing tolerances, or None.
     What an effect is the size of is nothing that it
     is off by.
     """
-    found = tolerance_model(refined.marginalised, sensitivities)
-    if found is None or refined.column is None:
+    found = tolerance_model(refinement.marginalised, sensitivities)
+    if found is None or refinement.column is None:
         return None
-    linear = refined.model.linear
+    linear = refinement.model.linear
     across = (
-        found.with_column(refined.column) - linear.project(refined.column).onto.T @ found.projected(refined.model).onto
+        found.with_column(refinement.column)
+        - linear.project(refinement.column).onto.T @ found.projected(refinement.model).onto
     )
-    off = refined.covariance @ across * observed_tolerance_sigmas(found.projected(refined.marginalised), found)
-    for i, c in enumerate(refined.coordinates):
-        effect = refined.point.effects[c.effect]
+    off = (
+        refinement.covariance
+        @ across
+        * tolerance_sigmas_from_residuals(found.projected(refinement.marginalised), found)
+    )
+    for i, c in enumerate(refinement.coordinates):
+        effect = refinement.point.effects[c.effect]
         for site in found.sites:
             if (site.effect, site.place) == (effect.name, effect.place):
                 off[i, site.columns] = 0.0
     return off
 
 
-def observed_tolerance_sigmas(seen: Projection, found: ToleranceModel) -> Floats:
-    """(q,) standard deviations of what tolerances do, of each kind as the residuals show it, at the most MOST
+def tolerance_sigmas_from_residuals(projection: Projection, tolerances: ToleranceModel) -> Floats:
+    """Tolerance sigmas (q,) estimated from residuals, kind by kind, at the most MOST times the stated ones
 
     Source: MacKay, Bayesian interpolation, Neural Computation 4, 1992, sec. 4
     """
-    share = np.ones(found.kinds.max() + 1)
+    share = np.ones(tolerances.kinds.max() + 1)
     for _ in range(ROUNDS):
-        sigma = found.sigma * share[found.kinds]
+        sigma = tolerances.sigma * share[tolerances.kinds]
         on = np.flatnonzero(sigma)
         width = sigma[on]
-        inverse = np.linalg.inv(np.eye(len(on)) + width[:, None] * seen.gram[np.ix_(on, on)] * width)
-        sizes, known = share[found.kinds[on]] * (inverse @ (width * seen.right[on])), 1 - np.diag(inverse)
+        inverse = np.linalg.inv(np.eye(len(on)) + width[:, None] * projection.gram[np.ix_(on, on)] * width)
+        sizes, known = share[tolerances.kinds[on]] * (inverse @ (width * projection.right[on])), 1 - np.diag(inverse)
         new = share.copy()
-        for kind in np.unique(found.kinds[on]):
-            own = found.kinds[on] == kind
+        for kind in np.unique(tolerances.kinds[on]):
+            own = tolerances.kinds[on] == kind
             if kind != TOGETHER:
                 new[kind] = min(np.sqrt((sizes[own] ** 2).sum() / max(known[own].sum(), 1e-9)), MOST)
         new[new < SETTLED] = 0.0
         if np.abs(new - share).max() < SETTLED:
             break
         share = new
-    return found.sigma * share[found.kinds]
+    return tolerances.sigma * share[tolerances.kinds]
 
 
 def _moved(model: LinearisedModel, off: OperatingPoint) -> Column:

@@ -8,9 +8,9 @@ from scipy.sparse import csr_array
 
 from calib.diagnosis.engine.frame_inner_products import (
     Normal,
-    solve_fixed_size,
     solve_normal_equations,
     solve_with_prior,
+    solve_with_unit_coefficient,
 )
 from calib.diagnosis.engine.linear_model import Column, Projection
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
@@ -18,12 +18,11 @@ from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, COR
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.smooth_functions import SLOW
 from calib.diagnosis.problems.remainder_covariates import time_cosines
-from rig.arrays import Floats, Integers
+from rig.array_types import Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
-from rig.effects.framework.diagnosis_interface import Linear
-from rig.effects.framework.place import Place
+from rig.effects.framework.effect_data_types import Linear, Place
 from rig.model import mechanisms
-from rig.model.manufacturing_tolerances import PLACES, SIDES, STEEL, THERMOMETER, Tolerance
+from rig.model.marker_and_sensor_tolerances import PLACES, SIDES, STEEL, THERMOMETER, Tolerance
 from vision.bundle.printing_errors import KINDS, NAMES
 
 ALPHA = 1e-3  # chance, over all, that tolerances are taken to be at work where they are not
@@ -170,20 +169,22 @@ def _courses(k: OperatingPoint) -> Floats:
     return np.einsum("fs,ab->fabs", time_cosines(k.t, SLOW), np.eye(k.axes)).reshape(len(k.t), k.axes, -1)
 
 
-def tolerances_explain_residuals(seen: Projection, sigma: Floats) -> bool:
+def tolerances_explain_residuals(projection: Projection, sigma: Floats) -> bool:
     """Whether tolerances together, each within its sigma (q,), explain a model's residuals."""
-    solved = solve_with_prior(Normal(seen.right[None], seen.gram[None], np.diag(seen.gram)[None]), sigma)
+    solved = solve_with_prior(
+        Normal(projection.right[None], projection.gram[None], np.diag(projection.gram)[None]), sigma
+    )
     return bool(scipy.special.chdtrc(max(solved.rank[0], 1.0), solved.delta_chi2[0]) < ALPHA)
 
 
-def tolerance_log_likelihood_ratio(seen: Projection, sigma: Floats) -> float:
+def log_likelihood_ratio_with_tolerances(projection: Projection, sigma: Floats) -> float:
     """Twice the log likelihood ratio of a model's residuals with tolerances to those without.
 
     sigma : (n,) standard deviation of each column's tolerance, in the column's unit, as m
     Source: MacKay, Information theory, inference and learning algorithms, 2003, ch. 28
     """
-    scaled = np.eye(len(sigma)) + sigma[:, None] * seen.gram * sigma
-    right = sigma * seen.right
+    scaled = np.eye(len(sigma)) + sigma[:, None] * projection.gram * sigma
+    right = sigma * projection.right
     return float(right @ np.linalg.solve(scaled, right) - np.linalg.slogdet(scaled)[1])
 
 
@@ -198,7 +199,7 @@ def share_not_explained_by_tolerances(
     )
     right, gram = alone.right - cross @ taken[:, 0], alone.gram - cross @ taken[:, 1:]
     deltas = [
-        (solve_fixed_size if sized else solve_normal_equations)(
+        (solve_with_unit_coefficient if sized else solve_normal_equations)(
             Normal(b[None], G[None], np.diag(alone.gram)[None])
         ).delta_chi2[0]
         for b, G in ((alone.right, alone.gram), (right, gram))

@@ -24,17 +24,17 @@ from calib.diagnosis.problems.formula_suggestion import (
     library_of_quantities,
 )
 from calib.diagnosis.problems.platform.candidate_search import axis_products
-from calib.diagnosis.problems.platform.effect_sensitivities import parameter_directions
+from calib.diagnosis.problems.platform.effect_sensitivities import effect_parameter_directions
 from calib.diagnosis.problems.platform.held_out_validation import residual_change_column
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, LinearisedModel, linearise
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem
-from calib.diagnosis.problems.platform.simultaneous_refinement import refine
-from rig.arrays import Floats
+from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
+from rig.array_types import Floats
 from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_data_types import Place
 from rig.effects.framework.formula_quantities import POSE
-from rig.effects.framework.place import Place
-from rig.effects.texts.formula_effect_file import Written
+from rig.effects.texts.effect_file_from_formula import Written
 
 SEVERAL = 3  # struts that are unknown, from which all alike and the platform are asked as well
 
@@ -170,7 +170,7 @@ def _with(problem: PlatformProblem, fit: PlatformFit, point: OperatingPoint) -> 
     same without).
     """
     bare = linearise(point)
-    coordinates, column = parameter_directions(bare, problem.sensitivities)
+    coordinates, column = effect_parameter_directions(bare, problem.sensitivities)
     others = [i for i, c in enumerate(coordinates) if c.effect < len(fit.refined.point.effects)]
     new = bare.marginalise(column.take(others)) if others and column is not None else bare
     return problem.beside_tolerances(new), bare
@@ -204,7 +204,7 @@ def _suggested(
     """Suggestion of a Formula, refined with all that is free; None where stretches chosen without do not gain by
     such.
     """
-    fold = frame_folds(model.frames, sudden=False)
+    fold = frame_folds(model.frames, has_sudden_effects=False)
     products, floor = site.products(model), site.floor(model)
     chosen = [
         Search(site.library, Reduced.on(model.linear, products, fold != h), floor).best() for h in np.unique(fold)
@@ -225,7 +225,7 @@ def _suggested(
     if gain < GAIN or sum(one is not None for one in chosen) < AGREE * len(chosen):
         return None
     k, struts = fit.refined.point, site.struts
-    refined = refine(k.with_effects((*k.effects, _effect(site, formula))), problem.sensitivities)
+    refined = refine_operating_point(k.with_effects((*k.effects, _effect(site, formula))), problem.sensitivities)
     inverse = np.linalg.inv(model.closures.W)
     before, after = (
         float(np.sqrt(np.mean((inverse @ left.reshape(model.frames, -1, 1))[:, struts] ** 2)))

@@ -10,12 +10,12 @@ from calib.diagnosis.engine.chance_probability import residual_dispersion
 from calib.diagnosis.engine.frame_inner_products import (
     FrameProducts,
     Normal,
-    normal_of_weighted_directions,
+    normal_equations_by_direction_weights,
     solve_normal_equations,
 )
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel
-from rig.arrays import Booleans, Floats
+from rig.array_types import Booleans, Floats
 
 FREQUENCIES = 8  # bins of the coarse spectrum for each cycle that the highest frequency makes
 ALIAS = 0.25  # of the spectral window's height from which a frequency mirrors a slow one
@@ -65,7 +65,7 @@ def best_frequency(model: LinearisedModel, candidate: PlatformCandidate, product
     spectrum, frequency = spectrum[inside], frequency[inside]
     peaks = np.argsort(-spectrum)[:PEAKS]
     near = np.unique(np.concatenate([frequency[p] + np.linspace(-1, 1, 21) / (OVERSAMPLED * length) for p in peaks]))
-    normal = normal_of_weighted_directions(products, sinusoid_directions(model, near))
+    normal = normal_equations_by_direction_weights(products, sinusoid_directions(model, near))
     deltas, coefficients = (
         np.array(part) for part in zip(*(rank_one_least_squares(*pair) for pair in zip(normal.b, normal.G)))
     )

@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.files import calibration_file
 from calib.models.arm import certification as certifying
-from calib.models.arm import error_model
+from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import calibrate_arm, certify_arm
 from rig.cli import command_line
 from rig.errors import NotEnoughData, Unreachable
 from rig.model.pose import exp, pose_difference, pose_to_vector
 from rig.planning.configuration_sets import sobol_configurations
-from tests.calib import arm_worlds as worlds
+from tests.calib import secret_arms as worlds
 from tests.cli import run
 from tests.conftest import make_recording
 from tests.rig.arms import SEVEN, UR10, configurations
@@ -54,11 +54,13 @@ def test_commands_give_wanted_poses_of_the_real_arm(nominal):
     bent = (
         np.abs(q[:, len(q[0]) - 4]) > 0.3
     )  # a stretched elbow's poses may be out of the fitted arm's reach by micrometres
-    wanted = error_model.predicted_target_poses(q[bent], true)
+    wanted = error_model_and_observations.predicted_target_poses(q[bent], true)
     commands = correction.inverse(wanted)
     assert np.abs(pose_difference(correction.predict(commands), wanted)).max() < 1e-10
-    errors = pose_difference(error_model.predicted_target_poses(commands, true), wanted)
-    before = pose_difference(error_model.predicted_target_poses(correction.uncorrected(wanted), true), wanted)
+    errors = pose_difference(error_model_and_observations.predicted_target_poses(commands, true), wanted)
+    before = pose_difference(
+        error_model_and_observations.predicted_target_poses(correction.uncorrected(wanted), true), wanted
+    )
     assert np.linalg.norm(errors[:, :3], axis=1).max() < 5e-5 < np.linalg.norm(before[:, :3], axis=1).mean()
 
 
@@ -90,9 +92,11 @@ def test_joint_profiles_are_found_where_they_pay():
         and done.held_out.after.position[0] < 1.5 * done.held_out.floor[0]
     )
     q = configurations(UR10, 50, rng, 0.45)
-    error = pose_difference(done.correction.predict(q), error_model.predicted_target_poses(q + geared(q), true))
+    error = pose_difference(
+        done.correction.predict(q), error_model_and_observations.predicted_target_poses(q + geared(q), true)
+    )
     assert np.linalg.norm(error[:, :3], axis=1).mean() < 5e-5
-    wanted = error_model.predicted_target_poses(q, true)
+    wanted = error_model_and_observations.predicted_target_poses(q, true)
     np.testing.assert_allclose(
         pose_difference(done.correction.predict(done.correction.inverse(wanted)), wanted), 0, atol=1e-10
     )
@@ -122,7 +126,7 @@ def test_stated_uncertainty_of_a_command_covers_its_error(plain):
     calibration = Calibration(done.correction, done.found.covariance, done.found.scatter, (), (), done.held_out, {})
     q = configurations(UR10, 200, np.random.default_rng(5), 0.5)
     covariance = certifying.arm_pose_covariance(calibration, q)
-    error = pose_difference(done.correction.predict(q), error_model.predicted_target_poses(q, true))
+    error = pose_difference(done.correction.predict(q), error_model_and_observations.predicted_target_poses(q, true))
     nees = np.einsum("mi,mij,mj->m", error, np.linalg.inv(covariance), error)
     assert 1.5 < nees.mean() < 18  # one draw of 30 parameters, so not 6 exactly
 
@@ -172,7 +176,7 @@ def test_a_recording_through_the_commands(base, tool, alone, tmp_path, capsys):
     if alone:
         return
     q = np.array([[0.4, 0.3, 1.0, -0.7, 0.9, 0.2], [-0.8, -0.6, -1.2, 0.5, -1.1, 1.0]])
-    wanted = error_model.predicted_target_poses(q, true)
+    wanted = error_model_and_observations.predicted_target_poses(q, true)
     rows = [",".join([str(i), *(f"{x:.12f}" for x in row)]) for i, row in enumerate(pose_to_vector(wanted))]
     (tmp_path / "wanted.csv").write_text("\n".join(["frame,x,y,z,rx,ry,rz", *rows]) + "\n")
     assert (
@@ -190,7 +194,9 @@ def test_a_recording_through_the_commands(base, tool, alone, tmp_path, capsys):
     )
     commands = np.loadtxt(tmp_path / "q.csv", delimiter=",", skiprows=1)[:, 1:]
     assert (
-        np.linalg.norm(pose_difference(error_model.predicted_target_poses(commands, true), wanted)[:, :3], axis=1).max()
+        np.linalg.norm(
+            pose_difference(error_model_and_observations.predicted_target_poses(commands, true), wanted)[:, :3], axis=1
+        ).max()
         < 5e-5
     )
 
@@ -245,10 +251,13 @@ def test_an_arms_claims_cover_what_is_found_elsewhere():
         claim = certifying.arm_workspace_claim(samples, done, rng)
         seen = np.stack([samples.commanded.min(axis=0), samples.commanded.max(axis=0)], axis=1)
         q = sobol_configurations(seen, 200, seed=seed)
-        real = error_model.predicted_target_poses(q, true)
+        real = error_model_and_observations.predicted_target_poses(q, true)
         before, after = (
             np.mean(pose_difference(T, real)[:, :3] ** 2)
-            for T in (error_model.predicted_target_poses(q, done.correction.nominal), done.correction.predict(q))
+            for T in (
+                error_model_and_observations.predicted_target_poses(q, done.correction.nominal),
+                done.correction.predict(q),
+            )
         )
         inside.append(claim.ratio[1] <= np.sqrt(before / after) <= claim.ratio[2])
         assert claim.distinct == 36

@@ -9,18 +9,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration import Calibration
-from calib.certification.extension_certification import Asked
-from calib.correction.interpolation.interpolation_methods import field_from_entries, field_to_dict
+from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.extended_correction_certification import ExtensionRequest
+from calib.correction.interpolation_methods_and_summand_extension import field_from_entries, field_to_dict
 from calib.files import calibration_file
-from calib.models.arm import error_model
+from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import arm_pose_covariance
 from calib.models.arm.extended_correction_certification import (
     certify_extended_arm,
     claim_without_geometry,
-    joint_space_summands,
+    joint_correction_field_samples,
     nominal_arm_correction,
-    single_step_errors,
+    single_step_correction_errors,
 )
 from calib.samples.pose_samples import Samples
 from rig.errors import RigError
@@ -30,7 +30,7 @@ from rig.planning.configuration_sets import divided_grid_configurations, sobol_c
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Poses
 from rig.recording.recording_tables import write_poses
-from tests.calib import arm_worlds as worlds
+from tests.calib import secret_arms as worlds
 from tests.cli import command
 from tests.rig.arms import SEVEN, UR10
 
@@ -45,7 +45,7 @@ def geared(q):
 
 def samples_at(q, true, sigma=OWN, seed=1):
     scale = np.repeat(sigma, 3)
-    T = error_model.predicted_target_poses(q - geared(q), true) * exp(
+    T = error_model_and_observations.predicted_target_poses(q - geared(q), true) * exp(
         scale * np.random.default_rng(seed).normal(size=(len(q), 6))
     )
     return Samples(
@@ -70,7 +70,9 @@ def gridded():
 @pytest.mark.parametrize("alone", [False, True])
 def test_corrected_poses_are_exact_at_the_samples_and_commands_lead_there(gridded, alone):
     samples, true = gridded
-    done, tried = certify_extended_arm(samples, UR10, worlds.TRACKER, Asked("simplex", alone), np.random.default_rng(0))
+    done, tried = certify_extended_arm(
+        samples, UR10, worlds.TRACKER, ExtensionRequest("simplex", alone), np.random.default_rng(0)
+    )
     on = slice(0, 64)
     assert (
         np.abs(pose_difference(done.correction.predict(samples.commanded[on]), samples.T_base_platform[on])).max()
@@ -80,20 +82,22 @@ def test_corrected_poses_are_exact_at_the_samples_and_commands_lead_there(gridde
         one.kind for one in tried if one.chosen
     ] == ["simplex"]
     assert done.held_out.after.n == 30 and done.held_out.after.position[0] < 0.6 * done.held_out.before.position[0]
-    wanted = error_model.predicted_target_poses(sobol_configurations(BOX, 20, 0.6, 3), true)
+    wanted = error_model_and_observations.predicted_target_poses(sobol_configurations(BOX, 20, 0.6, 3), true)
     commands = done.correction.inverse(wanted)
     assert np.abs(pose_difference(done.correction.predict(commands), wanted)).max() < 1e-10
     real, bare = (
-        pose_difference(error_model.predicted_target_poses(c - geared(c), true), wanted)
+        pose_difference(error_model_and_observations.predicted_target_poses(c - geared(c), true), wanted)
         for c in (commands, done.correction.uncorrected(wanted))
     )
     assert np.linalg.norm(real[:, :3], axis=1).mean() < 0.5 * np.linalg.norm(bare[:, :3], axis=1).mean()
-    assert 0 < single_step_errors(done.correction)[1] < 1e-5
+    assert 0 < single_step_correction_errors(done.correction)[1] < 1e-5
 
 
 def test_it_is_kept_in_the_file_and_says_how_sure_it_is(gridded, tmp_path):
     samples, true = gridded
-    done, _ = certify_extended_arm(samples, UR10, worlds.TRACKER, Asked("linear", True), np.random.default_rng(0))
+    done, _ = certify_extended_arm(
+        samples, UR10, worlds.TRACKER, ExtensionRequest("linear", True), np.random.default_rng(0)
+    )
     claim = claim_without_geometry(samples, done, np.random.default_rng(0))
     kept = Calibration(
         done.correction, done.found.covariance, done.found.scatter, (1,), (), done.held_out, {"seed": 0}, claim
@@ -103,7 +107,8 @@ def test_it_is_kept_in_the_file_and_says_how_sure_it_is(gridded, tmp_path):
     inner = sobol_configurations(BOX, 60, 0.7, 4)
     np.testing.assert_array_equal(again.correction.rho(inner), done.correction.rho(inner))
     error = pose_difference(
-        again.correction.predict(inner), error_model.predicted_target_poses(inner - geared(inner), true)
+        again.correction.predict(inner),
+        error_model_and_observations.predicted_target_poses(inner - geared(inner), true),
     )
     stated = np.sqrt(np.einsum("nii->ni", arm_pose_covariance(again, inner))[:, :3].sum(axis=1).mean())
     assert (
@@ -122,9 +127,11 @@ def test_summands_meet_the_poses_and_keep_none_where_a_pose_tells_no_joint(arm):
     q[0, len(arm.joints) - 2] = 0.0  # two axes of the wrist in one line
     samples = samples_at(q, true)
     plain, _ = nominal_arm_correction(samples, arm, worlds.TRACKER, replace(arm, base=true.base, tool=true.tool))
-    known = joint_space_summands(samples, plain.fitted, np.zeros(0))
+    known = joint_correction_field_samples(samples, plain.fitted, np.zeros(0))
     missed = np.abs(
-        pose_difference(error_model.predicted_target_poses(q - known.values, plain.fitted), samples.T_base_platform)
+        pose_difference(
+            error_model_and_observations.predicted_target_poses(q - known.values, plain.fitted), samples.T_base_platform
+        )
     ).max(axis=1)
     assert (missed < 1e-11).mean() > 0.7 and np.abs(known.values).max() < 0.05
     if len(arm.joints) == 6:
@@ -135,11 +142,15 @@ def test_what_cannot_serve_is_refused_by_name(gridded):
     samples, true = gridded
     with pytest.raises(RigError, match="the 30 samples fill no grid .* over 6 axes it has 64 vertices at the least"):
         certify_extended_arm(
-            samples.take(slice(64, 94)), UR10, worlds.TRACKER, Asked("simplex", True), np.random.default_rng(0)
+            samples.take(slice(64, 94)),
+            UR10,
+            worlds.TRACKER,
+            ExtensionRequest("simplex", True),
+            np.random.default_rng(0),
         )
     turned = replace(samples, covariance=np.where(np.eye(6) * np.r_[1, 1, 1, 0, 0, 0] > 0, np.inf, samples.covariance))
     with pytest.raises(RigError, match="--extend takes an arm's poses, or its positions.* orientations alone"):
-        certify_extended_arm(turned, UR10, worlds.TRACKER, Asked("radial", False), np.random.default_rng(0))
+        certify_extended_arm(turned, UR10, worlds.TRACKER, ExtensionRequest("radial", False), np.random.default_rng(0))
 
 
 @pytest.mark.slow
@@ -167,14 +178,17 @@ def test_gears_are_corrected_through_the_command_line(tmp_path, capsys):
         for name in ("radial", "plain")
     }
     assert told["radial"]["after"]["position"]["rms"] < 0.2 * told["radial"]["before"]["position"]["rms"]
-    wanted = error_model.predicted_target_poses(sobol_configurations(BOX, 40, 0.9, 3), true)
+    wanted = error_model_and_observations.predicted_target_poses(sobol_configurations(BOX, 40, 0.9, 3), true)
     write_poses(tmp_path / "wanted.csv", Poses(np.arange(40), wanted, None))
     left = {}
     for name, more in (("radial", ()), ("bare", ("--uncorrected",)), ("single", ("--single-step",))):
         rig("correct", tmp_path / "radial.json", "--poses", tmp_path / "wanted.csv", "--out", tmp_path / "c.csv", *more)
         c = np.genfromtxt(tmp_path / "c.csv", delimiter=",", skip_header=1)[:, 1:]
         left[name] = np.sqrt(
-            (pose_difference(error_model.predicted_target_poses(c - geared(c), true), wanted)[:, :3] ** 2)
+            (
+                pose_difference(error_model_and_observations.predicted_target_poses(c - geared(c), true), wanted)[:, :3]
+                ** 2
+            )
             .sum(axis=1)
             .mean()
         )
@@ -198,9 +212,13 @@ def test_a_smooth_field_promises_what_it_does_where_nothing_was_measured():
     """Its own standard error, of sizes and smoothness as they are likeliest, is less than half of that."""
     true, box = worlds.secret(UR10, np.random.default_rng(3)), BOX + [-0.45, 0.45]
     samples = samples_at(sobol_configurations(box, 100, 1.0, 1), true)
-    done, _ = certify_extended_arm(samples, UR10, worlds.TRACKER, Asked("radial", True), np.random.default_rng(0))
+    done, _ = certify_extended_arm(
+        samples, UR10, worlds.TRACKER, ExtensionRequest("radial", True), np.random.default_rng(0)
+    )
     claim, q = claim_without_geometry(samples, done, np.random.default_rng(0)), sobol_configurations(box, 256, 0.8, 7)
-    error = pose_difference(done.correction.predict(q), error_model.predicted_target_poses(q - geared(q), true))[:, :3]
+    error = pose_difference(
+        done.correction.predict(q), error_model_and_observations.predicted_target_poses(q - geared(q), true)
+    )[:, :3]
     assert done.correction.extension.inflation > 1.5
     size = np.sqrt((error**2).sum(axis=1).mean())  # nearer the middle than most that were held out
     assert 0.6 < size / claim.after[0][0] < 1.3 and claim.after[0][1] < claim.after[0][2] < 4 * claim.after[0][1]
@@ -220,7 +238,7 @@ def test_correction_values_of_an_arm_meet_what_was_measured(tmp_path, capsys):
     np.testing.assert_allclose(k, x - y, atol=2e-12)
     placed = calibration_file.load(tmp_path / "c.json").correction.nominal
     missed = pose_difference(
-        error_model.predicted_target_poses(y, placed),
+        error_model_and_observations.predicted_target_poses(y, placed),
         recording_folder.load_recording(tmp_path / "rec").poses.T_base_platform,
     )
     assert (np.abs(missed).max(axis=1) < 1e-9).mean() > 0.7 and 1e-4 < np.sqrt((k**2).mean()) < 1e-2

@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.calibration import Calibration
+from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.correction.physics_compensation import Physics
-from calib.correction.pose_route import Pace
+from calib.correction.pose_route_and_pose_space_map import Pace
 from calib.files import calibration_file
-from calib.models.arm import error_model
+from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import start_arm
 from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.geometry_and_joint_effects_fit import History, Prior, fit_geometry_and_effects
-from calib.models.arm.instrument_observations import sample_observations
+from calib.models.arm.error_model_and_observations import sample_observations
+from calib.models.arm.joint_effects_fit_and_held_out_scatter import History, Prior, fit_geometry_and_effects
 from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.recording_samples import sample_recording
 from rig.cli.command_line import main
-from rig.effects.framework.fit_coordinates import coordinates_of_effects
-from rig.effects.texts.effect_notation import parse_effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
@@ -89,16 +89,20 @@ def test_whatever_moves_the_arm_is_undone(tmp_path, name, text):
     design = arm_named(tmp_path, name)
     calibration = known_to_be(design, parse_effect(text), parse_effect("scale_error:joint 1:scale=1e-4"))
     m, count = design.mechanism, 8
-    T = error_model.predicted_target_poses(sobol_configurations(m.limits, count, 0.6, 3), m)
+    T = error_model_and_observations.predicted_target_poses(sobol_configurations(m.limits, count, 0.6, 3), m)
     t = 60 + 40.0 * np.arange(count)
     warm = Sensors(np.array([0.0, 500.0]), {"ambient_temperature_C": np.array([20.0, 27.0])})
     done = commands_along_route(calibration, T, np.zeros(len(m.joints)), Pace(t, 0.0, 0.5, None), warm)
-    run = motion_simulation.run_machine(design, done.route.commands(done.values), t, calibration.physics.effects, warm)
+    run = motion_simulation.simulate_machine_run(
+        design, done.route.commands(done.values), t, calibration.physics.effects, warm
+    )
     rest = pose_difference(run.T_base_platform, T)
     atol = 1e-8 if name == "puma560" else 2e-5  # what a growing link leaves to four joints is no joint's to undo
     assert np.abs(rest[:, :3]).max() < 1e-8 and np.abs(rest[:, 3:]).max() < atol
     plain = calibration.correction.inverse_without_physics(T)
-    bare = motion_simulation.run_machine(design, done.route.commands(plain), t, calibration.physics.effects, warm)
+    bare = motion_simulation.simulate_machine_run(
+        design, done.route.commands(plain), t, calibration.physics.effects, warm
+    )
     assert np.abs(pose_difference(bare.T_base_platform, T)).max() > 1e-5
     np.testing.assert_allclose(done.T_base_platform.as_matrix(), T.as_matrix(), atol=1e-9)
 
@@ -110,7 +114,7 @@ def played(tmp_path_factory):
     design, rng = arm_named(at, "scara"), np.random.default_rng(3)
     secret = secret_machine.draw_machine(design, rng, 1.0, (parse_effect(GAP),))
     recording_simulation.write_recording(
-        recording_simulation.simulate(secret, plan.build_plan(design, "sobol:70", 3), rng),
+        recording_simulation.simulate_world(secret, plan.build_plan(design, "sobol:70", 3), rng),
         at / "rec",
         shipped_arm_layout.shipped_arm_rig_toml("scara"),
         rng,
@@ -167,11 +171,23 @@ def drives(tmp_path, capsys, name, effects, without=(), another=False):
         return capsys.readouterr().out
 
     options = [word for effect in effects for word in ("--effect", effect)]
-    said("simulate", rig, "--plan", "sobol:120", *options, "--seed", "3", "--out", tmp_path / "rec", "--truth", truth)
+    said(
+        "simulate_world",
+        rig,
+        "--plan",
+        "sobol:120",
+        *options,
+        "--seed",
+        "3",
+        "--out",
+        tmp_path / "rec",
+        "--truth",
+        truth,
+    )
     said("diagnose", tmp_path / "rec", "--out", tmp_path / "d")
     if another:
         said(
-            "simulate",
+            "simulate_world",
             rig,
             "--machine",
             truth,
@@ -192,7 +208,7 @@ def drives(tmp_path, capsys, name, effects, without=(), another=False):
         tmp_path / "w.csv",
         Poses(
             np.arange(60),
-            error_model.predicted_target_poses(sobol_configurations(ends, 60, 0.7, 17), known.fitted),
+            error_model_and_observations.predicted_target_poses(sobol_configurations(ends, 60, 0.7, 17), known.fitted),
             None,
         ),
     )
@@ -200,7 +216,7 @@ def drives(tmp_path, capsys, name, effects, without=(), another=False):
     for way in ("c", "plain"):
         said("correct", tmp_path / f"{way}.json", "--poses", tmp_path / "w.csv", "--out", tmp_path / f"{way}.csv")
         said(
-            "simulate",
+            "simulate_world",
             rig,
             "--machine",
             truth,

@@ -7,32 +7,48 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.models.arm import error_model, instrument_placement
-from calib.models.arm.identification import identify_arm, independent_arm_parameters
-from calib.models.arm.instrument_observations import pose_observations
+from calib.models.arm import error_model_and_observations, instrument_placement
+from calib.models.arm.error_model_and_observations import pose_observations
+from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameters
 from rig.errors import NotEnoughData
 from rig.model.pose import exp, log, pose, pose_difference
-from tests.calib import arm_worlds as worlds
-from tests.numeric import jacobian
+from tests.calib import secret_arms as worlds
+from tests.numerical_derivatives import jacobian
 from tests.rig.arms import SEVEN, UR10, configurations, random_arm
 
 
 def test_parameter_jacobian_agrees_with_differences():
     arm = random_arm(np.random.default_rng(0), 7)
     q = configurations(arm, 3, np.random.default_rng(1))
-    T = error_model.predicted_target_poses(q, arm)
+    T = error_model_and_observations.predicted_target_poses(q, arm)
     J = jacobian(
         lambda step: log(
-            T.inv() * error_model.predicted_target_poses(q, error_model.arm_with_parameter_step(arm, step))
+            T.inv()
+            * error_model_and_observations.predicted_target_poses(
+                q, error_model_and_observations.arm_with_parameter_step(arm, step)
+            )
         ),
         np.zeros(47),
     )
-    np.testing.assert_allclose(error_model.parameter_jacobian(q, arm), J, atol=1e-8)
+    np.testing.assert_allclose(error_model_and_observations.parameter_jacobian(q, arm), J, atol=1e-8)
     np.testing.assert_allclose(
-        error_model.joint_jacobian(q, arm), error_model.parameter_jacobian(q, arm)[..., 6:-6:5], atol=1e-14
+        error_model_and_observations.joint_jacobian(q, arm),
+        error_model_and_observations.parameter_jacobian(q, arm)[..., 6:-6:5],
+        atol=1e-14,
     )
-    assert len(error_model.parameter_names(arm)) == len(error_model.parameter_units(arm)) == 47
-    assert error_model.parameter_names(arm)[6:12] == ("theta 1", "d 1", "a 1", "alpha 1", "beta 1", "theta 2")
+    assert (
+        len(error_model_and_observations.parameter_names(arm))
+        == len(error_model_and_observations.parameter_units(arm))
+        == 47
+    )
+    assert error_model_and_observations.parameter_names(arm)[6:12] == (
+        "theta 1",
+        "d 1",
+        "a 1",
+        "alpha 1",
+        "beta 1",
+        "theta 2",
+    )
 
 
 @pytest.mark.parametrize("make", [worlds.touched, worlds.wired])
@@ -40,7 +56,9 @@ def test_rows_of_other_instruments_agree_with_differences(make):
     rng = np.random.default_rng(2)
     arm = worlds.secret(UR10, rng)
     seen = make(arm, UR10, 4, rng)
-    predicted = -jacobian(lambda step: seen.residuals(error_model.arm_with_parameter_step(arm, step)), np.zeros(42))
+    predicted = -jacobian(
+        lambda step: seen.residuals(error_model_and_observations.arm_with_parameter_step(arm, step)), np.zeros(42)
+    )
     np.testing.assert_allclose(seen.jacobian(arm), predicted, atol=1e-8)
 
 
@@ -75,11 +93,12 @@ def test_identification_of_near_parallel_axes_is_as_good_as_it_says(nominal):
         found = identify_arm(seen, instrument_placement.place_arm(seen, nominal, True, True))
         assert not found.scatter.any() and found.inliers.all() and found.rank.free.sum() == 4 * len(nominal.joints) + 6
         q = configurations(nominal, 40, rng, 0.5)
-        J = error_model.parameter_jacobian(q, found.arm)
+        J = error_model_and_observations.parameter_jacobian(q, found.arm)
         sigma = np.sqrt(np.einsum("mki,ij,mkj->mk", J, found.covariance, J))
         scores.append(
             pose_difference(
-                error_model.predicted_target_poses(q, found.arm), error_model.predicted_target_poses(q, true)
+                error_model_and_observations.predicted_target_poses(q, found.arm),
+                error_model_and_observations.predicted_target_poses(q, true),
             )
             / sigma
         )
@@ -105,16 +124,21 @@ def test_positions_and_distances_suffice_too():
     rng = np.random.default_rng(6)
     true = worlds.secret(UR10, rng)
     q = configurations(UR10, 60, rng, 0.5)
-    want = error_model.predicted_target_poses(q, true).translation
+    want = error_model_and_observations.predicted_target_poses(q, true).translation
     seen = worlds.touched(true, UR10, 120, rng)
     found = identify_arm(seen, instrument_placement.place_arm(seen, UR10, True, True))
-    assert np.linalg.norm(error_model.predicted_target_poses(q, found.arm).translation - want, axis=1).max() < 1e-4
+    assert (
+        np.linalg.norm(
+            error_model_and_observations.predicted_target_poses(q, found.arm).translation - want, axis=1
+        ).max()
+        < 1e-4
+    )
     wire = worlds.wired(true, UR10, 400, rng)
     start = instrument_placement.place_arm(wire, replace(UR10, tool=worlds.TOOL), True, False)
     found = identify_arm(wire, start)
     assert (
         np.abs(
-            np.linalg.norm(error_model.predicted_target_poses(q, found.arm).translation, axis=1)
+            np.linalg.norm(error_model_and_observations.predicted_target_poses(q, found.arm).translation, axis=1)
             - np.linalg.norm(want, axis=1)
         ).max()
         < 2e-4
@@ -150,7 +174,11 @@ def test_a_joint_that_never_moved_is_reported():
     seen = pose_observations(worlds.tracked(true, UR10, 60, rng))
     q = seen.q.copy()
     q[:, 3] = 0.4
-    still = replace(seen, q=q, value=error_model.predicted_target_poses(q, true) * exp(2e-5 * rng.normal(size=(60, 6))))
+    still = replace(
+        seen,
+        q=q,
+        value=error_model_and_observations.predicted_target_poses(q, true) * exp(2e-5 * rng.normal(size=(60, 6))),
+    )
     found = identify_arm(still, instrument_placement.place_arm(still, UR10, True, True))
     assert found.rank.free.sum() < 30 and len(found.rank.report()) > 1
 

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from calib.models.arm import error_model
-from calib.models.arm.identification import identify_arm
-from calib.models.arm.instrument_observations import Observations, position_observations, sample_observations
+from calib.models.arm import error_model_and_observations
+from calib.models.arm.error_model_and_observations import Observations, position_observations, sample_observations
+from calib.models.arm.identification_and_joint_profiles import identify_arm
 from calib.models.arm.instrument_placement import place_arm
 from calib.samples.pose_samples import Samples
 from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from rig.model.design import Arm
 from rig.model.pose import exp
-from tests.calib import arm_worlds as worlds
+from tests.calib import secret_arms as worlds
 from tests.conftest import ROOT
 from tests.rig.arms import SEVEN, UR10, configurations
 
@@ -48,7 +48,9 @@ def case(seed: int) -> tuple[Arm, Arm, np.ndarray, Observations, np.ndarray]:
     true = replace(true, joints=rows, base=base, tool=tool)
     draw = level if stays else lambda n, r: configurations(nominal, n, r, 0.5)
     q, fresh = draw(count, rng), draw(60, rng)
-    T = error_model.predicted_target_poses(q, true) * exp(np.repeat(SIGMA, 3) * rng.normal(size=(count, 6)))
+    T = error_model_and_observations.predicted_target_poses(q, true) * exp(
+        np.repeat(SIGMA, 3) * rng.normal(size=(count, 6))
+    )
     wild = rng.choice(count, count // 50, replace=False)
     T = RigidTransform.concatenate([T[i] * exp(10 * np.repeat(SIGMA, 3)) if i in wild else T[i] for i in range(count)])
     if positions:
@@ -71,8 +73,8 @@ def missed(seed: int) -> float:
     found = identify_arm(seen, place_arm(seen, nominal, True, True))
     return float(
         np.linalg.norm(
-            error_model.predicted_target_poses(fresh, found.arm).translation
-            - error_model.predicted_target_poses(fresh, true).translation,
+            error_model_and_observations.predicted_target_poses(fresh, found.arm).translation
+            - error_model_and_observations.predicted_target_poses(fresh, true).translation,
             axis=1,
         ).max()
     )
@@ -90,7 +92,9 @@ def test_what_a_level_hand_leaves_open_goes_nowhere():
             worlds.secret(UR10, rng), base=RigidTransform.from_components(rng.normal(size=3), Rotation.random(rng=rng))
         )
         q = level(120, rng).round(7)  # as files hold them: level up to rounding
-        T = error_model.predicted_target_poses(q, true) * exp(np.repeat(SIGMA, 3) * rng.normal(size=(120, 6)))
+        T = error_model_and_observations.predicted_target_poses(q, true) * exp(
+            np.repeat(SIGMA, 3) * rng.normal(size=(120, 6))
+        )
         covariance = np.tile(np.diag(np.repeat(np.square(SIGMA), 3)), (120, 1, 1))
         seen = sample_observations(
             Samples(np.arange(120), np.arange(120) * 1.0, q, T, covariance, np.zeros((120, 6, 0)))
@@ -126,7 +130,11 @@ def test_places_that_the_poses_do_not_tell_apart_are_no_answer():
     q = np.tile(configurations(UR10, 1, rng, 0.4), (40, 1))
     q[:, 0] = np.linspace(-1, 1, 40)
     seen = position_observations(
-        q, error_model.predicted_target_poses(q, replace(UR10, base=worlds.BASE, tool=worlds.TOOL)).translation, 1e-5
+        q,
+        error_model_and_observations.predicted_target_poses(
+            q, replace(UR10, base=worlds.BASE, tool=worlds.TOOL)
+        ).translation,
+        1e-5,
     )
     with pytest.raises(RigError, match="base and tool can be placed in two ways that fit alike"):
         place_arm(seen, UR10, True, True)

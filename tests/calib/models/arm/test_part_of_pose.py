@@ -8,17 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.models.arm import error_model, instrument_placement
-from calib.models.arm.identification import identify_arm, independent_arm_parameters
-from calib.models.arm.instrument_observations import orientation_observations
+from calib.models.arm import error_model_and_observations, instrument_placement
+from calib.models.arm.error_model_and_observations import orientation_observations
+from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameters
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import sample_recording
 from rig.errors import FileError, RigError
 from rig.model.pose import exp, pose, pose_difference
 from rig.recording import recording_folder
-from tests.calib import arm_worlds as worlds
+from tests.calib import secret_arms as worlds
 from tests.cli import command
-from tests.numeric import jacobian
+from tests.numerical_derivatives import jacobian
 from tests.rig.arms import SCARA, SEVEN, UR10, configurations
 
 SIGMA = 1e-4  # rad
@@ -30,14 +30,16 @@ def leaning(true, nominal, count, rng, noisy=1.0):
     noise = np.concatenate(
         [np.full((count, 3), 7.0), noisy * SIGMA * rng.normal(size=(count, 3))], axis=1
     )  # positions are rubbish
-    return orientation_observations(q, error_model.predicted_target_poses(q, true) * exp(noise), SIGMA)
+    return orientation_observations(q, error_model_and_observations.predicted_target_poses(q, true) * exp(noise), SIGMA)
 
 
 def test_rows_of_orientations_agree_with_differences():
     rng = np.random.default_rng(2)
     arm = worlds.secret(UR10, rng)
     seen = leaning(arm, UR10, 4, rng, noisy=0.0)
-    predicted = -jacobian(lambda step: seen.residuals(error_model.arm_with_parameter_step(arm, step)), np.zeros(42))
+    predicted = -jacobian(
+        lambda step: seen.residuals(error_model_and_observations.arm_with_parameter_step(arm, step)), np.zeros(42)
+    )
     np.testing.assert_allclose(seen.jacobian(arm), predicted, atol=1e-7)
 
 
@@ -60,11 +62,12 @@ def test_orientations_tell_the_rotational_parameters_as_well_as_they_say(nominal
         )
         np.testing.assert_array_equal(found.arm.rows[:, 1:3], nominal.rows[:, 1:3])
         q = configurations(nominal, 40, rng, 0.5)
-        J = error_model.parameter_jacobian(q, found.arm)[:, 3:]
+        J = error_model_and_observations.parameter_jacobian(q, found.arm)[:, 3:]
         sigma = np.sqrt(np.einsum("mki,ij,mkj->mk", J, found.covariance, J))
         scores.append(
             pose_difference(
-                error_model.predicted_target_poses(q, found.arm), error_model.predicted_target_poses(q, true)
+                error_model_and_observations.predicted_target_poses(q, found.arm),
+                error_model_and_observations.predicted_target_poses(q, true),
             )[:, 3:]
             / sigma
         )
@@ -76,7 +79,7 @@ def test_a_hand_that_turns_about_one_axis_alone_is_not_placed_by_its_rotations()
     seen = leaning(worlds.secret(SCARA, rng), SCARA, 40, rng)
     with pytest.raises(RigError, match="family of places"):
         instrument_placement.place_arm(
-            replace(seen, value=error_model.predicted_target_poses(seen.q, SCARA)), SCARA, True, True
+            replace(seen, value=error_model_and_observations.predicted_target_poses(seen.q, SCARA)), SCARA, True, True
         )
     one = instrument_placement.place_arm(seen, replace(SCARA, tool=worlds.TOOL), True, False)
     assert (one.base.inv() * worlds.BASE).rotation.magnitude() < 0.01

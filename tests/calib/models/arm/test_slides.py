@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.models.arm import error_model, independent_parameters, instrument_placement
+from calib.models.arm import error_model_and_observations, instrument_placement
 from calib.models.arm.certification import calibrate_arm
-from calib.models.arm.identification import identify_arm, independent_arm_parameters
-from calib.models.arm.instrument_observations import pose_observations
+from calib.models.arm.error_model_and_observations import pose_observations
+from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameters
 from rig.errors import Unreachable
 from rig.model.pose import exp, log
-from tests.calib import arm_worlds as worlds
-from tests.numeric import jacobian
+from tests.calib import secret_arms as worlds
+from tests.numerical_derivatives import jacobian
 from tests.rig.arms import GANTRY, SCARA, SEVEN, STANFORD, UR10, configurations, random_arm
 
 ARMS = {"6R": UR10, "scara": SCARA, "gantry": GANTRY}
@@ -38,17 +38,22 @@ def scores(nominal, seeds, count=80):
 def test_parameter_jacobian_of_slides_agrees_with_differences():
     arm = random_arm(np.random.default_rng(0), 5, (0, 3))
     q = configurations(arm, 3, np.random.default_rng(1))
-    T = error_model.predicted_target_poses(q, arm)
+    T = error_model_and_observations.predicted_target_poses(q, arm)
     J = jacobian(
         lambda step: log(
-            T.inv() * error_model.predicted_target_poses(q, error_model.arm_with_parameter_step(arm, step))
+            T.inv()
+            * error_model_and_observations.predicted_target_poses(
+                q, error_model_and_observations.arm_with_parameter_step(arm, step)
+            )
         ),
         np.zeros(37),
     )
-    np.testing.assert_allclose(error_model.parameter_jacobian(q, arm), J, atol=1e-8)
+    np.testing.assert_allclose(error_model_and_observations.parameter_jacobian(q, arm), J, atol=1e-8)
     np.testing.assert_allclose(
-        error_model.joint_jacobian(q, arm),
-        error_model.parameter_jacobian(q, arm)[..., error_model.joint_zero_indices(arm)],
+        error_model_and_observations.joint_jacobian(q, arm),
+        error_model_and_observations.parameter_jacobian(q, arm)[
+            ..., error_model_and_observations.joint_zero_indices(arm)
+        ],
         atol=1e-14,
     )
 
@@ -59,7 +64,7 @@ def test_counts_of_independent_parameters(arm, kind, extra):
     """4 R + 2 P + 6 of whole poses; the rank of the model says of joints that turn what the rules say."""
     slides = arm.slides.sum()
     assert (
-        independent_parameters.generally_independent_parameters(arm, kind).sum()
+        error_model_and_observations.generally_independent_parameters(arm, kind).sum()
         == independent_arm_parameters(arm, kind).sum()
         == 4 * (len(arm.slides) - slides) + 2 * slides + extra
     )
@@ -91,7 +96,10 @@ def test_an_unknown_place_is_found(name):
     q = configurations(nominal, 50, rng, 0.5)
     assert (
         np.abs(
-            log(error_model.predicted_target_poses(q, true).inv() * error_model.predicted_target_poses(q, found.arm))
+            log(
+                error_model_and_observations.predicted_target_poses(q, true).inv()
+                * error_model_and_observations.predicted_target_poses(q, found.arm)
+            )
         ).max()
         < 3e-4
     )
@@ -105,7 +113,7 @@ def test_few_joints_are_commanded_to_the_nearest_pose_and_the_rest_is_told():
     tilt = np.zeros((20, 6))
     tilt[:, 3:5] = 1e-3 * rng.normal(size=(20, 2))
     tool = found.arm.tool.rotation.as_matrix()
-    wanted = error_model.predicted_target_poses(configurations(SCARA, 20, rng, 0.4), true)
+    wanted = error_model_and_observations.predicted_target_poses(configurations(SCARA, 20, rng, 0.4), true)
     wanted = wanted * exp(
         np.concatenate([tilt[:, :3], tilt[:, 3:] @ tool], axis=1)
     )  # about axes across the hand's own, which nothing turns about
@@ -113,13 +121,15 @@ def test_few_joints_are_commanded_to_the_nearest_pose_and_the_rest_is_told():
     rest = correction.rest(wanted, commands)
     assert np.abs(rest[:, :3]).max() < 1e-10
     np.testing.assert_allclose(np.linalg.norm(rest[:, 3:], axis=1), np.linalg.norm(tilt, axis=1), atol=1.5e-4)
-    reached = error_model.predicted_target_poses(commands, true)
+    reached = error_model_and_observations.predicted_target_poses(commands, true)
     assert (
         np.linalg.norm((reached.translation - wanted.translation), axis=1).max() < 5e-5
     )  # 20 um of the tracker, 80 poses
     plain = correction.uncorrected(wanted)
     assert (
-        np.linalg.norm(error_model.predicted_target_poses(plain, true).translation - wanted.translation, axis=1).max()
+        np.linalg.norm(
+            error_model_and_observations.predicted_target_poses(plain, true).translation - wanted.translation, axis=1
+        ).max()
         > 1e-4
     )
     np.testing.assert_allclose(correction.summand(commands), 0, atol=0.05)

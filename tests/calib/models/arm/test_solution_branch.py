@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.models.arm import error_model
+from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import calibrate_arm
 from rig.errors import Unreachable
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose, pose_difference
-from tests.calib import arm_worlds as worlds
+from tests.calib import secret_arms as worlds
 from tests.rig.arms import SEVEN, UR10
 
 ELSEWHERE = pose([0.3, 2.0, -1.0], [0.3, -1.1, 0.8])
@@ -25,7 +25,7 @@ def drawn(arm, seed, count=30, deviation=None):
     samples = worlds.tracked(true, arm, count, rng, deviation=deviation)
     q = worlds.configurations_of(arm, 200, rng)
     bent = (np.abs(np.sin(q[:, 2])) > 0.2) & (np.abs(np.sin(q[:, 4])) > 0.2)
-    return samples, error_model.predicted_target_poses(q[bent][:80], true)
+    return samples, error_model_and_observations.predicted_target_poses(q[bent][:80], true)
 
 
 @pytest.mark.parametrize(("arm", "seed"), [(UR10, 5), (UR10, 8), (SEVEN, 3), (SEVEN, 5)])
@@ -57,7 +57,7 @@ def test_the_single_step_is_on_the_elbow_of_the_fixed_point_and_no_whole_turn_is
 
 def test_joint_values_are_apart_by_less_than_half_a_turn_and_slides_by_all_of_it():
     arm = replace(UR10, slides=np.arange(6) == 2)
-    apart = mechanism.joint_difference(
+    apart = mechanism.joint_value_difference(
         np.array([3.1, 0.0, 7.0, 0.0, 0.0, 0.0]), np.array([-3.1, 0.0, 0.0, 0.0, 0.0, 6.0]), arm
     )
     np.testing.assert_allclose(apart, [6.2 - 2 * np.pi, 0, 7.0, 0, 0, 2 * np.pi - 6.0])

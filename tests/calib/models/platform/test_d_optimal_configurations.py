@@ -17,7 +17,7 @@ from calib.models.platform.parameter_accuracy import PLAUSIBLE, parameter_combin
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
 from rig.planning import configuration_sets
-from tests.calib.worlds import sampled
+from tests.calib.noisy_samples import sampled
 
 SIGMAS = (1e-5, 1e-4)
 
@@ -76,7 +76,7 @@ def test_what_is_promised_is_what_a_fit_finds(chosen, design):
 
 def test_what_is_given_counts(design):
     given = configuration_sets.sobol_configurations(design.mechanism.strut_range, 3)
-    found = choose_d_optimal_configurations(design.mechanism, 20, SIGMAS, given_configurations=given)
+    found = choose_d_optimal_configurations(design.mechanism, 20, SIGMAS, existing_configurations=given)
     hidden = [part for part in parameter_combinations(found.before, design.mechanism)[0] if not part.determined]
     assert len(hidden) >= 42 - 18 and all(
         part.determined for part in parameter_combinations(found.root, design.mechanism)[0]

@@ -10,7 +10,7 @@ from calib.models.platform.optimal_configurations import fewest_configurations
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
-from tests.calib.worlds import rms, sampled, workspace
+from tests.calib.noisy_samples import rms, sampled, workspace
 
 SIGMAS = (1e-5, 1e-4)  # m, rad
 PROMISE = 2e-5  # m

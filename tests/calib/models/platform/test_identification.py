@@ -17,9 +17,9 @@ from calib.models.platform.identification import (
 from rig.errors import NotEnoughData, RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference
-from tests.calib.designs import worst_jacobian
-from tests.calib.worlds import sampled
-from tests.numeric import jacobian
+from tests.calib.noisy_samples import sampled
+from tests.calib.random_hexapods import worst_jacobian
+from tests.numerical_derivatives import jacobian
 
 
 def test_loop_jacobian_agrees_with_differences(design):

@@ -13,7 +13,7 @@ from calib.models.platform.identification import (
 from calib.models.platform.parameter_accuracy import frame_motion_columns, parameter_combinations
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference, transform_points
-from tests.calib.worlds import sampled, workspace
+from tests.calib.noisy_samples import sampled, workspace
 
 
 def test_gauge_is_the_motion_of_the_frames(design):

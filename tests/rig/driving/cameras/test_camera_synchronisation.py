@@ -7,13 +7,13 @@ from rig.driving.cameras import CameraError, grab_and_settling
 from rig.driving.cameras.camera_interface_and_clock import Frame
 from rig.driving.cameras.grab_and_settling import (
     NotSettled,
-    Shutter,
+    SynchronisedCameras,
     image_difference,
     parse_settling,
     set_exposure_for_markers,
 )
 from rig.errors import RigError
-from tests.rig.ticking import SIZE, Ticking
+from tests.rig.simulated_clock import SIZE, Ticking
 
 
 class Flaky:
@@ -39,12 +39,12 @@ class Flaky:
 
 def test_a_grab_that_failed_is_tried_again_and_then_named():
     clock = Ticking()
-    shutter = Shutter((Flaky(clock, 2),), clock)
+    shutter = SynchronisedCameras((Flaky(clock, 2),), clock)
     assert set(shutter.grab()) == {"cam0"} and len(shutter.retried) == 2
     shutter.close()
     assert shutter.sources[0].closed
     with pytest.raises(CameraError, match="gives no frame"):
-        Shutter((Flaky(clock, 3),), clock).grab()
+        SynchronisedCameras((Flaky(clock, 3),), clock).grab()
 
 
 @pytest.mark.parametrize("white", [3.0, 40.0, 400.0, 2000.0])

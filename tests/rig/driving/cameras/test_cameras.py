@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from rig.driving.cameras import CameraError, open_camera
-from rig.driving.cameras.camera_interface_and_clock import Offset
+from rig.driving.cameras.camera_interface_and_clock import ClockOffset
 from rig.driving.cameras.camera_opening import EmulatedSource, FolderSource
 from rig.driving.cameras.genicam_camera import GenicamSource
 from rig.driving.cameras.opencv_camera import VideoSource
 from rig.errors import RigError
 from rig.model.design import Camera
 from rig.model.pose import pose
-from tests.rig.ticking import SIZE, Ticking
+from tests.rig.simulated_clock import SIZE, Ticking
 
 
 def camera(source=None):
@@ -127,7 +127,7 @@ def test_a_device_that_is_not_there_is_said(tmp_path):
 
 
 def test_offset_narrows_drifts_and_sees_a_clock_set_anew():
-    rng, offset = np.random.default_rng(2), Offset()
+    rng, offset = np.random.default_rng(2), ClockOffset()
     t, true = 100.0, 37.25
     for _ in range(50):
         before, latency = t, rng.uniform(0.001, 0.03, 2)

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from rig.driving.emulators.emulated_machine import FINE, Axes
+from rig.driving.emulators.emulated_machine import FINE, MovingAxes
 
 SPEED, ACCELERATION = np.array([0.01, 0.02, 0.03]), np.array([0.1, 0.05, 0.2])
 
 
 def axes():
-    return Axes(5.0, np.zeros(3), SPEED, ACCELERATION)
+    return MovingAxes(5.0, np.zeros(3), SPEED, ACCELERATION)
 
 
 def moved(one, until, step=1e-4):

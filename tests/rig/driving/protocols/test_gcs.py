@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from rig.driving.clock import SimulatedClock
-from rig.driving.controller_link import Link
+from rig.driving.controller_requests_and_answers import Link
 from rig.driving.protocols.gcs import GCS
 from rig.driving.protocols.protocol_interface import Segment
 from rig.errors import ControllerFault, NoAnswer
-from tests.rig.wire import ScriptedPort
+from tests.rig.scripted_wire import ScriptedPort
 
 IDENTITY = (b"*IDN?\n", b"(c)2015 Physik Instrumente (PI) GmbH & Co. KG, C-884.6DC, 117012345, 1.021\n")
 AXES = "1 2 3 4 5 6"

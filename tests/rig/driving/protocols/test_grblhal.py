@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from rig.driving.clock import SimulatedClock
-from rig.driving.controller_link import Link
+from rig.driving.controller_requests_and_answers import Link
 from rig.driving.protocols.grblhal import GrblHAL
 from rig.driving.protocols.protocol_interface import Segment
 from rig.errors import ControllerFault, NoAnswer
-from tests.rig.wire import ScriptedPort
+from tests.rig.scripted_wire import ScriptedPort
 
 IDLE = b"<Idle|MPos:1.000,2.000,3.000,4.000,5.000,6.000|Bf:100,1023|FS:0,0>\r\n"
 BUILD = b"[VER:1.1f.20260817:]\r\n[OPT:VNML+,100,1024,6,0]\r\n[AXS:6:XYZABC]\r\nok\r\n"

@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.driving.clock import SimulatedClock
-from rig.driving.controller_link import Link
+from rig.driving.controller_requests_and_answers import Link
 from rig.driving.protocols.linuxcnc import LinuxCNC
 from rig.driving.protocols.protocol_interface import Segment
 from rig.errors import ControllerFault
-from tests.rig.wire import ScriptedPort
+from tests.rig.scripted_wire import ScriptedPort
 
 HOMED = (b"GET JOINT_HOMED\r\n", b"JOINT_HOMED YES YES YES YES YES YES\r\n")
 POSITIONS = (b"GET JOINT_POS\r\n", b"JOINT_POS 475.851818 475.851818 475.851818 475.851818 475.851818 475.851818\r\n")

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 from rig.driving.clock import SimulatedClock, SystemClock
-from rig.driving.controller_link import Link
+from rig.driving.controller_requests_and_answers import Link
 from rig.driving.protocols.own_strut_protocol import Struts, decode_frame, encode_frame
 from rig.driving.protocols.protocol_interface import Segment
 from rig.driving.serial_port import SerialPort
 from rig.driving.strut_driver import Driver
 from rig.errors import ControllerFault, NoAnswer, PositionLost
 from tests.conftest import ROOT
-from tests.rig.wire import ScriptedPort
+from tests.rig.scripted_wire import ScriptedPort
 
 HELLO = [
     (b">1 HELLO*7DF0\n", encode_frame("<", 1, "OK struts/1 axes=6 boot=0EA93B36 line=128 pc")),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.effects.texts.effect_notation import parse_effect
+from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.errors import RigError
 from rig.formats.exporters import geometry_and_camera_files, urdf_and_sdf
 from rig.model import motion_simulation
@@ -48,10 +48,10 @@ def test_genhexkins_screws_couple_as_ours_do(true, gain):
     steps = plan.plan_of_configurations(
         configuration_sets.sobol_configurations(m.strut_range, 40, 0.9), m.strut_range.mean(axis=1), 0.05
     )
-    run = motion_simulation.run_machine(
+    run = motion_simulation.simulate_machine_run(
         true, steps.commands, steps.t, (parse_effect(f"screw_coupling:rig:gain={gain}"),)
     )
-    plain = motion_simulation.run_machine(true, steps.commands, steps.t)
+    plain = motion_simulation.simulate_machine_run(true, steps.commands, steps.t)
     assert np.linalg.norm(pose_difference(plain.T_base_platform, run.T_base_platform)[:, :3], axis=1).max() > 5e-6
     text = geometry_and_camera_files.genhexkins_settings(m, "mm", true.actuator.screw_lead, gain)
     error = pose_difference(run.T_base_platform, forward(text, steps.commands.at(steps.t), m.home, 1e3))

@@ -15,7 +15,7 @@ from rig.formats.exporters import urdf_and_sdf
 from rig.formats.exporters.urdf_and_sdf import simulator_struts
 from rig.model.mechanisms import hexapod
 from rig.planning import configuration_sets
-from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.planning.layout import hexapod_layout_and_camera_placement
 from synthetic import secret_machine
 from tests.calib.checks.test_mistakes import said
 
@@ -108,7 +108,9 @@ def test_a_joint_on_the_axis_has_no_cardan(machine):
 
 
 def test_simulators_files_come_from_the_command_line(tmp_path):
-    (tmp_path / "rig.toml").write_text(hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=2, cubes=2))
+    (tmp_path / "rig.toml").write_text(
+        hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=2, cubes=2)
+    )
     for kind in ("urdf", "sdf"):
         assert said("export", tmp_path / "rig.toml", "--format", kind, "--out", tmp_path / f"h.{kind}")[0] == 0
         assert ElementTree.parse(tmp_path / f"h.{kind}").getroot().tag == {"urdf": "robot", "sdf": "sdf"}[kind]

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.errors import RigError
 from rig.formats.importers.ros_messages import encode_image_message
-from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import said
 
@@ -29,7 +29,7 @@ N = 4  # frames
 def rig(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_text(
-        hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=3, width=WIDTH, height=HEIGHT, cubes=3)
+        hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=3, width=WIDTH, height=HEIGHT, cubes=3)
     )
     return path
 

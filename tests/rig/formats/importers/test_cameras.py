@@ -14,7 +14,7 @@ from rig.errors import RigError
 from rig.formats.exporters import geometry_and_camera_files as exported
 from rig.formats.rig_toml import camera_instrument_and_cube_entries, design_file
 from rig.model.pose import exp
-from rig.planning.layout import hexapod_and_two_strut_layout
+from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.calib.checks.test_mistakes import said
 from vision.lens import project
 
@@ -26,7 +26,7 @@ def stated(tmp_path):
     """A rig.toml as its owner believes it, and its cameras."""
     path = tmp_path / "rig.toml"
     path.write_text(
-        hexapod_and_two_strut_layout.hexapod_layout_rig_toml(0.3, cameras=3, width=1280, height=960, cubes=3)
+        hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=3, width=1280, height=960, cubes=3)
     )
     return path, design_file.load_design(path).cameras
 

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from rig.checks.clock_mistakes import clock_offset_mistake, dwell_clock_shift
+from rig.checks.clock_mistakes import dwell_clock_offset_mistake, dwell_clock_shift
 from rig.planning.plan import build_plan
 from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import said
@@ -106,8 +106,8 @@ def test_rows_that_a_log_has_twice_are_taken_once(good, tmp_path):
 def test_clocks_that_differ_though_they_overlap_are_told_by_what_stands_still(ahead):
     rng = np.random.default_rng(1)
     t, values, at = log(rng.choice([1.0, 2.0, 3.0, 4.0], 30))
-    assert not list(clock_offset_mistake(at, t, values))
-    (found,) = clock_offset_mistake(at + ahead, t, values)
+    assert not list(dwell_clock_offset_mistake(at, t, values))
+    (found,) = dwell_clock_offset_mistake(at + ahead, t, values)
     assert (
         found.spoils
         and f"clock is {abs(ahead):.4g} s {'ahead of' if ahead > 0 else 'behind'} the commands'" in found.what
@@ -118,7 +118,7 @@ def test_clocks_that_differ_though_they_overlap_are_told_by_what_stands_still(ah
 def test_frames_taken_on_the_way_say_nothing_of_clocks():
     rng = np.random.default_rng(1)
     t, values, at = log(rng.choice([1.0, 2.0, 3.0, 4.0], 30))
-    assert not list(clock_offset_mistake(np.sort(rng.uniform(0, t[-1], 40)), t, values))
+    assert not list(dwell_clock_offset_mistake(np.sort(rng.uniform(0, t[-1], 40)), t, values))
 
 
 @pytest.mark.parametrize(
@@ -127,4 +127,4 @@ def test_frames_taken_on_the_way_say_nothing_of_clocks():
 )
 def test_a_plan_as_it_was_exposed_is_accused_of_no_clock(design, parts):
     found = build_plan(design, parts, 3)
-    assert not list(clock_offset_mistake(found.t, found.commands.t, found.commands.values))
+    assert not list(dwell_clock_offset_mistake(found.t, found.commands.t, found.commands.values))

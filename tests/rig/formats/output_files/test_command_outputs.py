@@ -12,7 +12,7 @@ import sys
 import pytest
 
 from rig.errors import FileError, RigError
-from rig.formats.output_files import MANIFEST, Outputs, require_complete_folder, write_text
+from rig.formats.output_files import MANIFEST, CommandOutputs, require_complete_folder, write_text
 from rig.formats.output_files.folder_manifest import load_manifest
 from rig.recording import recording_folder as recording
 from tests.conftest import ROOT
@@ -20,7 +20,7 @@ from tests.conftest import ROOT
 
 def make(folder, files, command="measure", **how):
     """What a command does that writes these files ({name: text}) into a folder."""
-    with Outputs(command, **how) as outputs:
+    with CommandOutputs(command, **how) as outputs:
         staged = outputs.folder(folder)
         for name, text in files.items():
             (staged / name).parent.mkdir(parents=True, exist_ok=True)
@@ -28,7 +28,7 @@ def make(folder, files, command="measure", **how):
 
 
 def put(path, text, command="plan", **how):
-    with Outputs(command, **how) as outputs:
+    with CommandOutputs(command, **how) as outputs:
         write_text(outputs.file(path), text)
 
 
@@ -138,9 +138,9 @@ def test_a_file_is_known_again_and_others_are_kept(tmp_path):
 
 def test_what_accompanies_a_file_is_not_written_over_either(tmp_path):
     (tmp_path / "c.html").write_text("mine")
-    with Outputs("calibrate") as outputs, pytest.raises(FileError, match="c.html: is there"):
+    with CommandOutputs("calibrate") as outputs, pytest.raises(FileError, match="c.html: is there"):
         outputs.stage_file(outputs.file(tmp_path / "c.json"), ".html")
-    assert Outputs("calibrate").stage_file(Outputs("calibrate").file("/dev/null"), ".html") is None
+    assert CommandOutputs("calibrate").stage_file(CommandOutputs("calibrate").file("/dev/null"), ".html") is None
     assert tree(tmp_path) == {"c.html": "mine"}
 
 
@@ -148,10 +148,10 @@ def test_who_fails_leaves_everything_as_it_was(tmp_path):
     make(tmp_path / "old", {"frames.csv": "1"})
     before = sorted(path.name for path in (tmp_path / "old").iterdir())
     for out in (tmp_path / "old", tmp_path / "new" / "deep"):
-        with pytest.raises(KeyboardInterrupt), Outputs("measure") as outputs:
+        with pytest.raises(KeyboardInterrupt), CommandOutputs("measure") as outputs:
             write_text(outputs.folder(out) / "frames.csv", "2")
             raise KeyboardInterrupt
-    with pytest.raises(ZeroDivisionError), Outputs("plan") as outputs:
+    with pytest.raises(ZeroDivisionError), CommandOutputs("plan") as outputs:
         write_text(outputs.file(tmp_path / "p.csv"), "x")
         raise ZeroDivisionError
     assert (
@@ -162,7 +162,7 @@ def test_who_fails_leaves_everything_as_it_was(tmp_path):
 
 
 def test_an_error_names_the_place_where_a_file_would_have_been(tmp_path):
-    with pytest.raises(FileError) as error, Outputs("plan") as outputs:
+    with pytest.raises(FileError) as error, CommandOutputs("plan") as outputs:
         raise FileError(outputs.file(tmp_path / "p.csv"), "cannot be written: No space left on device")
     assert str(error.value) == f"{tmp_path}/p.csv: cannot be written: No space left on device"
 
@@ -170,7 +170,7 @@ def test_an_error_names_the_place_where_a_file_would_have_been(tmp_path):
 def test_of_two_places_that_one_cannot_be_written_is_one_error(tmp_path):
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
-    with pytest.raises(FileError, match="t.json: is there"), Outputs("simulate") as outputs:
+    with pytest.raises(FileError, match="t.json: is there"), CommandOutputs("simulate") as outputs:
         write_text(outputs.file(tmp_path / "a" / "p.csv"), "1")
         write_text(outputs.file(tmp_path / "b" / "t.json"), "2")
         (tmp_path / "b" / "t.json").write_text("somebody else's, meanwhile")
@@ -278,24 +278,24 @@ def test_a_link_out_of_a_folder_is_not_followed(tmp_path):
 
 def test_a_folder_written_in_place_is_marked_until_its_end(tmp_path):
     out = tmp_path / "campaign"
-    with pytest.raises(ZeroDivisionError), Outputs("blind") as outputs:
+    with pytest.raises(ZeroDivisionError), CommandOutputs("blind") as outputs:
         write_text(outputs.growing(out) / "x", "1")
         with pytest.raises(RigError, match="another rig command is writing"):
-            Outputs("blind").growing(out)
-        with pytest.raises(RigError, match="another rig command is writing"), Outputs("blind") as other:
+            CommandOutputs("blind").growing(out)
+        with pytest.raises(RigError, match="another rig command is writing"), CommandOutputs("blind") as other:
             other.folder(out)
         raise ZeroDivisionError
     with pytest.raises(FileError, match="not complete"):
         require_complete_folder(out)
-    with Outputs("blind") as outputs:
+    with CommandOutputs("blind") as outputs:
         write_text(outputs.growing(out) / "y", "2")
     assert require_complete_folder(out) is None and tree(out) == {"x": "1", "y": "2"}
-    with pytest.raises(FileError, match="did not make"), Outputs("run") as outputs:
+    with pytest.raises(FileError, match="did not make"), CommandOutputs("run") as outputs:
         outputs.growing(out)
 
 
 def test_two_commands_in_one_folder_do_not_undo_each_other(tmp_path):
-    with Outputs("plan") as one, Outputs("design") as two:
+    with CommandOutputs("plan") as one, CommandOutputs("design") as two:
         write_text(one.file(tmp_path / "plan.csv"), "p")
         write_text(two.file(tmp_path / "rig.toml"), "d")
     assert tree(tmp_path) == {"plan.csv": "p", "rig.toml": "d"} and set(load_manifest(tmp_path).files) == {

@@ -9,9 +9,13 @@ import pytest
 from rig.errors import Unreachable
 from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
-from rig.model.mechanisms import arm_dynamics, kinematics_of, numerical_arm_inverse
+from rig.model.mechanisms import (
+    arm_dynamics_and_step_by_step_kinematics,
+    closed_form_and_numerical_arm_inverse,
+    kinematics_of,
+)
 from rig.model.pose import exp, log, pose_difference
-from tests.numeric import jacobian
+from tests.numerical_derivatives import jacobian
 from tests.rig.arms import GANTRY, SCARA, SEVEN, STANFORD, UR10, configurations, random_arm
 from tests.rig.pinocchio_arm import build, poses
 
@@ -30,7 +34,7 @@ ARMS = {
 def test_forward_agrees_with_pinocchio(name):
     arm = ARMS[name]
     q = configurations(arm, 10_000, np.random.default_rng(1))
-    ours = mechanism.frames(q, arm)[:, -1]
+    ours = mechanism.link_frames(q, arm)[:, -1]
     theirs = poses(arm, q)
     np.testing.assert_allclose(ours[:, :3, 3], theirs[:, :3, 3], atol=1e-12)
     np.testing.assert_allclose(ours[:, :3, :3], theirs[:, :3, :3], atol=1e-12)
@@ -107,7 +111,9 @@ def test_weight_and_motion_of_slides_agree_with_pinocchio(name):
     """Torques and forces of an arm that moves; at rest the regressor of its links says the same."""
     rng, arm = np.random.default_rng(9), ARMS[name]
     half = rng.normal(size=(6, 3, 3))
-    own = arm_dynamics.Links(rng.uniform(1, 4, 6), 0.1 * rng.normal(size=(6, 3)), 0.01 * half @ np.swapaxes(half, 1, 2))
+    own = arm_dynamics_and_step_by_step_kinematics.LinkMasses(
+        rng.uniform(1, 4, 6), 0.1 * rng.normal(size=(6, 3)), 0.01 * half @ np.swapaxes(half, 1, 2)
+    )
     model, _ = build(arm)
     for i, row in enumerate(arm.rows):
         to_link = pinocchio.SE3(
@@ -118,9 +124,11 @@ def test_weight_and_motion_of_slides_agree_with_pinocchio(name):
     model.gravity.linear = gravity
     q, v, a = rng.normal(size=(3, 20, 6))
     theirs = [pinocchio.rnea(model, model.createData(), *state) for state in zip(q, v, a)]
-    np.testing.assert_allclose(arm_dynamics.joint_torques(q, v, a, arm, own, gravity), theirs, atol=1e-10)
+    np.testing.assert_allclose(
+        arm_dynamics_and_step_by_step_kinematics.joint_torques(q, v, a, arm, own, gravity), theirs, atol=1e-10
+    )
     moments = np.column_stack([own.mass, own.mass[:, None] * own.centre]).ravel()
-    still = arm_dynamics.joint_torques(q, 0 * v, 0 * a, arm, own, gravity)
+    still = arm_dynamics_and_step_by_step_kinematics.joint_torques(q, 0 * v, 0 * a, arm, own, gravity)
     np.testing.assert_allclose(mechanism.links(mechanism.forward(q, arm), q, arm, gravity) @ moments, still, atol=1e-10)
 
 
@@ -145,20 +153,20 @@ def test_few_joints_come_as_near_as_they_can_and_say_what_is_left(name, reached)
     arm, rng = ARMS[name], np.random.default_rng(11)
     q = configurations(arm, 200, rng, 0.7)
     q[:, 1] = np.abs(q[:, 1]) + 0.7  # not stretched
-    count = numerical_arm_inverse.reachable_direction_counts(arm)
+    count = closed_form_and_numerical_arm_inverse.hand_motion_direction_counts(arm)
     assert count == (3, len(reached) - 3)
     off = np.zeros((200, 6))
     off[:, [3, 4]] = 2e-3 * rng.normal(size=(200, 2))
     asked = 1e-2 * np.eye(6)[list(reached)].T @ rng.normal(size=(len(reached), 200))
     wanted = mechanism.forward(q, arm) * exp(asked.T) * exp(off)
-    found, rest, settled = numerical_arm_inverse.nearest_joint_values(wanted, arm, q, count)
+    found, rest, settled = closed_form_and_numerical_arm_inverse.nearest_joint_values(wanted, arm, q, count)
     assert settled.all() and np.abs(rest[:, :3]).max() < 1e-12
     np.testing.assert_allclose(pose_difference(mechanism.forward(found, arm), wanted), rest, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(rest[:, 3:], axis=1), np.linalg.norm(off[:, 3:], axis=1), atol=1e-5)
     beyond = replace(
         arm, joints=arm.rows + 1e-3 * rng.normal(size=arm.rows.shape)
     )  # askew: no direction more to be led in
-    found, rest, settled = numerical_arm_inverse.nearest_joint_values(wanted, beyond, q, count)
+    found, rest, settled = closed_form_and_numerical_arm_inverse.nearest_joint_values(wanted, beyond, q, count)
     assert settled.all() and np.abs(rest[:, :3]).max() < 1e-12 and np.abs(found - q).max() < 0.4
 
 

@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 
 from rig.model.mechanisms import arm as mechanism
-from rig.model.mechanisms import arm_kinematics_steps, six_joint_inverse
+from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics, closed_form_and_numerical_arm_inverse
 from tests.rig.arms import GANTRY, SCARA, SEVEN, STANFORD, UR10
 from tests.rig.model.mechanisms.test_six_joint_inverse import ARMS
 
 
 @pytest.mark.parametrize("name", ARMS)
 def test_every_branch_is_read_joint_by_joint_and_returns_to_zero(name):
-    six = six_joint_inverse.six_joint_arm(ARMS[name])
+    six = closed_form_and_numerical_arm_inverse.six_joint_arm(ARMS[name])
     T = mechanism.forward(np.random.default_rng(3).uniform(-2.5, 2.5, (12, 6)), ARMS[name])
-    found = six_joint_inverse.inverse(T, six)
+    found = closed_form_and_numerical_arm_inverse.closed_form_inverse(T, six)
     zero = six.hand + (six.key - six.hand[0])
     for i, b in np.argwhere(found.there):
-        steps = arm_kinematics_steps.inverse_steps(T[i], six, found.q[i, b])
+        steps = arm_dynamics_and_step_by_step_kinematics.inverse_steps(T[i], six, found.q[i, b])
         assert [step.joint for step in steps] == list(range(7))
         np.testing.assert_allclose(
             np.exp(1j * np.array([step.value for step in steps[1:]])), np.exp(1j * found.q[i, b]), atol=1e-8
@@ -32,7 +32,9 @@ def test_every_branch_is_read_joint_by_joint_and_returns_to_zero(name):
             common = [n for n in before.names if n in after.names]
             at = [step.points[[step.names.index(n) for n in common]] for step in (before, after)]
             np.testing.assert_allclose(
-                arm_kinematics_steps.rotate_points(at[0], *after.axis, -after.value), at[1], atol=1e-12
+                arm_dynamics_and_step_by_step_kinematics.rotate_points(at[0], *after.axis, -after.value),
+                at[1],
+                atol=1e-12,
             )
 
 
@@ -40,8 +42,10 @@ def test_the_points_of_a_branch_are_hand_worked():
     """A UR10 stretched along x at zero: the elbow E one upper arm out, D on axis 4 one forearm on, A at the crossing of
     axes 5 and 6.
     """
-    six = six_joint_inverse.six_joint_arm(UR10)
-    steps = arm_kinematics_steps.inverse_steps(mechanism.forward(np.zeros(6), UR10), six, np.zeros(6))
+    six = closed_form_and_numerical_arm_inverse.six_joint_arm(UR10)
+    steps = arm_dynamics_and_step_by_step_kinematics.inverse_steps(
+        mechanism.forward(np.zeros(6), UR10), six, np.zeros(6)
+    )
     assert (
         steps[1].names == ("A", "B", "C", "D", "E")
         and steps[3].names == ("A", "B", "C", "D")
@@ -57,9 +61,9 @@ def test_the_points_of_a_branch_are_hand_worked():
 def test_forward_by_points_is_the_chain(arm):
     """A, B, C turned and moved about the axes at zero, the last joint first, are those of the hand."""
     q = np.random.default_rng(4).uniform(*arm.limits.T)
-    steps = arm_kinematics_steps.forward_steps(q, arm)
+    steps = arm_dynamics_and_step_by_step_kinematics.forward_steps(q, arm)
     assert [step.joint for step in steps] == [0, *range(len(q), 0, -1)]
-    frame = six_joint_inverse.global_frame(arm)
+    frame = closed_form_and_numerical_arm_inverse.frame_at_first_axes_crossing(arm)
     start, end = mechanism.forward(0 * q, arm), mechanism.forward(q, arm)
     turn = (frame.inv() * end * start.inv() * frame).rotation
     np.testing.assert_allclose(steps[-1].points[0], frame.inv().apply(end.translation), atol=1e-12)
@@ -69,11 +73,11 @@ def test_forward_by_points_is_the_chain(arm):
 
 
 def test_singular_poses_take_what_the_solution_has():
-    six = six_joint_inverse.six_joint_arm(ARMS["puma"])
+    six = closed_form_and_numerical_arm_inverse.six_joint_arm(ARMS["puma"])
     q = np.array([0.3, 0.4, 0.5, 0.6, 0.0, 0.8])
     T = mechanism.forward(q, ARMS["puma"])
-    found = six_joint_inverse.inverse(T, six, near=q)
+    found = closed_form_and_numerical_arm_inverse.closed_form_inverse(T, six, free_joint_values=q)
     b = int(np.nanargmin(np.abs(found.q - q).max(axis=1)))
-    steps = arm_kinematics_steps.inverse_steps(T, six, found.q[b])
+    steps = arm_dynamics_and_step_by_step_kinematics.inverse_steps(T, six, found.q[b])
     np.testing.assert_allclose([step.value for step in steps[1:]], q, atol=1e-6)
     np.testing.assert_allclose(steps[-1].points, six.hand + (six.key - six.hand[0]), atol=1e-9)

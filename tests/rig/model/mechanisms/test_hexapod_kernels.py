@@ -6,7 +6,7 @@ import numpy as np
 
 from rig.model.mechanisms import hexapod, hexapod_kernels
 from rig.planning.configuration_sets import sobol_configurations
-from tests.calib.designs import machine
+from tests.calib.random_hexapods import machine
 
 
 def test_a_pose_comes_out_the_same_to_the_last_bit_whatever_stands_beside_it(design, monkeypatch):

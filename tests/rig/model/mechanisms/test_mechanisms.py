@@ -8,7 +8,7 @@ from rig.errors import NotConverged, RigError
 from rig.model.design import Planar2
 from rig.model.mechanisms import ALL, hexapod, kinematics_of
 from rig.model.pose import exp, pose
-from tests.numeric import jacobian
+from tests.numerical_derivatives import jacobian
 
 PARALLEL = [
     kind for kind in ALL if kind not in ("arm", "chain")

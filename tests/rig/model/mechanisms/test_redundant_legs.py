@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from calib.certification import measuring_limbs
-from calib.certification.calibration import Calibration
-from calib.certification.measuring_limb_checks import Limbs
+from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.redundant_measuring_limb_checks import Limbs
 from calib.correction.correction import Correction
 from calib.files import calibration_file
 from calib.online import measuring_limbs_file
@@ -34,7 +34,7 @@ def machine(limbed):
 
 def legs(machine, sigma=(1e-6, 1e-6), covariance=None):
     none = np.zeros((42, 42))
-    return redundant_legs.combine_legs(
+    return redundant_legs.combine_leg_sets(
         [
             (letter, m, np.full(6, s), none if covariance is None else covariance)
             for letter, m, s in zip("lm", machine[:2], sigma)

@@ -11,7 +11,7 @@ from rig.errors import RigError, Unreachable
 from rig.formats.rig_toml import design_file
 from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
-from rig.model.mechanisms import six_joint_inverse
+from rig.model.mechanisms import closed_form_and_numerical_arm_inverse
 from rig.model.pose import pose_difference
 from tests.rig.arms import HALF, SEVEN, UR10, random_arm
 
@@ -56,10 +56,10 @@ def check(six, q):
     Within s of a singularity the angles themselves are only determined to (rounding / s), so they are compared after
     weighing by s
     """
-    matrix = mechanism.frames(q, six.arm)[:, -1]
+    matrix = mechanism.link_frames(q, six.arm)[:, -1]
     T = mechanism.forward(q, six.arm)
-    found = six_joint_inverse.inverse(T, six)
-    back = mechanism.frames(np.where(found.there[..., None], found.q, 0), six.arm)[..., -1, :, :]
+    found = closed_form_and_numerical_arm_inverse.closed_form_inverse(T, six)
+    back = mechanism.link_frames(np.where(found.there[..., None], found.q, 0), six.arm)[..., -1, :, :]
     closure = np.where(found.there, np.abs(back - matrix[:, None]).max(axis=(-1, -2)), 0).max(axis=1)
     apart = np.abs(np.exp(1j * np.where(found.there[..., None], found.q, np.nan)) - np.exp(1j * q[:, None])).max(
         axis=-1
@@ -73,7 +73,10 @@ def test_forward_is_the_chain_of_denavit_and_hartenberg(name):
     q = np.random.default_rng(0).uniform(-3, 3, (500, 6))
     np.testing.assert_allclose(
         pose_difference(
-            six_joint_inverse.forward(q, six_joint_inverse.six_joint_arm(ARMS[name])), mechanism.forward(q, ARMS[name])
+            closed_form_and_numerical_arm_inverse.forward_by_hand_points(
+                q, closed_form_and_numerical_arm_inverse.six_joint_arm(ARMS[name])
+            ),
+            mechanism.forward(q, ARMS[name]),
         ),
         0,
         atol=1e-13,
@@ -81,7 +84,7 @@ def test_forward_is_the_chain_of_denavit_and_hartenberg(name):
 
 
 def test_the_frame_stands_at_the_crossing_of_the_first_axes():
-    six = six_joint_inverse.six_joint_arm(PUMA)
+    six = closed_form_and_numerical_arm_inverse.six_joint_arm(PUMA)
     np.testing.assert_allclose(six.axes[:2], [[0, 0, 1], [0, 1, 0]], atol=1e-15)
     np.testing.assert_allclose([six.frame.translation[2], six.points[1] @ six.points[1]], [0.6718, 0], atol=1e-15)
     np.testing.assert_allclose(six.hand[1:] - six.hand[0], [[0, 0, 1], [0, 1, 0]], atol=1e-15)
@@ -91,7 +94,8 @@ def test_the_frame_stands_at_the_crossing_of_the_first_axes():
 def test_every_branch_returns_and_none_is_missed(name):
     rng = np.random.default_rng(1)
     closure, missed, found = check(
-        six_joint_inverse.six_joint_arm(ARMS[name]), near_singular(rng.uniform(-np.pi, np.pi, (4000, 6)), rng)
+        closed_form_and_numerical_arm_inverse.six_joint_arm(ARMS[name]),
+        near_singular(rng.uniform(-np.pi, np.pi, (4000, 6)), rng),
     )
     assert closure.max() < 1e-11 and not missed.any() and not found.reason.any()
     assert np.isnan(found.q[~found.there]).all()
@@ -100,9 +104,9 @@ def test_every_branch_returns_and_none_is_missed(name):
 def test_a_spherical_wrist_over_two_parallel_axes_has_eight_branches():
     """Those that the numeric solver finds from many starts are exactly these."""
     q = np.random.default_rng(2).uniform(-2, 2, (5, 6))
-    six = six_joint_inverse.six_joint_arm(OFFSET)
+    six = closed_form_and_numerical_arm_inverse.six_joint_arm(OFFSET)
     T = mechanism.forward(q, OFFSET)
-    found = six_joint_inverse.inverse(T, six)
+    found = closed_form_and_numerical_arm_inverse.closed_form_inverse(T, six)
     for i in range(5):
         many = mechanism.forward(np.tile(q[i], (150, 1)), OFFSET)
         numeric, left = mechanism.solve_inverse(
@@ -115,11 +119,11 @@ def test_a_spherical_wrist_over_two_parallel_axes_has_eight_branches():
 
 
 def test_singular_poses_are_named():
-    six = six_joint_inverse.six_joint_arm(PUMA)
+    six = closed_form_and_numerical_arm_inverse.six_joint_arm(PUMA)
     stretched = -np.arctan2(0.0203, 0.4318) + HALF  # elbow, upper arm and wrist in one line
     q = np.tile([0.3, 0.4, 0.5, 0.6, 0.7, 0.8], (4, 1))
     q[[1, 3], 4], q[2:, 2] = 0, -stretched
-    found = six_joint_inverse.inverse(mechanism.forward(q, PUMA), six)
+    found = closed_form_and_numerical_arm_inverse.closed_form_inverse(mechanism.forward(q, PUMA), six)
     assert [found.why(i) for i in range(4)] == [
         "regular",
         "singular: wrist",
@@ -129,9 +133,11 @@ def test_singular_poses_are_named():
 
 
 def test_a_free_joint_takes_what_is_near():
-    six = six_joint_inverse.six_joint_arm(PUMA)
+    six = closed_form_and_numerical_arm_inverse.six_joint_arm(PUMA)
     q = np.array([0.3, 0.4, 0.5, 0.6, 0.0, 0.8])
-    found = six_joint_inverse.inverse(mechanism.forward(q, PUMA), six, near=q)
+    found = closed_form_and_numerical_arm_inverse.closed_form_inverse(
+        mechanism.forward(q, PUMA), six, free_joint_values=q
+    )
     assert np.nanmin(np.abs(found.q - q).max(axis=1)) < 1e-9
 
 
@@ -148,10 +154,14 @@ def test_poses_out_of_reach_say_why(position, reason):
     matrix = np.eye(4)
     matrix[:3, 3] = position
     T = type(mechanism.forward(np.zeros(6), bare)).from_matrix(matrix)
-    found = six_joint_inverse.inverse(T, six_joint_inverse.six_joint_arm(bare))
+    found = closed_form_and_numerical_arm_inverse.closed_form_inverse(
+        T, closed_form_and_numerical_arm_inverse.six_joint_arm(bare)
+    )
     assert not found.there.any() and reason in found.why(0)
     with pytest.raises(Unreachable, match="pose 0: out of reach"):
-        six_joint_inverse.nearest_solution(T, six_joint_inverse.six_joint_arm(bare), np.zeros(6))
+        closed_form_and_numerical_arm_inverse.nearest_closed_form_solution(
+            T, closed_form_and_numerical_arm_inverse.six_joint_arm(bare), np.zeros(6)
+        )
 
 
 @pytest.mark.parametrize("shape", [(), (3,), (2, 3)])
@@ -159,8 +169,8 @@ def test_nearest_branch_within_the_limits(shape):
     rng = np.random.default_rng(4)
     low, high = PUMA.limits.T
     q = rng.uniform(low, high, (*shape, 6))
-    found = six_joint_inverse.nearest_solution(
-        mechanism.forward(q, PUMA), six_joint_inverse.six_joint_arm(PUMA), q + 1e-4
+    found = closed_form_and_numerical_arm_inverse.nearest_closed_form_solution(
+        mechanism.forward(q, PUMA), closed_form_and_numerical_arm_inverse.six_joint_arm(PUMA), q + 1e-4
     )
     np.testing.assert_allclose(found, q, atol=1e-9)
 
@@ -175,4 +185,4 @@ def test_nearest_branch_within_the_limits(shape):
 )
 def test_arms_without_a_closed_form_are_told_what_misses(arm, words):
     with pytest.raises(RigError, match=words):
-        six_joint_inverse.six_joint_arm(arm)
+        closed_form_and_numerical_arm_inverse.six_joint_arm(arm)

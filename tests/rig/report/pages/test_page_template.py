@@ -7,12 +7,19 @@ import re
 import numpy as np
 import pytest
 
-from rig.report.pages.html_elements import capitalised, inline_html, table
-from rig.report.pages.image_plane_figures import Arrows, Cells, image_plane_figure
-from rig.report.pages.page_and_svg_templates import Link, Page, page_html
-from rig.report.pages.plots import MOST, RIGHT, Series, bar_chart, plot_panel, scale_of_values
-from rig.report.pages.svg_elements import round_ticks, text_width, text_within, wrap_text
-from rig.report.verdict import State, Verdict
+from rig.report.pages.html_and_svg_elements import (
+    capitalise,
+    inline_html,
+    round_ticks,
+    svg_text_within_box,
+    table_html,
+    text_width,
+    wrap_text,
+)
+from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure
+from rig.report.pages.page_templates_and_page_index import Link, Page, page_html
+from rig.report.pages.plots import MOST, RIGHT, Series, axis_scale_of_values, bar_chart_svg, plot_panel_svg
+from rig.report.verdict_and_refutations_of_results import State, Verdict
 
 
 def test_a_page_says_its_verdict_first_and_needs_no_network():
@@ -39,22 +46,22 @@ def test_a_page_says_its_verdict_first_and_needs_no_network():
 
 def test_text_is_text_and_commands_are_marked():
     assert inline_html("a <b> & `rig x <y>`") == "a &lt;b&gt; &amp; <code>rig x &lt;y&gt;</code>"
-    made = table(("", "name"), [("<i>", 3)])
+    made = table_html(("", "name"), [("<i>", 3)])
     assert "<i>" not in made and "<th scope" in made and made.count("<td></td>") == 1 and 'tabindex="0"' in made
 
 
 def test_columns_of_text_begin_at_their_left_and_lengths_are_in_micrometres():
-    made = table(("kind", "size, um", "note"), [("a", "not known", "x"), ("b", 3.5, "y"), ("c", "-2", "")])
+    made = table_html(("kind", "size, um", "note"), [("a", "not known", "x"), ("b", 3.5, "y"), ("c", "-2", "")])
     assert made.count('<td class="text">') == 6 and made.count("<td>") == 3 and "size, µm" in made and " um" not in made
     assert (
         inline_html("5 um and 3 urad, `--tolerance 5 um`") == "5 µm and 3 µrad, <code>--tolerance 5 um</code>"
         and inline_html("sum um/m") == "sum µm/m"
     )
     assert (
-        capitalised("the rest") == "The rest"
-        and capitalised("rx turns") == "Rx turns"
-        and capitalised("3 of") == "3 of"
-        and capitalised("cam0 is") == "cam0 is"
+        capitalise("the rest") == "The rest"
+        and capitalise("rx turns") == "Rx turns"
+        and capitalise("3 of") == "3 of"
+        and capitalise("cam0 is") == "cam0 is"
     )
 
 
@@ -62,20 +69,22 @@ def test_words_stay_within_their_figure():
     label = "travel since the last reversal (negative: inward), mm"
     lines = wrap_text(label, 14, 340)
     assert " ".join(lines) == label and len(lines) == 2 and all(text_width(line, 14) <= 340 for line in lines)
-    drawn = plot_panel("t", (label, "y"), [Series(np.arange(3.0), np.arange(3.0))])
+    drawn = plot_panel_svg("t", (label, "y"), [Series(np.arange(3.0), np.arange(3.0))])
     assert all(f">{line}</text>" in drawn for line in lines) and text_width(lines[0], 14) < RIGHT
     assert (
-        "1234" in text_within((0, 0, 60, 20), "1234")
-        and text_within((0, 0, 20, 20), "1234") == text_within((0, 0, 60, 9), "1234") == ""
+        "1234" in svg_text_within_box((0, 0, 60, 20), "1234")
+        and svg_text_within_box((0, 0, 20, 20), "1234") == svg_text_within_box((0, 0, 60, 9), "1234") == ""
     )
 
 
 def test_whole_numbers_have_whole_ticks():
     assert (
-        scale_of_values(np.array([1.0]), (0, 1), whole=True).ticks == [1.0]
-        and 1.2 in scale_of_values(np.array([1.0]), (0, 1)).ticks
+        axis_scale_of_values(np.array([1.0]), (0, 1), whole=True).ticks == [1.0]
+        and 1.2 in axis_scale_of_values(np.array([1.0]), (0, 1)).ticks
     )
-    assert ">1.5</text>" not in plot_panel("t", ("visit", "y"), [Series(np.array([1.0, 2.0]), np.array([0.1, 0.7]))])
+    assert ">1.5</text>" not in plot_panel_svg(
+        "t", ("visit", "y"), [Series(np.array([1.0, 2.0]), np.array([0.1, 0.7]))]
+    )
 
 
 def places(svg):
@@ -95,7 +104,7 @@ def values(at, scale):
 def test_a_figure_tells_the_values_it_was_drawn_from(log):
     rng = np.random.default_rng(3)
     x, y = rng.uniform(-5, 7, 40), 10 ** rng.uniform(-3, 1, 40)
-    at, (across, up) = places(plot_panel("t", ("x", "y"), [Series(x, y)], log=log))
+    at, (across, up) = places(plot_panel_svg("t", ("x", "y"), [Series(x, y)], log=log))
     assert np.allclose(values(at[:, 0], across), x, atol=0.002 * 12)
     assert (
         np.allclose(np.log(values(at[:, 1], up)), np.log(y), atol=0.02)
@@ -106,10 +115,10 @@ def test_a_figure_tells_the_values_it_was_drawn_from(log):
 
 def test_what_is_not_known_is_not_drawn_and_many_are_thinned():
     x = np.arange(5.0)
-    at, _ = places(plot_panel("t", ("x", "y"), [Series(x, np.array([1.0, np.nan, 0.0, -2.0, 3.0]))], log=True))
+    at, _ = places(plot_panel_svg("t", ("x", "y"), [Series(x, np.array([1.0, np.nan, 0.0, -2.0, 3.0]))], log=True))
     assert len(at) == 2
     many = np.arange(3.0 * MOST)
-    assert len(places(plot_panel("t", ("x", "y"), [Series(many, many)]))[0]) == MOST
+    assert len(places(plot_panel_svg("t", ("x", "y"), [Series(many, many)]))[0]) == MOST
 
 
 def test_ticks_are_round_few_and_within():
@@ -118,11 +127,13 @@ def test_ticks_are_round_few_and_within():
         assert 2 <= len(found) <= 5 and min(found) >= low - 1e-12 and max(found) <= high + 1e-12
     with pytest.raises(ValueError, match="range"):
         round_ticks(1.0, 1.0)
-    assert scale_of_values(np.array([2.0, 2.0]), (0, 1)).low < 2 < scale_of_values(np.zeros(0), (0, 1)).high * 3
+    assert (
+        axis_scale_of_values(np.array([2.0, 2.0]), (0, 1)).low < 2 < axis_scale_of_values(np.zeros(0), (0, 1)).high * 3
+    )
 
 
 def test_bars_and_cells_say_their_values():
-    drawn = bar_chart("b", ["one", "two"], [("before", [1.0, np.nan], 0), ("noise", [0.5, 0.5], -1)], "px", ["two"])
+    drawn = bar_chart_svg("b", ["one", "two"], [("before", [1.0, np.nan], 0), ("noise", [0.5, 0.5], -1)], "px", ["two"])
     assert 'class="fill grey"' in drawn and 'class="fill c0"' in drawn
     assert "<title>one, before: 1 px</title>" in drawn and 'class="name" x=' in drawn
     plane = image_plane_figure(

@@ -1,0 +1,306 @@
+"""Verification of a calibration by another recording, and watch over it by repeated small visits.
+
+holds.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from calib.certification.calibration_and_claim_sentences import Calibration, refutation_sentence
+from calib.certification.calibration_evidence import calibration_evidence, verify_claim_on_samples
+from calib.certification.claim_verification import Verification
+from calib.certification.held_out_errors import (
+    Figures,
+    compare_errors,
+    error_statistics,
+    errors_before_and_after_correction,
+    pose_errors,
+)
+from calib.certification.held_out_poses_and_distinct_configurations import axis_ranges, configuration_numbers
+from calib.certification.platform_certification import Progress, silent_progress
+from calib.drift import change_sentences
+from calib.drift.change_evidence import Verdict as ChangeVerdict
+from calib.drift.visit_history import History, add_visit
+from calib.files import calibration_from_recording
+from calib.files.calibration_from_recording import SEED
+from calib.models.machine_models import corrected_pose_covariance
+from calib.report.verification_and_visit_pages import (
+    Verified,
+    Visit,
+    change_alarm_sentence,
+    first_visit_sentence,
+    last_visit_verdict,
+    refutes_claim,
+    verification_verdict,
+    write_verification_page,
+    write_visits_page,
+)
+from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
+from calib.samples.pose_samples import Samples
+from calib.samples.recording_samples import Sampled, sample_recording
+from rig.array_types import Floats
+from rig.errors import RigError
+from rig.formats.json_type import Json
+from rig.model.pose import rms_uncertainty
+from rig.recording.recording_folder import Recording
+from rig.recording.recording_tables import Poses
+from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.pages.page_templates_and_page_index import Link
+from rig.report.verdict_and_refutations_of_results import Refutation, State, Verdict
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VerificationResult:
+    """A verification. recording; sampled : its poses; figures : Verified, all that was found."""
+
+    recording: Recording
+    sampled: Sampled
+    figures: Verified
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict on the calibration, or where poses were wanted on these."""
+        return verification_verdict(self.figures)
+
+    @property
+    def refutation(self) -> str | None:
+        """What refutes the calibration's claim, a sentence without its full stop; None where nothing does."""
+        found = self.figures.found
+        return refutation_sentence(found) if found is not None and refutes_claim(self.figures) else None
+
+    def __str__(self) -> str:
+        return self.verdict.line
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        held = self.figures.held
+        rows = [
+            (name, *(f"{x * 1e3:.4f}" for x in figures.position), f"{figures.rotation[0] * 1e3:.4f}")
+            for name, figures in (("owner's model", held.before), ("corrected", held.after))
+        ]
+        head = (f"{held.after.n} poses", "position RMS, mm", "95 %, mm", "max, mm", "rotation RMS, mrad")
+        return result_html(str(self), self.verdict.rests_on, [head, *rows])
+
+    def write_page(self, path: Path, links: Sequence[Link] = ()) -> None:
+        """Write the page of it."""
+        write_verification_page(path, self.recording.name, self.figures, links)
+
+    def tree(self) -> Json:
+        """What `rig verify --json` prints."""
+        shown = self.figures
+        held, same, claim = shown.held, shown.same, shown.calibration.claim
+        tree: Json = {
+            "schema": "verification/1",
+            "verdict": self.verdict.tree(),
+            "unit": {"position": "m", "rotation": "rad"},
+            "held_out": not same,
+            "frames_used_in_fitting": same,
+            "n": held.after.n,
+            "before": _side(held.before),
+            "after": _side(held.after),
+            "measurement_uncertainty": {"position": held.floor[0], "rotation": held.floor[1]},
+            "ratio": {"position": held.ratio[0], "ci95": held.ratio[1:]},
+            "configurations": held.configurations,
+            "unsolved": [{"frame": frame, "reason": reason} for frame, reason in sorted(shown.unsolved.items())],
+            "refuted_before": [asdict(one) for one in shown.refutations],
+        }
+        if claim is not None and claim.after is not None and shown.found is not None:
+            parts = {name: {**asdict(part), "kept": part.kept} for name, part in shown.found.parts.items()}
+            tree["claim"] = {
+                "after": claim.after[0],
+                "ratio": claim.ratio,
+                "kept": shown.found.kept,
+                **parts,
+                "offset": shown.found.offset and asdict(shown.found.offset),
+            }
+        if shown.driven is not None:
+            tree["wanted"] = {
+                **_side(shown.driven[0]),
+                "stated_uncertainty": {"position": shown.driven[1][0], "rotation": shown.driven[1][1]},
+            }
+        return tree | {"confounds": shown.confounds and shown.confounds.tree()}
+
+
+def verify(
+    calibration: Calibration,
+    recording: Recording,
+    wanted: Poses | None = None,
+    refutations: Sequence[Refutation] = (),
+    progress: Progress | None = None,
+) -> VerificationResult:
+    """VerificationResult of a calibration by a recording, as `rig verify` makes it.
+
+    wanted : poses that the recording's frames, in order, were meant to take, or None; refutations : what later
+    recordings found against the calibration; progress : called with (label, done, of), or None
+    Raises RigError for a recording of another kind of machine and for other poses than frames
+    """
+    calibration.refuse_kind(recording.design.mechanism.kind, str(recording.folder))
+    sampled = sample_recording(recording, progress=progress)
+    samples = calibration.with_physics(recording, sampled.samples)
+    label = configuration_numbers(samples.commanded, axis_ranges(calibration.correction.nominal))
+    before, after = errors_before_and_after_correction(calibration.correction, samples)
+    held = compare_errors(before, after, samples.total_covariance(), np.random.default_rng(SEED), label)
+    figures = Verified(
+        recording.design,
+        samples,
+        before,
+        after,
+        held,
+        verify_claim_on_samples(calibration, samples, np.random.default_rng(SEED)),
+        calibration,
+        refutations,
+        calibration_from_recording.frames_used_in_calibration(calibration, recording),
+        None if wanted is None else _driven(calibration, recording, sampled.samples, wanted),
+        sampled.measurement.unsolved if sampled.measurement is not None else {},
+        confounds_of_recordings([recording]),
+    )
+    return VerificationResult(recording, sampled, figures)
+
+
+def _driven(
+    calibration: Calibration, recording: Recording, samples: Samples, wanted: Poses
+) -> tuple[Figures, tuple[float, float], Floats]:
+    """(Figures of measured against wanted poses, stated standard uncertainty (m, rad) of their difference, the
+    differences (n, 6)).
+    """
+    frames = recording.exposures.times()[0].tolist()
+    if len(frames) != len(wanted.frame):
+        raise RigError(f"{len(wanted.frame)} poses were wanted, but the recording has {len(frames)} frames")
+    T = wanted.T_base_platform[[frames.index(frame) for frame in samples.frame]]
+    of_model = corrected_pose_covariance(calibration, T, samples.commanded)
+    if wanted.covariance is not None:  # as `rig correct` stated it, of what it knew
+        of_model = wanted.covariance[[frames.index(frame) for frame in samples.frame]]
+    errors = pose_errors(T, samples)
+    return error_statistics(errors), rms_uncertainty(samples.total_covariance() + of_model), errors
+
+
+def _side(figures: Figures) -> Json:
+    """Figures of one side, as JSON has them."""
+    names = ("rms", "p95", "max", "mean")
+    position, rotation = (*figures.position, figures.mean[0]), (*figures.rotation, figures.mean[1])
+    return {"position": dict(zip(names, position)), "rotation": dict(zip(names, rotation)), "bias": figures.bias}
+
+
+MEASURING = ("camera", "target", "instrument")  # kinds of changes of what measures: the calibration itself stands
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WatchResult:
+    """What visits say. history : with these visits; visits : Visit of each; confounds : of each; entries : of each, as
+    JSON has them; verdict : on the calibration by the last
+    """
+
+    history: History
+    visits: tuple[Visit, ...]
+    confounds: tuple[Confounds | None, ...]
+    entries: tuple[Json, ...]
+    verdict: Verdict
+
+    @property
+    def refutation(self) -> tuple[State, str] | None:
+        """(BAD or CHECK, sentence) of what the last visit says against the calibration, None where it says nothing."""
+        last = self.visits[-1]
+        if last.allowed:
+            return State.CHECK, first_visit_sentence(last)
+        change = last.evidence
+        if change.alarm and (change.named is None or change.named.kind not in MEASURING):
+            return State.BAD, change_alarm_sentence(change)
+        return None
+
+    def __str__(self) -> str:
+        return self.verdict.line
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        return result_html(str(self), self.lines())
+
+    def lines(self) -> list[str]:
+        """What each visit says."""
+        out: list[str] = []
+        for visit, confounds in zip(self.visits, self.confounds):
+            out += [*visit.lines, *([] if confounds is None else [f"  {confounds.line()}"])]
+        return out
+
+    def tree(self) -> Json:
+        """What `rig watch --json` prints."""
+        return {"schema": "verdict/1", "verdict": self.verdict.tree(), "visits": list(self.entries)}
+
+    def write_page(self, path: Path, name: str, links: Sequence[Link] = ()) -> None:
+        """Write the page of it. name : of the calibration"""
+        write_visits_page(path, name, self.visits, self.verdict, links)
+
+
+def watch(
+    calibration: Calibration,
+    visits: Sequence[Recording],
+    history: History,
+    refutations: Sequence[Refutation] = (),
+    progress: Progress = silent_progress,
+) -> WatchResult:
+    """Watch over a calibration by visits (small recordings, in order): whether it holds and what changed.
+
+    history : of the visits before, `History(calibration_digest(path))` where there are none; refutations : what later
+    recordings found against the calibration
+    Raises ValueError without visits, and what measuring raises
+    """
+    if not visits:
+        raise ValueError("watching takes one visit at least")
+    seen: list[Visit] = []
+    entries: list[Json] = []
+    of_each: list[Confounds | None] = []
+    for k, recording in enumerate(visits):
+        progress("visits", k, len(visits))
+        scale = history.scale()
+        history, change = add_visit(history, recording, calibration)
+        assert history.reference is not None
+        confounds = confounds_of_recordings([recording])
+        found = _verified(calibration, recording, change)
+        claim = None if found is None else {"kept": not found.refutes, "of_limit": found.of_limit}
+        entries.append(_tree(change, history, scale) | {"claim": claim, "confounds": confounds and confounds.tree()})
+        visit = Visit(history.visits[-1].name, change, (), scale, found)
+        names = [one.name for one in history.visits for _ in range(one.visits)]
+        lines = change_sentences.change_verdict_lines(
+            change, visit.name, names, history.reference, scale, visit.allowed
+        )
+        seen.append(replace(visit, lines=lines))
+        of_each.append(confounds)
+    verdict = last_visit_verdict(seen, calibration_evidence(calibration, refutations))
+    return WatchResult(history, tuple(seen), tuple(of_each), tuple(entries), verdict)
+
+
+def _verified(calibration: Calibration, recording: Recording, change: ChangeVerdict) -> Verification | None:
+    """The claim held against a first visit that disagrees with the calibration, as `rig verify` holds it; None of other
+    visits.
+    """
+    if not change.alarm or change.chance is None:
+        return None
+    samples = calibration.with_physics(recording, sample_recording(recording).samples)
+    return verify_claim_on_samples(calibration, samples, np.random.default_rng(SEED))
+
+
+def _tree(verdict: ChangeVerdict, history: History, scale: float) -> Json:
+    """What JSON holds of a visit's verdict."""
+    named = verdict.named
+    return {
+        "visit": history.visits[-1].name,
+        "number": history.number,
+        "changed": verdict.alarm,
+        "log_sum": verdict.log_sum,
+        "misfit": {"square": verdict.square, "count": verdict.count, "repeats": scale},
+        "named": None if named is None or not verdict.alarm else named.name,
+        "suspects": [
+            {
+                "kind": one.kind,
+                "name": one.name,
+                "since": one.since + 1,
+                "odds": one.odds,
+                "value": one.value.tolist(),
+                "sigma": one.sigma.tolist(),
+            }
+            for one in verdict.suspects
+            if one.odds > 1e-6
+        ],
+    }

@@ -1,0 +1,320 @@
+"""Interpolation methods by name, and extension of correction summands over the space by them.
+
+KSF_PM(x) = x - IK(GDK(x)) at each sample x; KSF_KR is its Field over all of the configuration space. It stands alone,
+with the owner's model as IK, or on top of the fitted geometry, where it extends what that leaves.
+Source: configuration-space patent, [0026] to [0030], [0126] to [0137]
+"""
+
+from collections.abc import Callable
+from dataclasses import fields as parts_of
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.correction import pose_route_and_pose_space_map
+from calib.correction.correction import AnyCorrection, Correction, solvable_commands_and_poses
+from calib.correction.interpolation.delaunay_and_grid_kernels import Delaunay
+from calib.correction.interpolation.field_and_combinations import (
+    Field,
+    FieldSamples,
+    RestrictedMap,
+    SpacePart,
+    SummedPasses,
+)
+from calib.correction.interpolation.gaussian_process import Radial, RadialMap
+from calib.correction.interpolation.grid import Linear, Simplex
+from calib.correction.interpolation.polynomial_and_axis_sum_fields import AxisFunctions, Polynomial
+from calib.models.platform.identification import (
+    PRIOR,
+    Identified,
+    geometric_parameters,
+    identify_platform,
+    strut_length_jacobian,
+)
+from calib.models.platform.parameter_accuracy import estimate_tolerance_of_stated_geometry
+from calib.samples.pose_samples import Samples
+from rig.array_types import Floats
+from rig.errors import RigError
+from rig.formats.checked_entries import Entries
+from rig.formats.json_type import Json
+from rig.formats.structured_files import json_data
+from rig.model import mechanisms
+from rig.model.mechanism_kinds_and_hexapod_properties import Struts
+from rig.planning.configuration_sets import FILL, sobol_configurations
+
+SHAPES = {  # of the arrays: a axes, m outputs, the other letters any number, the same wherever they stand
+    **dict.fromkeys(("linear", "simplex"), {"levels": "ragged", "values": "nm", "variances": "nm", "misfit": "m"}),
+    "delaunay": {"centre": "a", "half": "a", "samples": "na", "values": "nm", "variances": "nm", "misfit": "m"},
+    "axes": {"knots": "ac", "coefficients": "fm", "root": "fk", "noise": "m", "misfit": "m"},
+    "polynomial": {
+        "low": "a",
+        "high": "a",
+        "powers": "fa",
+        "coefficients": "fm",
+        "root": "fk",
+        "noise": "m",
+        "misfit": "m",
+    },
+}
+METHODS = {one.kind: one for one in (Linear, Simplex, Delaunay, AxisFunctions, RadialMap, Polynomial)}
+
+
+def fit_field(kind: str, samples: FieldSamples) -> Field:
+    """Field of a kind fitted to samples. Raises RigError for an unknown kind, and what the kind raises."""
+    if kind not in METHODS:
+        raise RigError(f"there is no way {kind!r} to extend corrections; there are {', '.join(METHODS)}")
+    return METHODS[kind].fit(samples)
+
+
+def field_to_dict(field: Field) -> Json:
+    """dict of a Field, as JSON holds it."""
+    if isinstance(field, SummedPasses):
+        return {"kind": field.kind, "fields": [field_to_dict(one) for one in field.fields]}
+    if isinstance(field, RestrictedMap):
+        return {
+            "kind": field.kind,
+            "field": field_to_dict(field.field),
+            "low": _bounds(field.part.low),
+            "high": _bounds(field.part.high),
+        }
+    parts = parts_of(field)  # type: ignore[arg-type]
+    return {"kind": field.kind} | {part.name: json_data(getattr(field, part.name)) for part in parts if part.init}
+
+
+def _bounds(values: Floats) -> list[float | None]:
+    """Bounds of a part; null where there is none."""
+    return [float(value) if np.isfinite(value) else None for value in values]
+
+
+def _part(table: Entries, axes: int) -> SpacePart:
+    low, high = (table.array(name, (axes,), nulls=True) for name in ("low", "high"))
+    try:
+        return SpacePart(np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high))
+    except ValueError as error:
+        table.fail(f"{table.name('low')}: {error}", "low")
+
+
+def field_from_entries(table: Entries, axes: int) -> Field:
+    """Field over so many axes, of what `field_to_dict` gave. Raises FileError for anything else."""
+    named = table.text("kind", (*METHODS, SummedPasses.kind, RestrictedMap.kind))
+    if named == SummedPasses.kind:
+        return SummedPasses(tuple(field_from_entries(one, axes) for one in table.tables("fields")))
+    if named == RestrictedMap.kind:
+        return RestrictedMap(field_from_entries(table.table("field"), axes), _part(table, axes))
+    kind = METHODS[table.text("kind", tuple(METHODS))]
+    build: Callable[..., Field] = kind
+    if kind is RadialMap:
+        parts = _ragged(table, "parts")
+        found = [
+            None
+            if one is None
+            else gaussian_process_from_entries(Entries(one, (*table.path, "parts", i), table.file, table.places), axes)
+            for i, one in enumerate(parts)
+            if one is None or isinstance(one, dict)
+        ]
+        inflation = table.number("inflation") if "inflation" in table.tree else 1.0
+        return RadialMap(tuple(found), table.array("low", (axes,)), table.array("high", (axes,)), inflation)
+    sizes: dict[str, int] = {"a": axes}
+    read = {
+        name: _levels(table, axes) if shape == "ragged" else _array(table, name, shape, sizes)
+        for name, shape in SHAPES[kind.kind].items()
+    }
+    try:
+        return build(**read)
+    except (ValueError, RigError) as error:
+        table.fail(f"{table.name('kind')}: a field of kind {kind.kind!r} cannot be: {error}", "kind")
+
+
+def gaussian_process_from_entries(table: Entries, axes: int) -> Radial:
+    """Gaussian process from its entries in a file. Raises FileError where it is none."""
+    inputs = table.array("inputs", (None, axes))
+    half, lengths = table.array("half", (axes,)), table.array("lengths", (2,))
+    for name, values in (("half", half), ("lengths", lengths)):
+        if (values <= 0).any():
+            table.fail(f"{table.name(name)} must be positive, not {values.tolist()}", name)
+    return Radial(
+        table.array("centre", (axes,)),
+        half,
+        table.whole("axis", 0, most=axes - 1),
+        inputs,
+        table.array("weights", (len(inputs),)),
+        table.array("sizes", (2,)),
+        lengths,
+        table.number("noise"),
+        table.array("variances", (len(inputs),), None) if "variances" in table.tree else None,
+    )
+
+
+def _array(table: Entries, name: str, shape: str, sizes: dict[str, int]) -> Floats:
+    found = table.array(name, tuple(sizes.get(letter) for letter in shape))
+    sizes.update(zip(shape, found.shape))
+    return found
+
+
+def _levels(table: Entries, axes: int) -> tuple[Floats, ...]:
+    listed = _ragged(table, "levels")
+    if len(listed) != axes:
+        table.fail(f"{table.name('levels')} must list {axes} axes, got {len(listed)}", "levels")
+    inner = Entries(dict(enumerate(listed)), (*table.path, "levels"), table.file, table.places)
+    return tuple(inner.array(i, (None,)) for i in range(axes))
+
+
+def _ragged(table: Entries, name: str) -> list[object]:
+    value = table.get(name)
+    if not isinstance(value, list):
+        table.fail(f"{table.name(name)} must be a list", name)
+    return value
+
+
+PLACES = 500  # at which a single step is held against the fixed point
+
+
+def measured_correction_summands(samples: Samples, model: Struts) -> FieldSamples:
+    """Correction summands measured at samples (KSF_PM), with variances by the poses' covariance.
+
+    Source: configuration-space patent, [0130]
+    """
+    kinematics = mechanisms.kinematics_of(model)
+    A = strut_length_jacobian(samples.T_base_platform, model)
+    variances = np.einsum("nij,njk,nik->ni", A, samples.covariance, A)
+    return FieldSamples(
+        samples.commanded,
+        samples.commanded - kinematics.inverse(samples.T_base_platform, model),
+        variances,
+        kinematics.travel(model),
+    )
+
+
+def base_geometry(samples: Samples, nominal: Struts, without_fit: bool, prior: Floats | None = None) -> Identified:
+    """Base geometry (Identified) of an extension; alone : the nominal geometry with nothing fitted.
+    without_fit : the owner's own, with nothing sought. prior : (p,) m, or None: as poses have it.
+    """
+    if not without_fit:
+        if prior is None:
+            prior = estimate_tolerance_of_stated_geometry(identify_platform(samples, nominal), nominal).prior
+        return identify_platform(samples, nominal, prior=prior)
+    known = measured_correction_summands(samples, nominal)
+    n, axes = known.values.shape
+    A, p = strut_length_jacobian(samples.T_base_platform, nominal), len(geometric_parameters(nominal))
+    covariance = A @ samples.covariance @ np.swapaxes(A, 1, 2)
+    return Identified(
+        nominal,
+        np.zeros((p, p)),
+        np.zeros(samples.common.shape[2]),
+        np.zeros((p, p)),
+        known.values,
+        covariance,
+        np.zeros(axes),
+        np.ones(n, bool),
+        np.full(p, PRIOR),
+        0.0,
+    )
+
+
+def residual_correction_summands_of_geometry(samples: Samples, identified: Identified) -> FieldSamples:
+    """Residual correction summands that a fitted geometry leaves at its samples, shared errors removed."""
+    kinematics = mechanisms.kinematics_of(identified.mechanism)
+    return FieldSamples(
+        samples.commanded,
+        identified.residuals,
+        np.einsum("nii->ni", identified.residual_covariance),
+        kinematics.travel(identified.mechanism),
+    )
+
+
+def residual_correction_summands_of_pass(samples: Samples, correction: AnyCorrection) -> FieldSamples:
+    """Residual correction summands that an earlier pass leaves: corrected strut lengths less measured ones.
+
+    Source: configuration-space patent, [0035]
+    """
+    known = measured_correction_summands(
+        replace(samples, T_base_platform=correction.target_poses(samples.T_base_platform)), correction.fitted
+    )
+    return FieldSamples(
+        known.configurations, known.values - correction.rho(samples.commanded), known.variances, known.strokes
+    )
+
+
+def correction_with_pass(correction: AnyCorrection, field: Field | None) -> AnyCorrection:
+    """Correction with one more pass; unchanged where the pass is None."""
+    if field is None:
+        return correction
+    before = correction.extension
+    fields = () if before is None else before.fields if isinstance(before, SummedPasses) else (before,)
+    return replace(correction, extension=SummedPasses((*fields, field)))
+
+
+def residual_pose_tangents_of_pass(samples: Samples, correction: AnyCorrection) -> FieldSamples:
+    """Residual pose tangents that an earlier pass leaves: from its corrected poses to the measured ones.
+
+    Over the coordinates in which the mechanism's poses differ, see `posed.PoseMap`. Source: configuration-space patent,
+    [0035]
+    """
+    nominal, some = correction.nominal, list(pose_coordinate_indices(correction.nominal))
+    home = home_pose(nominal)
+    T = correction.predict(samples.commanded)
+    _, all_over = solvable_commands_and_poses(
+        sobol_configurations(mechanisms.kinematics_of(nominal).travel(nominal), PLACES, 1.0), correction
+    )
+    x, box = (pose_route_and_pose_space_map.pose_coordinates(poses, home)[:, some] for poses in (T, all_over))
+    both = np.concatenate([x, box])
+    variances = np.einsum("nii->ni", samples.covariance)[:, some]
+    return FieldSamples(
+        x,
+        pose_route_and_pose_space_map.pose_error_tangents(T, samples.T_base_platform)[:, some],
+        variances,
+        np.stack([both.min(axis=0), both.max(axis=0)], axis=1),
+    )
+
+
+def pose_coordinate_indices(mechanism: Struts) -> tuple[int, ...]:
+    """Indices of the pose coordinates in which poses of a mechanism differ."""
+    return mechanism.pose_coordinates
+
+
+def home_pose(mechanism: Struts) -> RigidTransform:
+    """Home pose of a mechanism, T_base_platform."""
+    kinematics = mechanisms.kinematics_of(mechanism)
+    return kinematics.forward(kinematics.home(mechanism), mechanism)
+
+
+def correction_with_map(correction: AnyCorrection, field: Field | None) -> AnyCorrection:
+    """Correction with one more map in pose space, applied last; unchanged where the map is None."""
+    if field is None:
+        return correction
+    one = pose_route_and_pose_space_map.PoseMap(
+        home_pose(correction.nominal), pose_coordinate_indices(correction.nominal), field
+    )
+    return replace(correction, posed=(*correction.posed, one))
+
+
+def fit_correction_summand_field(samples: FieldSamples, kind: str, smoothness_from: Field | None = None) -> Field:
+    """Field of a kind fitted to correction summands.
+    smoothness_from : a Field of the same kind of more samples, whose smoothness holds for these as well.
+
+    Raises RigError as `kinds.fit`
+    """
+    return (
+        RadialMap.fit(samples, smoothness_from)
+        if isinstance(smoothness_from, RadialMap) and kind == RadialMap.kind
+        else fit_field(kind, samples)
+    )
+
+
+def correction_with_field(nominal: Struts, identified: Identified, field: Field | None) -> Correction[Struts, Radial]:
+    """Correction of a geometry with a Field for its remainder, or None."""
+    return Correction(nominal, identified.mechanism, (None,) * len(nominal.axes), extension=field)
+
+
+def single_step_correction_errors(correction: AnyCorrection) -> tuple[float, float]:
+    """Errors (RMS, greatest) m of correcting in a single step X + KSF(X) instead of to the fixed point.
+
+    Source: configuration-space patent, [0030], [0091]
+    """
+    _, wanted = solvable_commands_and_poses(
+        sobol_configurations(mechanisms.kinematics_of(correction.nominal).travel(correction.nominal), PLACES, FILL),
+        correction,
+    )
+    off = correction.single_step(wanted) - correction.inverse(wanted)
+    return float(np.sqrt((off**2).mean())), float(np.abs(off).max())

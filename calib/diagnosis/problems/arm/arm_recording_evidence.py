@@ -1,0 +1,280 @@
+"""Evidence of an arm's recording for its diagnosis: measured poses, linear about the calibrated geometry,"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+
+import numpy as np
+
+from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.diagnosis.engine.cross_validation import CrossValidation
+from calib.diagnosis.engine.finding_confirmation import Finding
+from calib.diagnosis.engine.lack_of_fit import Covariate, LackOfFit
+from calib.diagnosis.engine.problem_interface import Progress
+from calib.diagnosis.engine.selection_inputs import NO_STATED_TERMS, Crowd, LeftOut, NotAsked, Outliers, StatedTerms
+from calib.diagnosis.engine.term_selection import Selection
+from calib.diagnosis.problems.arm.arm_problem import COARSE_PARTS, FINE_PARTS, ArmProblem, nested_held_out_poses
+from calib.diagnosis.problems.arm.finding_parameters import finding_parameters, term_errors_by_temperature_logs
+from calib.diagnosis.problems.arm.joint_candidates import JointCandidate, joint_candidates
+from calib.diagnosis.problems.arm.lack_of_fit import excess_scatter, ranked_covariates
+from calib.diagnosis.problems.arm.linearised_poses import FEWEST, Arms, Geometry, linearise_poses
+from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
+from calib.diagnosis.problems.arm.unlisted_joint_effects import suggest_joint_formulas
+from calib.diagnosis.problems.evidence_interface import (
+    ASSUMED_NOISE,
+    LEFT,
+    STATED,
+    Family,
+    HeldOutPoses,
+    Misfit,
+    Noise,
+    Repeats,
+    Value,
+)
+from calib.diagnosis.problems.formula_suggestion import Suggestion
+from calib.diagnosis.problems.remainder_covariates import axis_speeds, time_cosines
+from calib.diagnosis.problems.repeated_commands import repeatability_of_pairs, repeated_pairs
+from calib.diagnosis.problems.requested_effects import RequestedEffects, require_assumed_effects_testable
+from calib.diagnosis.problems.temperature_smoothing import smooth_temperatures
+from calib.identify.robust_fit import MIDDLE, MOST, isolated_outlier_rows, robust_fit
+from calib.models.arm.joint_effects_fit_and_held_out_scatter import UNSTATED
+from calib.samples.recording_samples import Sampled, sample_recording
+from rig.array_types import Floats, Integers
+from rig.effects.framework.effect import Effect
+from rig.errors import RigError
+from rig.model.design import Design
+from rig.model.mechanism_geometry_classes import Arm
+from rig.recording.recording_folder import Recording
+from rig.recording.time_origin import TimeOrigin
+from vision.pose_uncertainty_prediction import predict_pose_uncertainty
+
+GROSS, GATE = (
+    20.0,
+    7.0,
+)  # times the scatter of the others, from which a pose may be wild before anything is admitted, and after
+SLOW = 4  # cosines of time that are free at each joint
+ROWS = 4  # numbers measured for each that is free
+REASON = (
+    "what was measured and the command agree with no other pose, neither those before and after it nor those at "
+    "joint angles near it"
+)
+ROUNDS = 3  # of making poses linear anew without what is grossly wild
+ArmSelection = Selection[Fit, JointCandidate]
+
+
+def outlier_poses(arms: Arms, residuals: Floats, gate: float) -> Outliers:
+    """Outliers by residuals left (n, k), m and rad, beyond a gate."""
+    W = np.linalg.inv(np.linalg.cholesky(arms.own))
+    columns = np.concatenate([arms.freedoms, _smooth(arms)], axis=2)[..., : residuals.size // ROWS]
+    found = robust_fit([((W @ residuals[..., None])[..., 0], W @ columns)])
+    all_off = _relative(found.residual)
+    far = isolated_outlier_rows(all_off, arms.t, arms.q, gate)
+    if far.sum() > MOST * len(arms):
+        return Outliers(crowd=Crowd("poses", int(far.sum()), len(arms)))
+    residual = np.linalg.solve(W[far], found.residual[far, :, None])[..., 0]
+    told = []
+    for frame, off, relative in zip(arms.frame[far].tolist(), residual, np.abs(all_off[far])):
+        turned = int(relative.argmax()) >= 3
+        size = float(np.linalg.norm(off[3:] if turned else off[:3]))
+        told.append(LeftOut(frame, "pose", "rig", size, "rad" if turned else "m", float(relative.max()), REASON))
+    return Outliers(frozenset(arms.frame[far].tolist()), left_out=tuple(told))
+
+
+def _relative(residual: Floats) -> Floats:
+    """(n, k) whitened residuals over one scatter of positions and one of rotations, by their middle length: what a
+    joint does shows along other axes in every pose."""
+    out = np.empty_like(residual)
+    for part in (slice(0, 3), slice(3, 6)):
+        if residual[:, part].size:
+            out[:, part] = residual[:, part] / max(
+                float(np.median(np.linalg.norm(residual[:, part], axis=1))) / np.sqrt(MIDDLE), 1e-300
+            )
+    return out
+
+
+def _smooth(arms: Arms) -> Floats:
+    """(n, k, q) what joints may do besides their geometry to what is measured, the plainest first."""
+    path = arms.context.moved().path
+    functions = [path.direction, axis_speeds(arms.commands, arms.t), path.last_step]
+    functions += [np.broadcast_to(c[:, None], arms.q.shape) for c in (*time_cosines(arms.t, SLOW).T, *_varying(arms))]
+    scaled = [values / np.abs(values).max() for values in functions if np.any(values)]
+    return np.concatenate([arms.joints * values[:, None, :] for values in scaled], axis=2)
+
+
+def _varying(arms: Arms) -> list[Floats]:
+    """[(n,)] of the log's channels that vary, about their means."""
+    return [values - values.mean() for values in arms.channels.values() if np.ptp(values) > 0]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmEvidence:
+    """linear : frames' numbers left out as wild -> (Arms of all others, Geometry that they are linear about), made anew
+    without them, so that all is as if they had never been measured
+    source : of the poses; requested : RequestedEffects; given : what is said beforehand
+    stretches : of time, how many are held out, one number for each HeldOutPoses
+    log_errors : {channel: (rows, q) K} of the smoothed temperatures, see `smooth_temperatures`"""
+
+    linear: Callable[[frozenset[int]], tuple[Arms, Geometry]]
+    source: str
+    requested: RequestedEffects = RequestedEffects()
+    given: StatedTerms = NO_STATED_TERMS
+    stretches: tuple[int, ...] = (FINE_PARTS, COARSE_PARTS)
+    log_errors: Mapping[str, Floats] = field(default_factory=dict)
+
+    @property
+    def family(self) -> Family:
+        return "joints"
+
+    def gross_outliers(self) -> Outliers:
+        known = Outliers()
+        arms, _ = self.linear(known.frames)
+        every = len(arms)
+        for _ in range(ROUNDS):
+            found = known.with_more(outlier_poses(arms, arms.left, GROSS), every, "poses")
+            if found.frames == known.frames:
+                return found
+            known = found
+            arms, _ = self.linear(known.frames)
+        return known
+
+    def problem(self, outliers: Outliers) -> tuple[ArmProblem, list[NotAsked]]:
+        arms, geometry = self.linear(outliers.frames)
+        candidates, not_asked = joint_candidates(arms, self.requested)
+        given = require_assumed_effects_testable(self.given, candidates, not_asked)
+        return ArmProblem(arms, candidates, given=given, geometry=geometry), not_asked
+
+    def outliers(self, fit: Fit, known: Outliers) -> Outliers:
+        every = len(self.linear(frozenset())[0])
+        return known.with_more(outlier_poses(fit.arms, fit.left, GATE), every, "poses")
+
+    def held_out_poses(self, selection: ArmSelection, progress: Progress | None) -> list[HeldOutPoses]:
+        return nested_held_out_poses(_problem(selection), self.stretches, progress)
+
+    def repeats(self, selection: ArmSelection) -> Repeats | None:
+        return pose_repeatability(selection.fit)
+
+    def validations_by_region(self, selection: ArmSelection) -> list[list[CrossValidation]]:
+        return _problem(selection).by_regions(selection.fit, [f.number for f in selection.findings])
+
+    def covariates(self, selection: ArmSelection) -> list[Covariate]:
+        return ranked_covariates(selection.before, selection.fit, selection.problem.policy.cluster)
+
+    def suggestions(
+        self, selection: ArmSelection, left: list[LackOfFit], progress: Progress | None
+    ) -> list[Suggestion]:
+        return suggest_joint_formulas(selection.fit, left)
+
+    def scatter_beyond_noise(
+        self, selection: ArmSelection, left: list[LackOfFit], repeats: Repeats | None, covariates: list[Covariate]
+    ) -> list[LackOfFit]:
+        return excess_scatter(selection.fit, repeats, covariates)
+
+    def scatter_beyond_stated(self, selection: ArmSelection) -> tuple[float, bool]:
+        beyond, stated = float(np.sqrt(3) * selection.fit.scatter[0]), _length(selection.fit.arms, slice(0, 3))
+        return beyond, bool(np.hypot(beyond, stated) > UNSTATED * stated)
+
+    def misfits(
+        self, selection: ArmSelection, held: list[HeldOutPoses], repeats: Repeats | None
+    ) -> tuple[dict[str, Misfit], str]:
+        """Mean position errors, m; the floor is that of commands given twice or, without any, the instrument's own."""
+        floor = _length(selection.fit.arms, slice(0, 3)) if repeats is None else repeats.mean
+        before, after = (float(np.linalg.norm(left[:, :3], axis=1).mean()) for left in (held[0].before, held[0].after))
+        return {"poses": Misfit(before, after, floor, "m")}, "poses"
+
+    def frames_set_aside(self, selection: ArmSelection) -> list[int]:
+        fit = selection.fit
+        return [int(frame) for frame in fit.arms.frame[fit.aside]]
+
+    def contributions(self, selection: ArmSelection) -> tuple[Integers, list[str], Floats]:
+        fit, names, sizes = selection.fit, [], []
+        for finding in selection.findings:
+            candidate, moved = fit.terms[finding.number].candidate, fit.part(finding.number)
+            if candidate.joint is not None:
+                moved = np.linalg.norm(fit.arms.joints[:, :3, candidate.joint], axis=1) * np.abs(moved)
+            names.append(f"{candidate.name} {candidate.place}")
+            sizes.append(moved)
+        remains = np.linalg.norm(fit.left[:, :3], axis=1)
+        return fit.arms.frame, [*names, LEFT], np.stack([*sizes, remains], axis=1)
+
+    def effects(self, selection: ArmSelection) -> tuple[Effect, ...]:
+        """The effects found, in the order of the fit's terms."""
+        fit = selection.fit
+        return tuple(
+            one.candidate.effect(one.node, fit.theta[fit.slices[number]]) for number, one in enumerate(fit.terms)
+        )
+
+    def design(self, selection: ArmSelection) -> Design:
+        """The Design, its arm's or chain's geometry fitted with the findings."""
+        geometry, fit = _problem(selection).geometry, selection.fit
+        assert geometry is not None
+        return replace(fit.arms.context.design, mechanism=geometry.at(fit.theta[: geometry.basis.shape[1]]))
+
+    def parameters(
+        self, selection: ArmSelection, finding: Finding[JointCandidate], origin: TimeOrigin
+    ) -> dict[str, Value]:
+        off = term_errors_by_temperature_logs(selection.fit, finding.number, self.log_errors)
+        return finding_parameters(selection.fit, finding, origin, off @ off.T)
+
+    def noise(self, selection: ArmSelection) -> Noise:
+        """The instrument's own standard uncertainty of a position and rotation, by length."""
+        arms = selection.fit.arms
+        return Noise(
+            None,
+            _length(arms, slice(0, 3)),
+            _length(arms, slice(3, 6)) or None,
+            None,
+            ASSUMED_NOISE if arms.assumed else STATED,
+        )
+
+
+def arm_evidence(
+    recording: Recording,
+    requested: RequestedEffects,
+    stated_terms: StatedTerms,
+    calibration: Calibration | None = None,
+    sampled: Sampled | None = None,
+    progress: Progress | None = None,
+) -> ArmEvidence:
+    """ArmEvidence of a Recording of an arm or a chain, as `diagnose` takes it. Raises RigError for a calibration,
+    NotEnoughData where too little was measured, and what calibrating raises.
+    """
+    if calibration is not None:
+        raise RigError(
+            "--calibration is for hexapods; the geometry of an arm or a chain is always fitted to the recording"
+        )
+    known = sample_recording(recording, progress=progress) if sampled is None else sampled
+    sensors, log_errors = smooth_temperatures(recording.sensors)
+    sight = None
+    if known.measurement is not None and isinstance(recording.design.mechanism, Arm):
+        sight = partial(predict_pose_uncertainty, known.measurement, recording.design)
+    design = replace(recording.design, instrument=known.instrument)
+
+    @lru_cache(maxsize=2)
+    def linear(gone: frozenset[int]) -> tuple[Arms, Geometry]:
+        some = known.samples.take(~np.isin(known.samples.frame, sorted(gone))) if gone else known.samples
+        arms, found = linearise_poses(some, design, recording.commands, sensors, least_poses=0 if gone else FEWEST)
+        return replace(arms, assumed=known.assumed, sight=sight), found
+
+    return ArmEvidence(linear, known.source, requested, stated_terms, log_errors=log_errors)
+
+
+def pose_repeatability(fit: Fit) -> Repeats | None:
+    """Repeats of the poses that a Fit used, or None where too few commands were given twice.
+
+    Residuals under one command differ as the poses do.
+    """
+    used = np.flatnonzero(fit.used & ~fit.aside)
+    pairs = repeated_pairs(fit.arms.q[used], fit.arms.context.moved().units)
+    one, two = (fit.left[used[pairs[:, which]]] for which in (0, 1))
+    return repeatability_of_pairs(pairs, (one, two), (one[:, :3], two[:, :3]))
+
+
+def _problem(selection: ArmSelection) -> ArmProblem:
+    """The ArmProblem that a selection was made of."""
+    assert isinstance(selection.problem, ArmProblem)
+    return selection.problem
+
+
+def _length(arms: Arms, part: slice) -> float:
+    """Standard uncertainty by length, of part of what was measured."""
+    return float(np.sqrt(np.trace(arms.own[:, part, part], axis1=1, axis2=2).mean()))

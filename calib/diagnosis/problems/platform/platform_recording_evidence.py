@@ -1,0 +1,272 @@
+"""Evidence of a platform's recording for its diagnosis: corners and closures at an operating point, what only
+such a machine says of what explains them.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.diagnosis.engine.cross_validation import CrossValidation
+from calib.diagnosis.engine.finding_confirmation import Finding
+from calib.diagnosis.engine.lack_of_fit import Covariate, LackOfFit
+from calib.diagnosis.engine.problem_interface import Progress
+from calib.diagnosis.engine.selection_inputs import NotAsked, Outliers, StatedTerms
+from calib.diagnosis.problems.evidence_interface import (
+    ASSUMED_NOISE,
+    RESIDUALS,
+    STATED,
+    Family,
+    HeldOutPoses,
+    MeasuredFinding,
+    Misfit,
+    Noise,
+    Repeats,
+    Tolerable,
+    Value,
+    bounded_value,
+    onset_time_value,
+)
+from calib.diagnosis.problems.formula_suggestion import Suggestion
+from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, platform_candidates
+from calib.diagnosis.problems.platform.held_out_validation import (
+    cross_validate_effect_by_regions,
+    cross_validate_effects_by_residual_block,
+)
+from calib.diagnosis.problems.platform.lack_of_fit import closure_residuals, excess_scatter, ranked_covariates
+from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS
+from calib.diagnosis.problems.platform.misplaced_markers_and_frames import (
+    _find_outliers,
+    _without_outliers,
+    correct_marker_swaps,
+    find_marker_swaps,
+)
+from calib.diagnosis.problems.platform.operating_point import (
+    OperatingPoint,
+    operating_point_of_recording,
+    without_distant_corners,
+)
+from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
+from calib.diagnosis.problems.platform.temperature_effects_as_alternatives import add_temperature_alternatives
+from calib.diagnosis.problems.platform.tolerable_findings import separate_tolerable_findings, widen_intervals
+from calib.diagnosis.problems.platform.unlisted_strut_effects import suggest_strut_formulas
+from calib.diagnosis.problems.repeated_commands import repeatability_of_pairs, repeated_pairs
+from calib.diagnosis.problems.requested_effects import RequestedEffects, require_assumed_effects_testable
+from calib.samples.recording_samples import Sampled
+from rig.array_types import Floats
+from rig.effects.catalogue.effect_list import effect_of_tolerance
+from rig.effects.framework.effect import AT_REST, Effect
+from rig.model.design import Design
+from rig.model.marker_and_sensor_tolerances import PLACES
+from rig.model.pose import pose_difference
+from rig.recording.recording_folder import Recording
+from rig.recording.time_origin import TimeOrigin
+from vision.bundle.marker_displacements import Move, marker_displacements
+
+FACE_MOTION = effect_of_tolerance(PLACES)  # what a face is off by, however small
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlatformEvidence:
+    """point : OperatingPoint with nothing admitted, faces exchanged put right; covariance : (F, 6, 6) of its poses;
+    source : of the poses, in words
+    requested : RequestedEffects; given : what is said beforehand
+    swapped : discrete effects found before all else; moved : [Move] of the faces of a free body's rig that are not
+        where it is stated, measured before all else and taken as measured"""
+
+    point: OperatingPoint
+    covariance: Floats
+    source: str
+    requested: RequestedEffects
+    given: StatedTerms
+    swapped: tuple[Effect, ...] = ()
+    moved: tuple[Move, ...] = ()
+
+    @property
+    def family(self) -> Family:
+        return "struts"
+
+    def gross_outliers(self) -> Outliers:
+        return _find_outliers(self.point, self.covariance)
+
+    def problem(self, outliers: Outliers) -> tuple[PlatformProblem, list[NotAsked]]:
+        point = without_distant_corners(_without_outliers(self.point, outliers))
+        candidates, not_asked = platform_candidates(point, self.requested)
+        return PlatformProblem(
+            point, candidates, given=require_assumed_effects_testable(self.given, candidates, not_asked)
+        ), not_asked
+
+    def outliers(self, fit: PlatformFit, known: Outliers) -> Outliers:
+        at, frames = fit.refined.point, self.point.frames
+        more = _find_outliers(at, self.covariance[np.searchsorted(frames, at.frames)])
+        return known.with_more(more, len(frames), "frames")
+
+    def set_apart_tolerable(
+        self, selection: PlatformSelection, left: list[LackOfFit]
+    ) -> tuple[PlatformSelection, list[LackOfFit], Tolerable]:
+        return separate_tolerable_findings(_problem(selection), selection, left)
+
+    def with_temperature_alternatives(self, selection: PlatformSelection) -> PlatformSelection:
+        return add_temperature_alternatives(_problem(selection), selection)
+
+    def suggestions(
+        self, selection: PlatformSelection, left: list[LackOfFit], progress: Progress | None
+    ) -> list[Suggestion]:
+        return suggest_strut_formulas(_problem(selection), selection.fit, left, progress)
+
+    def with_widened_intervals(self, selection: PlatformSelection) -> PlatformSelection:
+        refined = widen_intervals(selection.fit.refined, _problem(selection).sensitivities)
+        return replace(selection, fit=replace(selection.fit, refined=refined))
+
+    def repeats(self, selection: PlatformSelection) -> Repeats | None:
+        """Repeats of the poses at rest."""
+        k = selection.fit.refined.point
+        if not k.axes:
+            return None
+        still = np.flatnonzero(np.abs(k.motion(()).path.speed).max(axis=1) < AT_REST)
+        pairs = still[repeated_pairs(k.commanded.at(k.t)[still], ("m",) * k.axes)]
+        left = closure_residuals(selection.fit.refined.model)
+        apart = pose_difference(k.T[pairs[:, 0]], k.T[pairs[:, 1]]) if len(pairs) else np.zeros((0, 6))
+        return repeatability_of_pairs(pairs, (apart, np.zeros_like(apart)), (left[pairs[:, 0]], left[pairs[:, 1]]))
+
+    def validations_by_region(self, selection: PlatformSelection) -> list[list[CrossValidation]]:
+        problem, fit = _problem(selection), selection.fit
+        k = fit.refined.point
+        if not k.axes:
+            return []
+        numbers = [f.number for f in selection.findings]
+        return [
+            [cross_validate_effect_by_regions(fit.refined, n, problem.block(fit.terms[n]), along) for n in numbers]
+            for along in k.commanded.at(k.t).T
+        ]
+
+    def covariates(self, selection: PlatformSelection) -> list[Covariate]:
+        return ranked_covariates(selection.before.refined.model, selection.fit.refined.marginalised)
+
+    def scatter_beyond_noise(
+        self, selection: PlatformSelection, left: list[LackOfFit], repeats: Repeats | None, covariates: list[Covariate]
+    ) -> list[LackOfFit]:
+        return excess_scatter(selection.problem.residual(selection.fit), left)
+
+    def misfits(
+        self, selection: PlatformSelection, held: list[HeldOutPoses], repeats: Repeats | None
+    ) -> tuple[dict[str, Misfit], str]:
+        refined, first = selection.fit.refined, selection.findings[:1]
+        k = refined.point
+        blocks = {"corners": CORNERS} if k.seen is not None else {}
+        blocks |= {"closures": CLOSURES} if k.axes else {}
+        found = cross_validate_effects_by_residual_block(refined, set(range(len(k.effects))), tuple(blocks.values()))
+        seen = "closures" not in blocks or any(f.score.candidate.seen_alone for f in first)
+        misfits = {name: Misfit(v.before, v.after, v.floor, v.unit) for name, v in zip(blocks, found)}
+        return misfits, "corners" if seen else "closures"
+
+    def effects(self, selection: PlatformSelection) -> tuple[Effect, ...]:
+        """The admitted effects, in the findings' order."""
+        return tuple(selection.fit.refined.point.effects[f.number] for f in selection.findings)
+
+    def design(self, selection: PlatformSelection) -> Design | None:
+        k = selection.fit.refined.point
+        return k.design if k.axes else None
+
+    @property
+    def measured_findings(self) -> tuple[MeasuredFinding, ...]:
+        swapped = [
+            MeasuredFinding(type(e), e.place, {name: Value(value, "") for name, value in e.values().items()})
+            for e in self.swapped
+        ]
+        return (*swapped, *map(_moved_face, self.moved))
+
+    @property
+    def measured_effects(self) -> tuple[Effect, ...]:
+        return self.swapped
+
+    def parameters(
+        self, selection: PlatformSelection, finding: Finding[PlatformCandidate], origin: TimeOrigin
+    ) -> dict[str, Value]:
+        refined, number = selection.fit.refined, finding.number
+        effect, bound = refined.point.effects[number], refined.at_bounds(number)
+        known = {p.name: p for p in effect.parameters_at(effect.place)}
+        out = {
+            name: Value(value, known[name].unit, [low, high])
+            if isinstance(value, list) or isinstance(low, list) or isinstance(high, list)
+            else bounded_value(value, known[name].unit, (low, high), known[name].bounds, bound.get(name))
+            for name, (value, low, high) in refined.intervals(number).items()
+        }
+        for p in effect.parameters:
+            if p.role in ("moment", "choice") and p.size == 1 and np.isfinite(getattr(effect, p.name)):
+                value = getattr(effect, p.name)
+                out[p.name] = (
+                    Value(value, p.unit) if p.role == "choice" else onset_time_value(refined.point.t, value, origin)
+                )
+        return out
+
+    def noise(self, selection: PlatformSelection) -> Noise:
+        model = selection.fit.refined.model
+        k, to_local = model.point, model.corners.to_local[:, :6]
+        covariance = k.own if k.own is not None else to_local @ np.swapaxes(to_local, 1, 2)
+        if k.seen is None:
+            source = ASSUMED_NOISE if k.assumed else STATED
+        else:
+            source = RESIDUALS if k.seen.stated is None else STATED
+        return Noise(
+            model.corner_noise() or None,
+            _length(covariance[:, :3, :3]),
+            _length(covariance[:, 3:, 3:]),
+            float(np.sqrt(np.mean(model.strut_noise() - model.closures.scatter**2))) if k.axes else None,
+            source,
+        )
+
+
+def platform_evidence(
+    recording: Recording,
+    requested: RequestedEffects,
+    stated_terms: StatedTerms,
+    calibration: Calibration | None = None,
+    sampled: Sampled | None = None,
+    progress: Progress | None = None,
+) -> PlatformEvidence:
+    """PlatformEvidence of a Recording, as `diagnose` takes it. Raises NotEnoughData where too little was measured, and
+    what measuring raises.
+    """
+    faces = "auto" if requested.name(FACE_MOTION.name) else "stated"
+    point, source, measured = operating_point_of_recording(recording, progress, calibration, faces, sampled)
+    moved = (
+        [m for m in marker_displacements(measured.adjustment) if m.moved]
+        if measured is not None and measured.places_free
+        else []
+    )
+    discrete = [kind for kind in requested.kinds if kind.discrete and requested.name(kind.name)]
+    swapped = [s for s in find_marker_swaps(point, discrete) if _exchange_asked(s, requested)]
+    covariance = (
+        measured.covariance if measured is not None else np.zeros((0, 6, 6)) if point.own is None else point.own
+    )
+    return PlatformEvidence(
+        correct_marker_swaps(point, swapped), covariance, source, requested, stated_terms, tuple(swapped), tuple(moved)
+    )
+
+
+def _problem(selection: PlatformSelection) -> PlatformProblem:
+    """The PlatformProblem that a selection was made of."""
+    assert isinstance(selection.problem, PlatformProblem)
+    return selection.problem
+
+
+def _moved_face(move: Move) -> MeasuredFinding:
+    ends = np.stack([move.by, move.by - move.ci95, move.by + move.ci95])
+    parameters = {
+        p.name: Value(part[0].tolist(), p.unit, part[1:].tolist())
+        for p, part in zip(FACE_MOTION.parameters, (ends[:, :3], ends[:, 3:]))
+    }
+    return MeasuredFinding(FACE_MOTION, str(move.place), parameters)
+
+
+def _exchange_asked(effect: Effect, requested: RequestedEffects) -> bool:
+    """Whether an exchange is asked for at one of its two markers, and left out at neither."""
+    places = [str(place) for place in effect.sites_touched()]
+    return any(requested.place(effect.name, p) for p in places) and not any(
+        f"{effect.name} {p}" in requested.without for p in places
+    )
+
+
+def _length(covariance: Floats) -> float:
+    return float(np.sqrt(np.trace(covariance, axis1=1, axis2=2).mean()))

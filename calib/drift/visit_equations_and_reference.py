@@ -1,0 +1,329 @@
+"""Normal equations of a visit in places, geometry and machine changes, and the reference of the first visit.
+
+Unknowns, in this order: six for each camera and target (or for the instrument), the geometry's 42, the eight of
+calib.drift.machine_changes.
+Poses and lenses, which every visit has for itself, are eliminated.
+"""
+
+from dataclasses import dataclass, replace
+from hashlib import sha256
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial.transform import RigidTransform
+
+from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.models.platform.identification import inverse_strut_length_jacobian, pose_parameter_jacobian
+from calib.samples.pose_samples import Samples
+from calib.samples.recording_samples import sample_recording
+from rig.array_types import Floats, Integers
+from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
+from rig.errors import RigError
+from rig.model import motion_simulation
+from rig.model.design import Camera, Design, Platform
+from rig.model.mechanism_geometry_classes import Hexapod
+from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
+from rig.model.pose import log, skew
+from rig.recording.recording_folder import Commands, Recording, Sensors
+from vision.bundle.normal_equations import linearise, normal_equations
+from vision.bundle.unknown_priors import adjustment_unknowns
+from vision.bundle.unknowns_and_estimate import POSE_SCALE
+from vision.corner_observations import whitener_of_observations
+from vision.lens import lens_parameter_names
+from vision.recording_adjustment import Measurement
+from vision.targets import marker_map
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reference:
+    """cameras : (Camera, ...) as the first visit found them; places : what may move, "camera NAME", "target NAME" of
+    base and platform, or "instrument"; base : names of the targets on the base; targets : a mark of where rig.toml
+    states all markers."""
+
+    cameras: tuple[Camera, ...]
+    places: tuple[str, ...]
+    base: tuple[str, ...]
+    targets: str
+
+    @classmethod
+    def of(cls, design: Design, measured: Measurement | None) -> "Reference":
+        """The Reference of a first visit. measured : its Measurement, None where an instrument measured. Raises
+        RigError for a camera that moves.
+        """
+        if measured is None:
+            return cls((), ("instrument",), (), "")
+        cameras = measured.design.cameras
+        moving = [camera.name for camera in cameras if camera.mount == "moving"]
+        if moving:
+            raise RigError(f"camera {moving[0]} has a moving mount; watching takes cameras that stand still")
+        places = (
+            *(f"camera {camera.name}" for camera in cameras),
+            *(f"target {target.name}" for target in design.targets),
+        )
+        return cls(
+            cameras, places, tuple(target.name for target in design.targets if target.body == "base"), _mark(design)
+        )
+
+    def camera(self, name: str) -> Camera:
+        """The camera of a name."""
+        return next(camera for camera in self.cameras if camera.name == name)
+
+    def refuse(self, recording: Recording, by_cameras: bool) -> None:
+        """Raise RigError for a visit with other cameras or targets, or measured by something else than the first
+        one.
+        """
+        design = recording.design
+        if by_cameras != bool(self.cameras):
+            raise RigError(
+                f"{recording.folder} was measured by {'cameras' if by_cameras else 'an instrument'}, the first visit "
+                f"{'was not' if by_cameras else 'by cameras'}; begin a new history"
+            )
+        mine = [camera.name for camera in self.cameras]
+        theirs = [camera.name for camera in design.cameras] if self.cameras else []
+        if mine != theirs:
+            raise RigError(
+                f"{recording.folder} has the cameras {', '.join(theirs) or 'of none'}, the first visit "
+                f"{', '.join(mine)}; "
+                "begin a new history"
+            )
+        other = [
+            a.name
+            for a, b in zip(self.cameras, design.cameras)
+            if len(a.distortion) != len(b.distortion) or a.mount != b.mount
+        ]
+        if other:
+            raise RigError(
+                f"{recording.folder}: camera {other[0]} has another kind of lens or mount than at the first "
+                "visit; begin a new history"
+            )
+        if self.cameras and _mark(design) != self.targets:
+            raise RigError(
+                f"{recording.folder}: its rig.toml states other targets, or other places of them, than the "
+                "first visit's; begin a new "
+                "history"
+            )
+
+
+def _mark(design: Design) -> str:
+    markers = marker_map(design)
+    return sha256(np.r_[markers.id, np.round(markers.corners, 7).ravel()].tobytes()).hexdigest()[:16]
+
+
+GAP = 1e-4  # m, of a worn nut: unit of its columns, and the play at which they are taken
+GROWTH = 1e-4  # share by which all struts grow: unit of its column; 9 K of steel
+SOFT = 1e-5  # kg / (N/m), added load over a strut's stiffness: unit of its column; 10 kg on struts of 1e6 N/m
+OWN = (*(f"nut of strut {i + 1}" for i in range(6)), "growth of all struts", "sag under added load")
+UNITS = (*(GAP,) * 6, GROWTH, SOFT)
+AT_ORIGIN = Platform(
+    1.0, np.zeros(3), np.zeros(3)
+)  # where nobody states the platform's: the added load then sits at its origin
+
+
+def fitted_hexapod(calibration: Calibration) -> Hexapod:
+    """The fitted hexapod. Raises RigError for a calibration of another mechanism."""
+    return require_hexapod(
+        calibration.correction.fitted, "watching is for hexapods, not for a mechanism of kind {kind!r}"
+    )
+
+
+def _expected_poses(calibration: Calibration, samples: Samples) -> RigidTransform:
+    """T_base_platform (n,) that the calibration gives for the commands of samples, physics that it knows included."""
+    return calibration.correction.predict(samples.effective)
+
+
+def machine_change_columns(
+    mechanism: Hexapod, design: Design, commands: Commands, t: Floats, T: RigidTransform
+) -> Floats:
+    """Columns (n, 6, 8) of machine changes: pose tangents (m, rad) per unit of each change, at exposures t (n,) s."""
+    stated = (
+        design.platform
+        if design.platform.payload_centre_of_mass is not None and design.platform.mass is not None
+        else AT_ORIGIN
+    )
+    there = Design("", design.gravity, mechanism, None, design.actuator, stated, (), ())
+    ends, goals = np.array([commands.t[0], commands.t[-1] + 1.0]), commands.at(t)
+
+    def moved(**channels: Floats) -> Motion:
+        bare = motion_simulation.motion_of_commands(there, commands, t, (), Sensors(ends, channels))
+        return replace(bare, T=T)
+
+    def sagging(motion: Motion) -> Floats:
+        return motion.lengths - motion.loads() / (1 / SOFT) - goals
+
+    motion, nuts = moved(), np.eye(6)
+    play = play_deviation(motion, GAP / 2)
+    growth = motion.kind.growth_deviation_and_sway(T, motion.lengths, mechanism, np.full(play.shape, GROWTH))[0]
+    out = [motion.lengths + deviation - goals for deviation in (*(nut * play for nut in nuts), growth)]
+    out.append(sagging(moved(payload_mass_kg=np.ones(2))) - sagging(motion))
+    return inverse_strut_length_jacobian(T, mechanism) @ np.stack(out, axis=-1)
+
+
+GEOMETRY = 42
+REPEATS = 1e-6  # m, to which struts repeat at the best, where the calibration found no scatter
+SEEN = 1e-10  # of the best determined direction's information; a frame that nothing holds has less
+FREE = ("poses", "lenses", "targets")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Equations:
+    """information : (p, p) and right : (p,) of the unknowns, scaled; square : what the visit's whitened numbers come
+    to; count : how many these are."""
+
+    information: Floats
+    right: Floats
+    square: float
+    count: int
+
+    def __add__(self, other: "Equations") -> "Equations":
+        return Equations(
+            self.information + other.information,
+            self.right + other.right,
+            self.square + other.square,
+            self.count + other.count,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """Normal equations of poses (6 f, first) and places (s), scaled by POSE_SCALE, about what was expected;
+    samples : Samples.
+    """
+
+    information: Floats
+    right: Floats
+    samples: Samples
+
+
+def visit_equations(
+    recording: Recording, calibration: Calibration, reference: Reference | None
+) -> tuple[Equations, Reference]:
+    """(Equations of a visit, the Reference that they refer to: the visit itself where none is given).
+
+    Raises RigError for another machine than the calibration's or other cameras and targets than the reference's, and
+        what measuring raises
+    """
+    mechanism = fitted_hexapod(calibration)
+    if recording.design.mechanism.kind != mechanism.kind:
+        raise RigError(
+            f"{recording.folder} is of a mechanism of kind {recording.design.mechanism.kind!r}, the "
+            "calibration of one of kind "
+            f"{mechanism.kind!r}"
+        )
+    sampled = sample_recording(recording, FREE)
+    reference = reference or Reference.of(recording.design, sampled.measurement)
+    reference.refuse(recording, sampled.measurement is not None)
+    samples = calibration.with_physics(recording, sampled.samples)
+    T = _expected_poses(calibration, samples)
+    seen = (
+        _by_instrument(samples, T)
+        if sampled.measurement is None
+        else _by_cameras(sampled.measurement, samples, T, reference)
+    )
+    return _of_machine(seen, T, recording, calibration), reference
+
+
+def _by_instrument(samples: Samples, T: RigidTransform) -> _Seen:
+    """What an outside instrument's poses say: T (n,) expected; its one place is its frame's motion in the base."""
+    n = len(samples)
+    own = np.linalg.inv(samples.covariance)
+    D = np.zeros((6 * n, 6 * n))
+    for f in range(n):
+        D[6 * f : 6 * f + 6, 6 * f : 6 * f + 6] = own[f]
+    K = samples.common.reshape(6 * n, -1)
+    if K.shape[1]:
+        D -= D @ K @ np.linalg.solve(np.eye(K.shape[1]) + K.T @ D @ K, K.T @ D)
+    J = np.concatenate([np.eye(6 * n), base_motion_columns(samples.T_base_platform).reshape(6 * n, 6)], axis=1)
+    y = log(T.inv() * samples.T_base_platform).ravel()
+    return _Seen(J.T @ D @ J * POSE_SCALE**2, J.T @ D @ y * POSE_SCALE, samples)
+
+
+def base_motion_columns(T: RigidTransform) -> Floats:
+    """Columns (n, 6, 6) of base motion: tangents of poses T (n,) per motion of the base (m, rad)."""
+    matrix = T.as_matrix()
+    back = np.swapaxes(matrix[:, :3, :3], 1, 2)
+    out = np.zeros((len(matrix), 6, 6))
+    out[:, :3, :3] = out[:, 3:, 3:] = back
+    out[:, :3, 3:] = -back @ skew(matrix[:, :3, 3])
+    return out
+
+
+def _by_cameras(measured: Measurement, samples: Samples, T: RigidTransform, reference: Reference) -> _Seen:
+    """What corners say, linearised where they fit best. T : (n,) expected; lenses are each visit's own, as good as
+    stated.
+    """
+    a, kept = measured.adjustment, measured.used()
+    u, estimate = adjustment_unknowns(kept, a.state, a.stated, FREE)
+    _, derivatives = linearise(kept, estimate, u, whitener_of_observations(kept))
+    blocks = normal_equations(kept, derivatives, u, np.zeros(u.shared))
+    frames, at = 6 * len(samples), {f"target {name}": s for name, s in u.targets.items()}
+    at |= {f"camera {a.state.cameras[i].name}": s for i, s in u.poses.items()}
+    away = np.concatenate([log(T.inv() * a.state.platform).ravel() / POSE_SCALE, np.zeros(u.shared)])
+    N = np.zeros((len(away), len(away)))
+    for f in range(len(samples)):
+        rows = slice(6 * f, 6 * f + 6)
+        N[rows, rows] = blocks.local[f, :6, :6]
+        N[rows, frames:] = blocks.cross[f, :6]
+        N[frames:, rows] = blocks.cross[f, :6].T
+    N[frames:, frames:] = blocks.shared - np.diag(u.prior)
+    lenses = np.zeros(u.shared, bool)
+    for i, camera in enumerate(a.state.cameras):
+        was = reference.camera(camera.name)
+        if i in u.poses:
+            away[frames:][u.poses[i]] = log(was.pose.inv() * camera.pose) / u.scale[u.poses[i]]
+        if i in u.lenses:
+            lenses[u.lenses[i]] = True
+            now = np.r_[
+                camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]] - was.matrix[[0, 1, 0, 1], [0, 1, 2, 2]],
+                camera.distortion - was.distortion,
+            ]
+            away[frames:][u.lenses[i]] = now[: len(lens_parameter_names(camera.distortion))] / u.scale[u.lenses[i]]
+    for name, s in u.targets.items():
+        away[frames:][s] = log(estimate.target_moves[name]) / u.scale[s]
+    b = N @ away + np.concatenate([blocks.own[:, :6].ravel(), blocks.common])
+    own = frames + np.flatnonzero(lenses)
+    N[own, own] += 1.0
+    kept_rows = np.setdiff1d(np.arange(len(b)), own)
+    N, b = _without(N, b, own)
+    scale = np.r_[np.ones(frames), POSE_SCALE / u.scale][kept_rows]
+    place = np.zeros((len(kept_rows), frames + 6 * len(reference.places)))
+    place[:frames, :frames] = np.eye(frames)
+    for k, name in enumerate(reference.places):
+        if name in at:
+            of_place = np.searchsorted(kept_rows, frames + np.arange(at[name].start, at[name].stop))
+            place[of_place, frames + 6 * k : frames + 6 * k + 6] = np.diag(scale[of_place])
+    return _Seen(place.T @ N @ place, place.T @ b, samples)
+
+
+def _of_machine(seen: _Seen, T: RigidTransform, recording: Recording, calibration: Calibration) -> Equations:
+    """Equations of a visit in which poses (n,) follow from the machine, each strut to within what it repeats to."""
+    mechanism, samples = fitted_hexapod(calibration), seen.samples
+    n = 6 * len(samples)
+    values, vectors = np.linalg.eigh(seen.information)
+    held = values > SEEN * values[-1]
+    square = float(((vectors[:, held].T @ seen.right) ** 2 / values[held]).sum())
+    if recording.commands is None:
+        raise RigError(f"{recording.folder}: there is no commands.csv, so nothing was commanded")
+    changed = (
+        machine_change_columns(mechanism, recording.design, recording.commands, samples.t, T) / POSE_SCALE
+    )  # its units are its own
+    of_machine = np.concatenate([pose_parameter_jacobian(T, mechanism), changed], axis=2).reshape(n, -1)
+    places = len(seen.right) - n
+    M = np.zeros((len(seen.right), n + places + of_machine.shape[1]))
+    M[:, : n + places] = np.eye(n + places)
+    M[:n, n + places :] = of_machine
+    N, b = M.T @ seen.information @ M, M.T @ seen.right
+    spread = inverse_strut_length_jacobian(T, mechanism) * np.sqrt(calibration.scatter**2 + REPEATS**2) / POSE_SCALE
+    tight = np.linalg.inv(spread @ np.swapaxes(spread, 1, 2))
+    for f in range(len(samples)):
+        N[6 * f : 6 * f + 6, 6 * f : 6 * f + 6] += tight[f]
+    own = np.arange(n)
+    square -= float(b[:n] @ cho_solve(cho_factor(N[:n, :n]), b[:n]))
+    return Equations(*_without(N, b, own), square, int(held.sum()))
+
+
+def _without(N: Floats, b: Floats, gone: Integers) -> tuple[Floats, Floats]:
+    """Normal equations N (p, p), b (p,) with the unknowns of an index eliminated."""
+    stay = np.setdiff1d(np.arange(len(b)), gone)
+    solved = cho_solve(cho_factor(N[np.ix_(gone, gone)]), np.column_stack([N[np.ix_(gone, stay)], b[gone]]))
+    left = N[np.ix_(stay, stay)] - N[np.ix_(stay, gone)] @ solved[:, :-1]
+    return (left + left.T) / 2, b[stay] - N[np.ix_(stay, gone)] @ solved[:, -1]

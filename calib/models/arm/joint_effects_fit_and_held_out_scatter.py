@@ -1,0 +1,347 @@
+"""Joint fit of an arm's geometry and joint effects, and scatter of its held-out poses beyond them.
+
+Gauss-Newton on the effects' coordinates, all that the geometry can make up for taken out of them: what a joint's own
+effect and a length explain alike goes to the length. A held-out figure is of effects refitted without what is held out.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import cast
+
+import numpy as np
+
+from calib.certification.held_out_errors import (
+    HeldErrors,
+    held_out_error_statistics,
+    held_out_parameter_error_squares,
+    standardised_residuals,
+)
+from calib.correction.physics_compensation import samples_with_effects
+from calib.identify.least_squares import bounded_least_squares_step
+from calib.models.arm import error_model_and_observations
+from calib.models.arm.correction import ArmCorrection
+from calib.models.arm.error_model_and_observations import observation_jacobian, sample_observations
+from calib.models.arm.identification_and_joint_profiles import Identified, identify_arm, independent_arm_parameters
+from calib.samples.pose_samples import Samples
+from rig.array_types import Booleans, Floats, Integers
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import (
+    Coordinate,
+    check_effect,
+    conserved_coordinate_sums,
+    coordinates_of_effects,
+)
+from rig.model import motion_simulation
+from rig.model.design import Design
+from rig.model.mechanism_geometry_classes import Arm
+from rig.model.mechanism_kinds_and_hexapod_properties import require_arm
+from rig.recording.recording_folder import Commands, Sensors
+
+ITERATIONS = 12
+SETTLED = 1e-4  # of the squares that a step still gains
+HALVINGS = 6
+ROUNDS = 2  # of the geometry, which decides what effects are seen through, and the effects
+STRAIGHT = ("linear", "inverse")  # roles of parameters that what joints do is linear in
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class History:
+    """What an arm was told besides its samples. design : Design, whose mechanism is the nominal Arm;
+    commands : Commands, the whole path
+    sensors : Sensors or None."""
+
+    design: Design
+    commands: Commands
+    sensors: Sensors | None
+
+    def told(self, samples: Samples, effects: tuple[Effect, ...], arm: Arm) -> Samples:
+        """Samples as measured, with what effects do to their commands on an arm."""
+        return samples_with_effects(replace(self.design, mechanism=arm), samples, self.commands, effects, self.sensors)
+
+    def identified(self, samples: Samples, start: Arm) -> Identified:
+        """Identified geometry of samples that were told, by the parameters that the arm as stated has."""
+        observations = sample_observations(samples)
+        return identify_arm(
+            observations, start, independent_arm_parameters(require_arm(self.design.mechanism), observations.kind)
+        )
+
+    def moved(self, samples: Samples, effects: tuple[Effect, ...], arm: Arm) -> tuple[Floats, Floats]:
+        """(joints (n, joints), hand (n, 6)) that commands become under effects, as `machine.reached`."""
+        return motion_simulation.effective_commands_and_sway(
+            replace(self.design, mechanism=arm),
+            self.commands,
+            samples.t,
+            samples.T_base_platform,
+            effects,
+            self.sensors,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prior:
+    """What another recording told of c coordinates. values, sigma : (c,)"""
+
+    values: Floats
+    sigma: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Columns:
+    """What effects' c coordinates do at n samples: joints (n, joints, c) rad or m, hand (n, 6, c) m and rad beyond
+    these.
+    """
+
+    joints: Floats
+    hand: Floats
+
+    def take(self, index: Booleans) -> "Columns":
+        """Of an index or mask (n,)."""
+        return Columns(self.joints[index], self.hand[index])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointFit:
+    """Effects fitted with an arm's geometry. measured : Samples; history : History
+    effects : fitted; arm : its geometry beside them; own : (c, c) covariance of their coordinates; columns : Columns
+    there; before : Prior or None; samples : Samples with what the effects do to their commands."""
+
+    measured: Samples
+    history: History
+    effects: tuple[Effect, ...]
+    arm: Arm
+    own: Floats
+    columns: Columns
+    before: Prior | None
+    samples: Samples = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "samples", self.history.told(self.measured, self.effects, self.arm))
+
+    def without(self, held: Booleans) -> Samples:
+        """All samples, with what effects of this structure do to their commands, fitted to those alone that are not
+        held (n,) bool.
+        """
+        rest = _refined(
+            self.measured.take(~held), self.history, self.arm, self.effects, self.before, self.columns.take(~held)
+        )
+        return self.history.told(self.measured, rest.effects, rest.arm)
+
+    def response(self, found: Identified) -> Floats:
+        """(p, c) by which the geometry's parameters follow the effects' coordinates, of an arm identified on these
+        samples.
+        """
+        seen = _Seen.of(self.samples, found)
+        out = np.zeros((len(found.free), len(self.own)))
+        out[found.free] = -np.linalg.lstsq(seen.nuisances, seen.whitened(self.columns), rcond=None)[0][
+            : int(found.free.sum())
+        ]
+        return out
+
+
+def fit_geometry_and_effects(
+    measured: Samples, history: History, start: Arm, effects: tuple[Effect, ...], prior: Prior | None = None
+) -> JointFit:
+    """Joint fit (JointFit) of an arm's geometry and effects. Raises as `identify_arm`"""
+    arm, columns = start, None
+    for _ in range(ROUNDS):
+        arm = history.identified(history.told(measured, effects, arm), arm).arm
+        columns = _columns(measured, history, effects, arm, columns)
+        done = _refined(measured, history, arm, effects, prior, columns)
+        effects, arm, columns = done.effects, done.arm, done.columns
+    return done
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """How samples see an arm. W : (m, k, k) weights of those that agree; inliers : (n,) bool; q : (n, joints);
+    kind : of Observations; arm : Arm
+    nuisances : (m k + j, p + j) whitened columns of the free parameters and of the j shared draws; basis : orthonormal,
+        of the same span."""
+
+    W: Floats
+    inliers: Booleans
+    q: Floats
+    kind: str
+    arm: Arm
+    nuisances: Floats
+    basis: Floats
+
+    @staticmethod
+    def of(samples: Samples, found: Identified) -> "_Seen":
+        o, shared = sample_observations(samples), samples.common.shape[2]
+        W = np.linalg.inv(np.linalg.cholesky(o.covariance + np.diag(found.scatter**2)))[found.inliers]
+        J = np.concatenate([o.jacobian(found.arm)[..., found.free], o.common], axis=2)[found.inliers]
+        stacked = np.concatenate([(W @ J).reshape(-1, J.shape[2]), np.eye(J.shape[2])[J.shape[2] - shared :]])
+        return _Seen(
+            W,
+            found.inliers,
+            o.q,
+            o.kind,
+            found.arm,
+            stacked,
+            np.linalg.qr(stacked / np.linalg.norm(stacked, axis=0))[0],
+        )
+
+    def whitened(self, columns: Columns) -> Floats:
+        """(m k + j, c) of Columns (n, ..)."""
+        moved = error_model_and_observations.joint_jacobian(self.q, self.arm) @ columns.joints + columns.hand
+        seen = self.W @ observation_jacobian(self.kind, moved, self.q, self.arm)[self.inliers]
+        return self._padded(seen.reshape(seen.shape[0] * seen.shape[1], seen.shape[2]))
+
+    def left(self, samples: Samples) -> Floats:
+        """(m k + j,) whitened residuals of samples, all that the nuisances explain taken out."""
+        r = self._padded(
+            (self.W @ sample_observations(samples).residuals(self.arm)[self.inliers][..., None]).reshape(-1, 1)
+        )[:, 0]
+        return r - self.basis @ (self.basis.T @ r)
+
+    def _padded(self, seen: Floats) -> Floats:
+        return np.concatenate([seen, np.zeros((len(self.nuisances) - len(seen), seen.shape[1]))])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Prior:
+    """What is known of c coordinates. values, weight : (c,) of each, 0 where nothing is; ends : (c, 2) bounds;
+    kept : (k, c) sums that stay.
+    """
+
+    values: Floats
+    weight: Floats
+    ends: Floats
+    kept: Floats
+
+    @staticmethod
+    def of(coordinates: list[Coordinate], effects: tuple[Effect, ...], before: Prior | None) -> "_Prior":
+        loose = np.array([c.loose for c in coordinates]) ** 2
+        told = np.zeros(len(loose)) if before is None else np.maximum(before.sigma, 1e-300) ** -2.0
+        values = np.zeros(len(loose)) if before is None else told * before.values / np.maximum(loose + told, 1e-300)
+        return _Prior(
+            values,
+            loose + told,
+            np.array([c.ends for c in coordinates], float).reshape(-1, 2),
+            conserved_coordinate_sums(coordinates, effects),
+        )
+
+    def cost(self, values: Floats) -> float:
+        return float((self.weight * (values - self.values) ** 2).sum())
+
+
+def _refined(
+    measured: Samples, history: History, arm: Arm, effects: tuple[Effect, ...], before: Prior | None, columns: Columns
+) -> JointFit:
+    """Together from where effects and an Arm stand, with the geometry that is left in the end."""
+    coordinates = coordinates_of_effects(effects)
+    samples = history.told(measured, effects, arm)
+    seen = _Seen.of(samples, history.identified(samples, arm))
+    prior, own = _Prior.of(coordinates, effects, before), np.zeros((0, 0))
+    values, left = _values(coordinates, effects), seen.left(samples)
+    for _ in range(ITERATIONS if coordinates else 0):
+        C = seen.whitened(columns)
+        C -= seen.basis @ (seen.basis.T @ C)
+        step, own = bounded_least_squares_step(
+            C.T @ left + prior.weight * (prior.values - values),
+            C.T @ C + np.diag(prior.weight),
+            values,
+            prior.ends,
+            prior.kept,
+        )
+        cost = left @ left + prior.cost(values)
+        for halving in range(HALVINGS):
+            tried = _written(coordinates, effects, values + 0.5**halving * step)
+            new, after = _values(coordinates, tried), seen.left(history.told(measured, tried, arm))
+            gain = cost - after @ after - prior.cost(new)
+            if gain >= 0:
+                effects, values, left = tried, new, after
+                break
+        if gain < SETTLED * max(cast(float, cost / len(left)), 1.0):
+            break
+        columns = _columns(measured, history, effects, arm, columns)
+    found = history.identified(history.told(measured, effects, arm), arm)
+    return JointFit(measured, history, effects, found.arm, own, columns, before)
+
+
+def _values(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> Floats:
+    return np.array([c.read(effects[c.effect]) for c in coordinates])
+
+
+def _written(coordinates: list[Coordinate], effects: tuple[Effect, ...], values: Floats) -> tuple[Effect, ...]:
+    out = list(effects)
+    for c, value in zip(coordinates, values.tolist()):
+        out[c.effect] = c.written(out[c.effect], value)
+    return tuple(check_effect(effect) for effect in out)
+
+
+def _columns(
+    samples: Samples, history: History, effects: tuple[Effect, ...], arm: Arm, before: Columns | None
+) -> Columns:
+    """Columns of effects' coordinates at samples, by differences. before : near by, of which what is linear holds
+    still; None to work out all
+    """
+    coordinates = coordinates_of_effects(effects)
+    joints = np.zeros((*samples.commanded.shape, len(coordinates))) if before is None else before.joints.copy()
+    hand = np.zeros((len(samples), 6, len(coordinates))) if before is None else before.hand.copy()
+    bent = {c.effect for c in coordinates if c.role not in STRAIGHT or any(e.retimes() for e in effects)}
+    for i, c in enumerate(coordinates):
+        if before is None or c.effect in bent:
+            ends, between = c.ends_of(effects, effects)
+            (high, up), (low, down) = (history.moved(samples, one, arm) for one in ends)
+            joints[..., i], hand[..., i] = (high - low) / between, (up - down) / between
+    return Columns(joints, hand)
+
+
+UNSTATED = 1.2  # times what is stated, from which a scatter is unexplained
+
+
+def held_out_geometry_errors(
+    identified: Identified, correction: ArmCorrection, fitted_samples: Samples, label: Integers
+) -> HeldErrors:
+    """Held-out errors (HeldErrors) of an arm's geometry at each configuration. label : (m,) configuration of each
+    fitted_samples : Samples that it was fitted to; label : (m,) configuration of each
+    """
+    freed = standardised_residuals(
+        identified.residuals[identified.inliers], *_fitted(identified, correction, fitted_samples), label
+    )
+    return held_out_error_statistics(freed, fitted_samples, label)
+
+
+def held_out_arm_parameter_error_squares(
+    identified: Identified, correction: ArmCorrection, fitted_samples: Samples, folds: Integers
+) -> Floats:
+    """Mean squares (2,) of held-out errors caused by the parameters, m^2 and rad^2.
+    folds : (m,) which are held out together
+    """
+    return held_out_parameter_error_squares(*_fitted(identified, correction, fitted_samples), folds)
+
+
+def _fitted(found: Identified, correction: ArmCorrection, agreed: Samples) -> tuple[Floats, Floats, Floats]:
+    """(jacobian (m, 6, p), covariance (p, p), noise (m, 6, 6)) of a fit."""
+    J = error_model_and_observations.parameter_jacobian(agreed.commanded, correction.fitted)
+    return J, found.covariance, sample_observations(agreed).covariance + np.diag(found.scatter**2)
+
+
+def identification_with_held_out_scatter(
+    identified: Identified, held_out_errors: HeldErrors, rng: np.random.Generator
+) -> Identified:
+    """Identification with its scatter raised to that of held-out poses beyond the parameters' errors."""
+    if len(identified.scatter) != 6:
+        return identified
+    return replace(
+        identified, scatter=np.maximum(identified.scatter, np.sqrt(np.repeat(held_out_errors.shown(rng) / 3, 3)))
+    )
+
+
+def unexplained_scatter_sentences(scatter: Floats, covariance: Floats) -> tuple[str, ...]:
+    """Sentences on scatter unexplained by the instrument's statement, one for positions and one for rotations.
+
+    scatter : (k,) m and rad beyond; covariance : (n, k, k) as stated
+    """
+    out = []
+    for part, name, unit in ((slice(0, 3), "positions", "mm"), (slice(3, 6), "rotations", "mrad")):
+        beyond = float(np.sqrt((scatter[part] ** 2).sum()))
+        stated = float(np.sqrt(np.einsum("nkk->nk", covariance)[:, part].sum(axis=1).mean())) if beyond else 0.0
+        if np.hypot(beyond, stated) > UNSTATED * stated:
+            out.append(
+                f"{name} of the hand scatter by {beyond * 1e3:.3g} {unit} beyond the {stated * 1e3:.3g} "
+                f"{unit} that is stated for them, which "
+                "nothing in this calibration explains"
+            )
+    return tuple(out)

@@ -1,0 +1,204 @@
+"""Certification of a chain's calibration by held-out stretches, and its HTML page.
+
+apart.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.calibration_evidence import calibration_verdict
+from calib.certification.held_out_errors import (
+    HeldErrors,
+    HeldOut,
+    compare_errors,
+    errors_before_and_after_correction,
+    held_out_error_statistics,
+    standardised_residuals,
+)
+from calib.certification.held_out_poses_and_distinct_configurations import (
+    LEAST,
+    configuration_numbers,
+    mean_sample_per_configuration,
+)
+from calib.certification.platform_certification import Progress, held_out_errors_by_fold, silent_progress
+from calib.certification.workspace_claim import (
+    DRAWS,
+    PLACES,
+    Claim,
+    ConfigurationInformation,
+    Workspace,
+    claim_of_drawn_machines,
+    empty_claim_of_too_few_configurations,
+)
+from calib.correction.correction import AnyCorrection, Correction, solvable_commands_and_poses
+from calib.models.arm.joint_effects_fit_and_held_out_scatter import unexplained_scatter_sentences
+from calib.models.chain import error_model
+from calib.models.chain.identification import Identified, identify_chain
+from calib.report.platform_and_lens_calibration_pages import evidence_html, provenance_html, view_3d_html
+from calib.report.pose_figures_and_effect_displacements import correction_error_figures, pose_coverage_figures
+from calib.samples.pose_samples import Samples
+from rig.array_types import Floats, Integers
+from rig.model.mechanism_geometry_classes import Chain
+from rig.model.mechanisms import chain as mechanism
+from rig.model.pose import pose_difference, pose_to_vector
+from rig.planning.configuration_sets import FILL, sobol_configurations
+from rig.recording.recording_folder import Recording
+from rig.report.pages.html_and_svg_elements import (
+    folding_section_html,
+    heading_html,
+    note_html,
+    paragraph_html,
+    table_html,
+)
+from rig.report.pages.image_plane_and_3d_views import view_scripts
+from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CertifiedChain:
+    """correction : Correction of all samples, every stage's; found : Identified; label : (n,) configuration of each
+    sample
+    held_out : HeldOut, whole stretches of configurations in turn, and left : HeldErrors of it, or None for too few of
+        them"""
+
+    correction: AnyCorrection
+    found: Identified
+    label: Integers
+    held_out: HeldOut | None
+    left: HeldErrors | None = None
+
+
+def certify_chain(
+    samples: Samples, nominal: Chain, rng: np.random.Generator, progress: Progress | None = None
+) -> CertifiedChain:
+    """Certified chain: all stages together. rng : numpy Generator, for the bootstrap
+
+    Raises what `identify` raises
+    """
+    said = progress or silent_progress
+    label = configuration_numbers(samples.commanded, mechanism.travel(nominal))
+    said("fitting the geometry", 0, 1)
+    found = identify_chain(samples, nominal)
+    correction = _corrected(nominal, found)
+    said("fitting the geometry", 1, 1)
+    if label.max() + 1 < LEAST:
+        return CertifiedChain(correction, found, label, None)
+    before, after = held_out_errors_by_fold(
+        samples, label, lambda some: [_corrected(nominal, identify_chain(some, nominal))], said
+    )
+    good = found.inliers
+    agreed = samples.take(good)
+    J = error_model.parameter_jacobian(agreed.commanded, found.chain)
+    noise = agreed.covariance + np.diag(found.scatter**2)
+    freed = standardised_residuals(
+        errors_before_and_after_correction(correction, agreed)[1], J, found.covariance, noise, label[good]
+    )
+    left = held_out_error_statistics(freed, agreed, label[good])
+    scatter = np.maximum(
+        found.scatter, np.sqrt(np.repeat(left.shown(rng) / 3, 3))
+    )  # what a model lacks a fit takes into itself
+    return CertifiedChain(
+        correction,
+        replace(found, scatter=scatter),
+        label,
+        compare_errors(before, after, samples.total_covariance(), rng, label),
+        left,
+    )
+
+
+def _corrected(nominal: Chain, found: Identified) -> AnyCorrection:
+    parts: tuple[None, ...] = (None,) * len(nominal.axes)
+    return Correction(nominal, found.chain, parts)
+
+
+def chain_pose_covariance(calibration: Calibration, commands: Floats) -> Floats:
+    """Covariance (n, 6, 6) of the corrected chain's pose at commands (n, axes) m or rad."""
+    J = error_model.parameter_jacobian(commands, calibration.correction.fitted)
+    return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(calibration.scatter**2)
+
+
+def chain_workspace_claim(samples: Samples, certified: CertifiedChain, rng: np.random.Generator) -> Claim:
+    """Claim of a certified chain over its workspace, each configuration once."""
+    found, nominal = certified.found, certified.correction.nominal
+    kept = samples.take(found.inliers)
+    label = np.unique(certified.label[found.inliers], return_inverse=True)[1]
+    each = mean_sample_per_configuration(kept, label, mechanism.jacobian(kept.commanded, nominal))
+    words = f"the middle {FILL * 100:.0f} % of every travel, all axes free of each other"
+    asked = int((error_model.parameter_tolerances(nominal) > 0).sum())
+    told = ConfigurationInformation(
+        len(each),
+        asked - len(found.undetermined),
+        asked - len(found.undetermined),
+        asked,
+        "what no pose tells stays as stated",
+    )
+    if len(each) < LEAST:
+        return empty_claim_of_too_few_configurations(told, words)
+    values, T = solvable_commands_and_poses(
+        sobol_configurations(mechanism.travel(nominal), PLACES, FILL), certified.correction
+    )
+    own = (
+        (found.scatter**2).reshape(2, 3).sum(axis=1)
+        if certified.left is None
+        else certified.left.own_draws(0.0, DRAWS, rng)
+    )
+    workspace = Workspace(
+        error_model.parameter_jacobian(values, found.chain),
+        pose_difference(mechanism.forward(values, nominal), T),
+        own,
+        words,
+    )
+    draws = rng.multivariate_normal(np.zeros(len(found.covariance)), found.covariance, DRAWS, method="eigh")
+    return replace(
+        claim_of_drawn_machines(workspace, draws, each, told, rng),
+        unexplained=unexplained_scatter_sentences(found.scatter, each.covariance),
+    )
+
+
+def write_chain_calibration_page(
+    path: Path | str,
+    recording: Recording,
+    calibration: Calibration,
+    samples: Samples,
+    certified: CertifiedChain,
+    links: Sequence[Link] = (),
+) -> None:
+    """Write the HTML page of a chain's calibration. certified : Certified.
+    recording : Recording; calibration : Calibration; samples : Samples; certified : Certified.
+    """
+    parts = [
+        *evidence_html(calibration),
+        heading_html("Before and after, pose by pose"),
+        note_html("All poses; the fit has seen these."),
+        correction_error_figures(*errors_before_and_after_correction(calibration.correction, samples), samples.frame),
+        *view_3d_html(recording, calibration, samples),
+        heading_html("Stage by stage"),
+        *(paragraph_html(line) for line in certified.found.report()),
+        _chain_parameters(certified),
+        heading_html("Where the last platform went"),
+        pose_coverage_figures(pose_to_vector(samples.T_base_platform)),
+        heading_html("Where this came from"),
+        folding_section_html("Recording, versions, arguments", provenance_html(calibration)),
+    ]
+    judged = calibration_verdict(calibration)
+    write_page(
+        path,
+        Page("calibrate", f"Calibration from {recording.name}", judged, parts, judged.next, links, view_scripts(parts)),
+    )
+
+
+def _chain_parameters(done: CertifiedChain) -> str:
+    found, nominal = done.found, done.correction.nominal
+    sigma = np.sqrt(np.diag(found.covariance))
+    rows = [
+        (name, f"{1e3 * step:+.4f}", f"{2e3 * s:.4f}", "mm" if unit == "m" else "mrad")
+        for name, unit, step, s in zip(
+            error_model.parameter_names(nominal), error_model.parameter_units(nominal), found.step, sigma
+        )
+        if s > 0
+    ]
+    return folding_section_html("Every parameter", table_html(("change from nominal", "", "± (k = 2)", ""), rows))

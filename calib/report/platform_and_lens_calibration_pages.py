@@ -1,0 +1,355 @@
+"""HTML pages of a platform's calibration and of a lens calibration."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from calib.certification.calibration_and_claim_sentences import Calibration, claim_lines
+from calib.certification.calibration_evidence import calibration_verdict
+from calib.certification.held_out_errors import Figures, HeldOut, errors_before_and_after_correction
+from calib.correction.correction import Correction
+from calib.correction.interpolation.gaussian_process import Radial
+from calib.models.platform.identification import Identified
+from calib.models.platform.parameter_accuracy import parameter_combinations
+from calib.report.pose_figures_and_effect_displacements import (
+    correction_error_figures,
+    pose_coverage_figures,
+    rig_scene,
+)
+from calib.samples.pose_samples import Samples
+from calib.workspace.workspace_page import workspace_section_html
+from rig.formats.json_type import Json
+from rig.model import mechanisms
+from rig.model.mechanism_kinds_and_hexapod_properties import Struts
+from rig.model.pose import pose_to_vector
+from rig.recording.recording_folder import Recording
+from rig.report.pages.html_and_svg_elements import (
+    folding_section_html,
+    heading_html,
+    list_html,
+    note_html,
+    paragraph_html,
+    table_html,
+)
+from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure, view_scripts
+from rig.report.pages.image_plane_and_3d_views import view_3d_html as view
+from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
+from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
+from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
+from vision.lenses.lens_calibration_from_photographs import Calibrated
+
+
+def write_calibration_page(
+    path: Path | str,
+    recording: Recording,
+    calibration: Calibration,
+    samples: Samples,
+    identified: Identified,
+    links: Sequence[Link] = (),
+) -> None:
+    """Write the HTML page of a platform's calibration: held-out errors, corrections, coverage, parameters."""
+    correction = calibration.correction
+    parts = [
+        *evidence_html(calibration),
+        *_held(calibration.held_out),
+        heading_html("Before and after, pose by pose"),
+        note_html("All poses; the fit has seen these."),
+        correction_error_figures(*errors_before_and_after_correction(correction, samples), samples.frame),
+        *view_3d_html(recording, calibration, samples),
+        heading_html("What each strut is corrected by"),
+        note_html(
+            "Dots: x - IK(GDK(x)) at the visited configurations. Squares: the correction at the same configurations."
+        ),
+        _corrections(correction, samples),
+        heading_html("What the correction leaves"),
+        _left(samples, identified),
+        heading_html("Where the platform went"),
+        pose_coverage_figures(pose_to_vector(samples.T_base_platform)),
+        *workspace_section_html(calibration.workspace, "m"),
+        heading_html("Parameters"),
+        _combinations(calibration, identified),
+        folding_section_html("Every parameter's change", _parameters(calibration)),
+        heading_html("Where this came from"),
+        folding_section_html("Recording, versions, arguments", provenance_html(calibration)),
+    ]
+    judged = calibration_verdict(calibration)
+    write_page(
+        path,
+        Page("calibrate", f"Calibration from {recording.name}", judged, parts, judged.next, links, view_scripts(parts)),
+    )
+
+
+def view_3d_html(recording: Recording, calibration: Calibration, samples: Samples) -> list[str]:
+    """HTML of the 3-D view of the rig with errors before and after; empty where positions were not measured."""
+    if not samples.measured.startswith("pos"):
+        return []
+    before, after = errors_before_and_after_correction(calibration.correction, samples)
+    shown = rig_scene(
+        recording.design,
+        samples.frame,
+        samples.T_base_platform,
+        samples.commanded,
+        {"owner's model": -before, "corrected": -after},
+    )
+    return [heading_html("In three dimensions"), *view(shown)]
+
+
+def evidence_html(calibration: Calibration) -> list[str]:
+    """HTML of the evidence for a calibration and its claim; empty without a claim."""
+    claim = calibration.claim
+    return [] if claim is None else [list_html([*calibration_verdict(calibration).rests_on, *claim_lines(claim)[1:]])]
+
+
+def _held(held: HeldOut | None) -> list[str]:
+    if held is None:
+        return []
+    rows = [("owner's model", *_figures(held.before)), ("corrected", *_figures(held.after))]
+    return [
+        paragraph_html(
+            f"Held-out poses (whole stretches of configurations in turn, N = {held.after.n}, "
+            f"{held.configurations} distinct "
+            f"configurations): the error falls from {held.before.position[0] * 1e3:.3f} mm to "
+            f"{held.after.position[0] * 1e3:.4f} mm RMS. "
+            f"The measured poses themselves are uncertain by {held.floor[0] * 1e3:.4f} mm and "
+            f"{held.floor[1] * 1e3:.4f} mrad: what is left "
+            f"is {held.after.position[0] / held.floor[0]:.2f} times that."
+        ),
+        table_html(
+            ("held-out pose error", "RMS, mm", "95 %, mm", "max, mm", "RMS, mrad", "95 %, mrad", "max, mrad"), rows
+        ),
+    ]
+
+
+def _combinations(calibration: Calibration, found: Identified) -> str:
+    """Every combination of the parameters with how well the poses tell it, folded."""
+    parts, seen = parameter_combinations(found.root, calibration.correction.fitted)
+    rows = [(part.name, f"{part.sigma * 1e6:.2f}" if part.sigma < 1e-2 else "not told") for part in parts]
+    return folding_section_html(
+        f"The {len(parts)} combinations that the poses tell, the worst first (condition number {seen.condition:.0f})",
+        table_html(("combination", "standard error by the poses alone, um"), rows),
+    )
+
+
+def _figures(f: Figures) -> list[str]:
+    return [f"{value * 1e3:.4f}" for value in (*f.position, *f.rotation)]
+
+
+def _corrections(correction: Correction[Struts, Radial], samples: Samples) -> str:
+    seen = samples.effective - mechanisms.kinematics_of(correction.nominal).inverse(
+        samples.T_base_platform, correction.nominal
+    )
+    modelled, commanded = correction.summand(samples.effective) * 1e3, samples.commanded * 1e3
+    return panel_row_html(
+        *(
+            plot_panel_svg(
+                f"strut {i + 1}",
+                ("commanded, mm", "correction, mm"),
+                [
+                    Series(commanded[:, i], modelled[:, i], "correction", "crosses", 1),
+                    Series(commanded[:, i], seen[:, i] * 1e3, "measured"),
+                ],
+            )
+            for i in range(seen.shape[1])
+        )
+    )
+
+
+def _left(samples: Samples, found: Identified) -> str:
+    sigma = float(np.sqrt(np.einsum("nii->ni", found.residual_covariance).mean())) * 1e6
+    struts = found.residuals * 1e6
+    top = 1.05 * max(float(np.nanmax(np.abs(struts))), 2 * sigma)
+    return paragraph_html(f"Two standard deviations of a pose are {2 * sigma:.1f} um in a strut.") + panel_row_html(
+        *(
+            plot_panel_svg(
+                f"strut {i + 1}",
+                ("frame", "left, um"),
+                [Series(samples.frame, struts[:, i])],
+                limits=(-top, top),
+                level=0.0,
+            )
+            for i in range(struts.shape[1])
+        )
+    )
+
+
+def _parameters(calibration: Calibration) -> str:
+    fitted, nominal = calibration.correction.fitted, calibration.correction.nominal
+    sigma = np.sqrt(np.diag(calibration.covariance))
+    rows, start = [], 0
+    for name in nominal.geometry_arrays:
+        for i, own in enumerate((getattr(fitted, name) - getattr(nominal, name)).reshape(len(nominal.axes), -1)):
+            u = sigma[start : start + len(own)]
+            rows.append(
+                (
+                    f"{name.replace('_', ' ')[:-1]} {i + 1}",
+                    *(f"{c * 1e3:+.4f} ± {2 * s * 1e3:.4f}" for c, s in zip(own, u)),
+                    *[""] * (3 - len(own)),
+                )
+            )
+            start += len(own)
+    return table_html(("change from nominal, mm (k = 2)", "x or zero", "y", "z"), rows)
+
+
+def provenance_html(calibration: Calibration) -> str:
+    """HTML of a calibration's provenance."""
+    rows = {name: part for name, part in calibration.provenance.items() if name not in ("data", "passes")}
+    before = {
+        f"pass {k + 1}": {name: one[name] for name in ("recording", "created", "pass") if name in one}
+        for k, one in enumerate(calibration.provenance.get("passes", ()))
+    }
+    return table_html(("what", "value"), flattened_rows(before | rows))
+
+
+def flattened_rows(tree: Json, prefix: str = "") -> list[tuple[str, object]]:
+    """Rows (name, value) of a nested dict, flattened for a table."""
+    rows: list[tuple[str, object]] = []
+    for key, value in tree.items():
+        name = f"{prefix}{key}"
+        rows += (
+            flattened_rows(value, name + " / ")
+            if isinstance(value, dict)
+            else [(name, " ".join(map(str, value)) if isinstance(value, list) else value)]
+        )
+    return rows
+
+
+DRAWN = 0.03  # of the image's width, by which the common residuals are drawn
+FEW = 10  # photographs, below which a lens is to be looked at
+UNSURE = 0.5  # px at worst, from which it is so too
+
+
+def write_lens_page(path: Path | str, lens_calibration: Calibrated, links: Sequence[Link] = ()) -> None:
+    """Write the HTML page of a lens calibration."""
+    fit, held = lens_calibration.fit, lens_calibration.models[lens_calibration.fit.terms].held
+    names = [*("fx", "fy", "cx", "cy"), *[name for _, name in fit.adjustment.shared_names[4:]]]
+    values = [fit.camera.matrix[0, 0], fit.camera.matrix[1, 1], *fit.camera.matrix[:2, 2], *fit.camera.distortion]
+    sigma = np.sqrt(np.diag(fit.adjustment.shared_covariance) * fit.adjustment.cost / fit.adjustment.dof)
+    terms = [(name, f"{value:.6g}", f"{2 * s:.2g}") for name, value, s in zip(names, values, sigma)][
+        : 4 + max(fit.terms, 0)
+    ]
+    parts = [
+        paragraph_html(
+            f"{len(lens_calibration.used)} photographs, {fit.inliers.sum()} corners; the fit leaves {fit.rms:.4f} px "
+            "RMS per axis, on photographs "
+            f"held out {f'{held.rms:.4f} px' if held else 'nothing is known'}."
+        ),
+        heading_html("Lens models"),
+        note_html(
+            "Every photograph in turn is predicted by a lens fitted to the others; of models within one "
+            "standard error of the best the "
+            "simplest is taken."
+        ),
+        table_html(("model", "fitted, px RMS", "held out, px RMS", ""), _models(lens_calibration)),
+        heading_html("What the lens leaves over, and how well it is known"),
+        note_html(
+            "Uncertainty: the standard one of where a direction is seen, px, less what a small turn of the "
+            "camera would undo. Dots are "
+            "corners; few of them, or none, near an edge make it grow there."
+        ),
+        panel_row_html(
+            _residuals(lens_calibration), _uncertainty(lens_calibration), _held_out_comparison(lens_calibration)
+        ),
+        heading_html("Parameters"),
+        table_html(("term", "value", "± (k = 2)"), terms),
+    ]
+    if lens_calibration.left_out:
+        parts += [
+            heading_html("Photographs left out"),
+            table_html(("photograph", "reason"), [(p.name, reason) for p, reason in lens_calibration.left_out]),
+        ]
+    write_page(
+        path,
+        Page(
+            "lens",
+            f"Lens of {fit.camera.name}",
+            lens_verdict(lens_calibration),
+            parts,
+            _recommended_actions(lens_calibration),
+            links,
+        ),
+    )
+
+
+def lens_verdict(lens_calibration: Calibrated) -> Verdict:
+    """Verdict on a lens calibration."""
+    why = (
+        f"a direction is projected to {lens_calibration.middle:.3f} px in the middle of the frame and "
+        f"{lens_calibration.worst:.3f} px "
+        "at worst (standard uncertainty)"
+    )
+    missing = (
+        [MissingEvidence("no photograph could be held out")]
+        if lens_calibration.models[lens_calibration.fit.terms].held is None
+        else []
+    )
+    missing += (
+        [MissingEvidence(f"it rests on {len(lens_calibration.used)} photographs alone")]
+        if len(lens_calibration.used) < FEW
+        else []
+    )
+    missing += [MissingEvidence(f"that is more than {UNSURE:g} px")] if lens_calibration.worst > UNSURE else []
+    return judge_evidence(Evidence(why, missing=tuple(missing)))
+
+
+def _recommended_actions(found: Calibrated) -> list[str]:
+    """What an owner does next with a lens."""
+    more = (
+        "Take more photographs with the board near the edges that are bluest in the map of uncertainty, tilted "
+        "this way and that"
+    )
+    steps = [more] if len(found.used) < FEW or found.worst > UNSURE else []
+    return [*steps, "Put `camera.toml` into rig.toml in place of the camera's block, and measure with `--hold lenses`"]
+
+
+def _models(found: Calibrated) -> list[tuple[str, ...]]:
+    return [
+        (
+            f"{terms} terms" if terms else "no distortion",
+            *((f"{model.rms:.4f}", f"{model.held.rms:.4f}") if model.held else (model.reason, "")),
+            "taken" if terms == found.fit.terms else "",
+        )
+        for terms, model in found.models.items()
+    ]
+
+
+def _held_out_comparison(found: Calibrated) -> str:
+    known = [(terms, model.held) for terms, model in found.models.items() if model.held]
+    return plot_panel_svg(
+        "photograph by photograph",
+        ("photograph", "held out, px RMS"),
+        [
+            Series(
+                np.arange(len(held.by_image)),
+                np.asarray(held.by_image),
+                f"{terms} terms" if terms else "no distortion",
+                colour=k,
+            )
+            for k, (terms, held) in enumerate(known)
+        ],
+        log=True,
+    )
+
+
+def _residuals(found: Calibrated) -> str:
+    camera, uv, r, good = found.fit.camera, found.observations.uv, found.fit.residuals, found.fit.inliers
+    drawn = DRAWN * camera.width
+    common = max(float(np.quantile(np.abs(r[good]), 0.98)), 1e-9)
+    return image_plane_figure(
+        f"residuals of {good.sum()} corners",
+        f"an arrow of {drawn:.0f} px is {common:.3f} px",
+        (camera.width, camera.height),
+        (Arrows(uv[good], r[good], drawn / common, "px", 0), Arrows(uv[~good], r[~good], 1.0, "px, set aside", 3)),
+    )
+
+
+def _uncertainty(found: Calibrated) -> str:
+    camera, centre = found.fit.camera, found.uv.reshape(-1, 2)
+    cells = Cells(centre, found.sigma.ravel(), float(abs(found.uv[0, 1, 0] - found.uv[0, 0, 0])), "px")
+    return image_plane_figure(
+        f"uncertainty, {found.middle:.3f} px in the middle",
+        f"where it is bluest: {found.worst:.3f} px",
+        (camera.width, camera.height),
+        (cells,),
+        found.observations.uv,
+    )

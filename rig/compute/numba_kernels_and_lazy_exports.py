@@ -1,0 +1,216 @@
+"""Numba kernels: lazy compilation and private cache folder; lazy exports of a package's names.
+
+They are loaded as code.
+"""
+
+import inspect
+import os
+import stat
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import cache, cached_property, update_wrapper
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar, Unpack, cast
+
+if TYPE_CHECKING:
+    from numba.core.dispatcher import Dispatcher
+
+
+HERE = Path(__file__).parents[1]
+F = TypeVar("F", bound=Callable[..., object])
+
+
+class CompilerOptions(TypedDict, total=False):
+    """Options of numba.njit."""
+
+    cache: bool
+    nogil: bool
+    error_model: Literal["python", "numpy"]
+    fastmath: bool | set[str]
+    inline: Literal["never", "always"]
+
+
+def set_kernel_cache_folder() -> None:
+    """Set numba's cache folder for compiled kernels, before numba is imported, unless the user has set one."""
+    folder = kernel_cache_folder()
+    if folder is not None:
+        os.environ.setdefault("NUMBA_CACHE_DIR", str(folder))
+
+
+@cache
+def kernel_cache_folder() -> Path | None:
+    """The cache folder for compiled kernels, None where numba writes next to the sources."""
+    kept = HERE / "__pycache__"
+    return (
+        None
+        if os.access(kept if kept.is_dir() else HERE, os.W_OK)
+        else user_cache_folder(f"{HERE.parent} cannot be written")
+    )
+
+
+def private_or_user_folder(folder: Path) -> Path:
+    """The folder itself where it is private (writable by this user and root only), else the user's cache folder."""
+    return folder if is_private_folder(folder) else user_cache_folder(f"others can write to {folder}")
+
+
+@cache
+def is_private_folder(folder: Path) -> bool:
+    """Whether a folder is private: nobody but this user and root can write to it or replace it.
+    put another folder in its place.
+    """
+    found = Path(os.path.realpath(folder))
+    there = [place.stat() for place in (found, *found.parents) if place.exists()]
+    own = there[0].st_uid in (0, os.getuid()) and not there[0].st_mode & 0o022
+    return own and not any(above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX for above in there[1:])
+
+
+@cache
+def user_cache_folder(reason: str) -> Path:
+    """The user's private cache folder for compiled kernels: below the home, else a temporary one.
+    reason : why it is needed
+    """
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    why = "cannot be written"
+    try:
+        folder = Path(home) / "rig"
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, exist_ok=True)
+        if os.access(folder, os.W_OK):
+            if is_private_folder(folder):
+                return folder
+            why = "can be written to by others"
+    except OSError:
+        pass  # no home, or one that cannot be written: the next place is tried
+    folder = Path(tempfile.gettempdir()) / f"rig-kernels-{os.getuid()}"
+    try:
+        folder.mkdir(mode=0o700)
+        _print_note(f"what is compiled is kept in {folder}: {reason}, and {home} {why}")
+    except FileExistsError:
+        there = folder.lstat()
+        if not stat.S_ISDIR(there.st_mode) or there.st_uid != os.getuid() or there.st_mode & 0o077:
+            folder = Path(tempfile.mkdtemp(prefix="rig-kernels-"))
+            _print_note(f"what is compiled is kept in {folder}, for this run: NUMBA_CACHE_DIR names a place to keep it")
+    return folder
+
+
+def _print_note(text: str) -> None:
+    print(f"rig: {text}", file=sys.stderr)
+
+
+_FOLDERS = threading.RLock()  # held while numba's folder is another: it has one for all threads
+_say: Callable[[], None] | None = None  # to be called when something is compiled
+
+
+@contextmanager
+def announce_compilation(callback: Callable[[], None]) -> Iterator[None]:
+    """Context manager: announce the first kernel compilation in this process by calling `callback`."""
+    global _say
+    before, _say = _say, callback
+    try:
+        yield
+    finally:
+        _say = before
+
+
+@cache
+def _listen() -> None:
+    """Hear from numba what it compiles: what it loads, which takes no time to speak of, it does not tell of."""
+    from numba.core import event
+
+    class Heard(event.Listener):
+        """said : whether something was compiled already"""
+
+        said = False
+
+        def on_start(self, event: object) -> None:
+            """Say it, the first time."""
+            if _say is not None and not self.said:
+                self.said = True
+                _say()
+
+        def on_end(self, event: object) -> None:
+            """Nothing is said of an end."""
+
+    event.register("numba:compile", Heard())
+
+
+class Kernel:
+    """A function that is compiled, or loaded as an earlier run compiled it, at its first call; other kernels may call
+    it.
+
+    function : as written; options : of numba.njit; folder : where what is compiled is kept, None where numba's settings
+    say; to which no other user can write, or else it is another
+    """
+
+    def __init__(
+        self, function: Callable[..., object], options: CompilerOptions, folder: Callable[[], str] | None = None
+    ) -> None:
+        self._function, self._options, self._folder = function, options, folder
+        update_wrapper(self, function)
+
+    @cached_property
+    def _compiled(self) -> Callable[..., object]:
+        import numba
+
+        _listen()
+        settings: Any = numba.config  # its names come and go with the environment
+        with _FOLDERS:
+            before = settings.CACHE_DIR
+            try:
+                beside = Path(inspect.getfile(self._function)).parent / "__pycache__"
+                wanted = Path(self._folder() if self._folder is not None else settings.CACHE_DIR or beside)
+                kept = private_or_user_folder(wanted)
+                if kept != wanted and self._folder is not None:
+                    kept = kept / wanted.name  # which tells one version of the sources from another
+                if kept != beside:
+                    settings.CACHE_DIR = str(kept)
+                return numba.njit(**self._options)(self._function)
+            finally:
+                settings.CACHE_DIR = before
+
+    @cached_property
+    def _numba_type_(self) -> object:
+        """What numba takes it for where another kernel calls it."""
+        from numba import types
+
+        return types.Dispatcher(cast("Dispatcher[Callable[..., object]]", self._compiled))
+
+    @property
+    def py_func(self) -> Callable[..., object]:
+        """The function as written, by which numba takes it into another kernel where its options say so."""
+        return self._function
+
+    @property
+    def targetoptions(self) -> CompilerOptions:
+        """Options of numba.njit, under the name by which numba looks for them."""
+        return self._options
+
+    def __call__(self, *arguments: object) -> object:
+        return self._compiled(*arguments)
+
+
+def njit(**options: Unpack[CompilerOptions]) -> Callable[[F], F]:
+    """Decorator like numba.njit that compiles on the first call. options : of numba.njit"""
+
+    def kernel(function: F) -> F:
+        return cast(F, Kernel(function, options))
+
+    return kernel
+
+
+def lazy_getattr(package: str, modules: Mapping[str, str]) -> Callable[[str], object]:
+    """The `__getattr__` of a package that imports the module of a name lazily.
+    modules : {name: "module" that has it under that name, or "module:other name"}
+    """
+
+    def attribute(name: str) -> object:
+        if name not in modules:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        module, _, other = modules[name].partition(":")
+        return getattr(import_module(module), other or name)
+
+    return attribute

@@ -1,0 +1,59 @@
+"""Status of the controller and a finished move, as the driver reports them; advice to the operator where nothing moves."""
+
+from dataclasses import dataclass
+
+from rig.array_types import Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ControllerStatus:
+    """activity : as rig.driving.protocols.protocol_interface.State; lengths : (n,) m; known : whether the lengths can
+    be believed; fault,
+    said : text."""
+
+    activity: str
+    lengths: Floats
+    known: bool
+    fault: str
+    said: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FinishedMove:
+    """A move that is done. lengths : (n,) m, as read back; start_time, ended : s on the clock; note : what went wrong
+    on the way, or "".
+    """
+
+    lengths: Floats
+    start_time: float
+    ended: float
+    note: str
+
+
+TRUST = "home it (rig home), or, where the struts truly stand as they read, say --trust (rig run: --no-home)"
+ANEW = f"the controller has started anew since it was last spoken to; {TRUST}"
+OUT_OF_RANGE = "is [controller] zero the length, joint centre to joint centre, at which the controller counts 0?"
+CANNOT_HOME = (
+    "[controller] homing = false: this controller cannot home, so nothing was sent; an alarm is cleared with "
+    "rig jog --unlock, "
+    "and its position is believed with --trust once you have seen that it is true"
+)
+_BY_ACTIVITY = {
+    "alarm": "see what is wrong at the machine, then rig home --unlock",
+    "off": "see that nobody is in the way, then rig home --unlock, which switches it on",
+    "held": "somebody held it: rig stop drops what is held, then go on",
+    "homing": "wait until it is home, or rig stop",
+    "moving": "wait until it stands, or rig stop",
+}
+
+
+def operator_advice(activity: str, can_home: bool) -> str:
+    """Advice to the operator for the controller's activity, as text after "; "; "" where it is ready.
+    can_home : whether the controller can home.
+    """
+    if activity in ("alarm", "off") and not can_home:
+        return (
+            "; see what is wrong at the machine, then rig jog --unlock, with --trust where the position it reads "
+            "is true"
+        )
+    return f"; {_BY_ACTIVITY[activity]}" if activity in _BY_ACTIVITY else ""

@@ -1,0 +1,315 @@
+"""Motion of the machine as effects see it: the commanded path, the state at the exposures, and play along it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.linalg import qr
+from scipy.spatial.transform import RigidTransform
+
+from rig.array_types import Floats, Integers
+from rig.compute.numba_kernels_and_lazy_exports import njit
+from rig.errors import RigError
+from rig.model import mechanisms
+from rig.model.design import Actuator, Platform
+from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
+from rig.model.mechanisms.kinematics_by_kind import Kind
+from rig.recording.recording_folder import PAYLOAD, Sensors
+
+SOON = 1e-6  # s; knots that lie closer together are one
+STEADY = 1e-6  # of the greatest speed, by which two speeds are the same
+FAINT = 5e-3  # m/s^2 m; a link's weight that turns a joint by less bends nothing
+RANK = 2e-2  # of the greatest column; what a column has beyond the earlier ones must be more
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Path:
+    """Commanded values through time, linear between knots: t (m,) s, lengths (m, axes) m or rad; at : (n,) the knots of
+    the exposures
+    starts : (k,) s, knots at which history begins anew: another recording of the same machine."""
+
+    t: Floats
+    lengths: Floats
+    at: Integers
+    starts: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def with_knots(self, times: Floats) -> "Path":
+        """The same path with knots added at times (k,) s."""
+        t = np.union1d(self.t, times)
+        lengths = np.stack([np.interp(t, self.t, column) for column in self.lengths.T], axis=1)
+        return replace(self, t=t, lengths=lengths, at=np.searchsorted(t, self.t[self.at]))
+
+    @property
+    def firsts(self) -> Floats:
+        """(k + 1,) the knots at which history begins."""
+        return np.r_[0, np.searchsorted(self.t, self.starts)]
+
+    def walked(self, walk: Callable[[Floats, Floats], Floats]) -> Floats:
+        """(m, axes) of walk(t (r,), lengths (r, axes)) -> (r, axes), which remembers, along each stretch from where
+        history begins.
+        """
+        edges = [*self.firsts.tolist(), len(self.t)]
+        return np.concatenate([walk(self.t[a:b], self.lengths[a:b]) for a, b in zip(edges[:-1], edges[1:])])
+
+    @property
+    def began(self) -> Floats:
+        """(n,) s at which the history of each exposure began."""
+        return self.t[self.firsts[np.searchsorted(self.starts, self.t[self.at], side="right")]]
+
+    @property
+    def _steps(self) -> Floats:
+        """(m, axes) m or rad from the knot before to each; 0 where history begins."""
+        step = np.diff(self.lengths, axis=0, prepend=self.lengths[:1])
+        step[self.firsts] = 0
+        return step
+
+    @property
+    def speeds(self) -> Floats:
+        """(m, axes) m/s or rad/s at which the axes come to the knots."""
+        return self._steps / np.maximum(np.diff(self.t, prepend=self.t[0] - 1), SOON)[:, None]
+
+    @property
+    def speed(self) -> Floats:
+        """(n, axes) m/s or rad/s at which the axes come to the exposures."""
+        return self.speeds[self.at]
+
+    @property
+    def direction(self) -> Floats:
+        """(n, axes) -1 or 1, which way each axis last moved before the exposures; 0 where it never did."""
+        return np.sign(self.since_reversal)
+
+    @property
+    def way(self) -> Floats:
+        """(n, axes) m or rad that the axes have travelled by the exposures, whichever way."""
+        return np.abs(self._steps).cumsum(axis=0)[self.at]
+
+    @property
+    def last_step(self) -> Floats:
+        """(n, axes) m or rad of the last straight move that led to each exposure: knots on its way and rests after it
+        do not count.
+        """
+        speeds, ends = self.speeds, self._ends
+        moving = np.flatnonzero(speeds.any(axis=1))
+        starts = np.arange(len(self.t))  # the knot at which the move that ends at a knot began
+        limit = STEADY * np.abs(speeds).max(initial=0.0)
+        if len(moving):
+            turned = np.abs(np.diff(speeds[moving], axis=0)).max(axis=1) > limit
+            fresh = np.r_[True, turned | (np.diff(moving) > 1)]
+            starts[moving] = (moving - 1)[fresh][np.cumsum(fresh) - 1]
+        step = self.lengths[ends] - self.lengths[starts[ends]]
+        return step[self.at]
+
+    @property
+    def _ends(self) -> Floats:
+        """(m,) the last knot that a move led to, by each knot."""
+        ends = np.where(self.speeds.any(axis=1), np.arange(len(self.t)), 0)
+        ends[self.firsts] = self.firsts
+        return np.maximum.accumulate(ends)
+
+    @property
+    def dwell(self) -> Floats:
+        """(n,) s that nothing has moved for at the exposures; from the start on where nothing ever did."""
+        return self.t[self.at] - self.t[self._ends[self.at]]
+
+    @property
+    def since_reversal(self) -> Floats:
+        """(n, axes) m or rad each axis has moved since it last turned round, signed by the direction."""
+        step = self._steps
+        out, fresh = np.zeros_like(step), set(self.firsts.tolist())
+        for j in range(1, len(step)):
+            out[j] = (
+                0
+                if j in fresh
+                else np.where(step[j] == 0, out[j - 1], np.where(step[j] * out[j - 1] >= 0, out[j - 1], 0) + step[j])
+            )
+        return out[self.at]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """All that an effect of the axes or the structure may look at, at the n exposures.
+
+    mechanism : Hexapod, Planar2 or Arm as it really is; platform : Platform; actuator : Actuator; gravity : (3,) m/s^2,
+        frame of poses
+    t : (n,) s from the recording's start, on the commands' clock; path : Path of the commands, clock and lags applied
+    sensors : Sensors or None; home : (axes,) m or rad, commanded values from which strokes count
+    T : T_base_platform (n,), the present estimate, for effects that depend on the pose
+    kept : what several effects (or an effect again and again) ask for, worked out once
+    """
+
+    mechanism: Hexapod | Planar2 | Arm | Chain
+    platform: Platform
+    actuator: Actuator
+    gravity: Floats
+    t: Floats
+    path: Path
+    sensors: Sensors | None
+    home: Floats
+    T: RigidTransform | None
+    kept: dict[tuple[object, ...], Floats] = field(default_factory=dict, init=False, repr=False)
+
+    @property
+    def kind(self) -> Kind[Hexapod | Planar2 | Arm | Chain]:
+        """The module of rig.model.mechanisms that moves the mechanism."""
+        return mechanisms.kinematics_of(self.mechanism)
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """The axes' places: "strut 1" .. or "joint 1" .., of an arm's slides "slide 1" .."""
+        return mechanisms.axis_places(self.mechanism)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each axis' travel, "m" or "rad"."""
+        return mechanisms.axis_units(self.mechanism)
+
+    @property
+    def lengths(self) -> Floats:
+        """(n, axes) commanded values at the exposures, m or rad."""
+        return self.path.lengths[self.path.at]
+
+    @property
+    def stroke(self) -> Floats:
+        """(n, axes) m or rad from home."""
+        return self.lengths - self.home
+
+    @property
+    def displaced(self) -> Floats:
+        """(n, 6) m and rad of the platform, or the hand, from home: translation and rotation vector in the frame of
+        poses.
+        """
+        home = self.kind.forward(self.home[None], self.mechanism)
+        T = self.posed()
+        return np.concatenate(
+            [T.translation - home.translation, (T.rotation * home.rotation.inv()).as_rotvec()], axis=1
+        )
+
+    def tangents(self, moved: Floats) -> Floats:
+        """(n, 6) tangents, on the right, of what moves by (n, 6) m and rad along the axes of the frame of poses and, at
+        its origin, about them.
+        """
+        back = np.swapaxes(self.posed().rotation.as_matrix(), 1, 2)
+        return (back[:, None] @ moved.reshape(-1, 2, 3, 1)).reshape(-1, 6)
+
+    def once(self, key: tuple[object, ...], make: Callable[[], Floats]) -> Floats:
+        """What `make` makes, kept under a key for as long as this Motion lasts."""
+        if key not in self.kept:
+            self.kept[key] = make()
+        return self.kept[key]
+
+    def turn(self) -> Floats:
+        """(axes,) m or rad of travel for one turn of what drives an axis: the screw's lead, a joint's own turn; NaN
+        where no lead is stated.
+        """
+        lead = np.nan if self.actuator.screw_lead is None else self.actuator.screw_lead
+        return np.array([lead if unit == "m" else 2 * np.pi for unit in self.units])
+
+    def no_turn(self, sits: Floats) -> str | None:
+        """Why the travel of one turn is not known of the axes that something sits at (axes,), or None."""
+        return "needs [actuator] screw_lead in rig.toml" if np.isnan(self.turn()[sits > 0]).any() else None
+
+    def channel(self, *names: str) -> Floats:
+        """(n,) the first of these sensor channels that there is, at the exposures. Raises RigError where the recording
+        lacks them all.
+        """
+        reason = self.no_channel(*names)
+        if reason or self.sensors is None:
+            raise RigError(f"the model {reason}")
+        return self.sensors.at(self.t, *names)
+
+    def no_channel(self, *names: str) -> str | None:
+        """Why none of these sensor channels can be had, or None."""
+        wanted = f"needs a sensor channel {' or '.join(map(repr, names))}"
+        if self.sensors is None:
+            return f"{wanted}, and the recording has no sensors.csv"
+        return None if set(names) & set(self.sensors.channels) else f"{wanted}, which the recording does not have"
+
+    def payload(self) -> Floats:
+        """(n,) kg on the platform; 0 where nobody logged any."""
+        logged = self.sensors is not None and PAYLOAD in self.sensors.channels
+        return self.channel(PAYLOAD) if logged else np.zeros(len(self.t))
+
+    def posed(self) -> RigidTransform:
+        """T, the poses (n,). Raises ValueError for a Motion that has none."""
+        if self.T is None:
+            raise ValueError("this takes a motion with its poses")
+        return self.T
+
+    def loads(self) -> Floats:
+        """(n, axes) N or N m with which the axes hold the platform and its payload at the poses T, worked out once.
+
+        Raises RigError where the platform's mass or centre is not stated
+        """
+        reason = self.no_loads()
+        if reason:
+            raise RigError(f"the model {reason}")
+        return self.once(("loads",), self._loads)
+
+    def no_loads(self) -> str | None:
+        """Why the loads of the axes are not known, or None."""
+        if self.platform.mass is None or self.platform.centre_of_mass is None:
+            return "needs [platform] mass and centre_of_mass in rig.toml"
+        if self.payload().any() and self.platform.payload_centre_of_mass is None:
+            return "needs [platform] payload_centre_of_mass in rig.toml, since a payload was logged"
+        return None
+
+    def _loads(self) -> Floats:
+        platform, payload = self.platform, self.payload()
+        down = (
+            np.swapaxes(self.posed().rotation.as_matrix(), 1, 2) @ self.gravity
+        )  # acceleration in the platform's axes
+        wrench = np.concatenate([platform.mass * down, _moment(platform.centre_of_mass, platform.mass * down)], axis=1)
+        if payload.any():
+            weight = payload[:, None] * down
+            wrench += np.concatenate([weight, _moment(platform.payload_centre_of_mass, weight)], axis=1)
+        return self.kind.loads(self.T, self.lengths, self.mechanism, wrench)
+
+    def links(self) -> Floats:
+        """(n, axes, c) load of the axes per kg and kg m of the machine's own members, worked out once: see
+        mechanisms.kind.
+        """
+        return self.once(("links",), lambda: self.kind.links(self.T, self.lengths, self.mechanism, self.gravity))
+
+
+def _moment(arm: Floats | None, force: Floats) -> Floats:
+    """(n, 3) N m of forces (n, 3) N at a place (3,) m."""
+    if arm is None:
+        raise ValueError("where a weight acts is not stated")
+    return np.cross(arm, force)
+
+
+def independent_load_columns(load_table: Floats) -> Floats:
+    """Independent columns (indices) of a joint's load table (n, c), of those that vary with the posture."""
+    if not load_table.shape[1]:
+        return np.zeros(0, int)
+    _, r, order = qr((load_table - load_table.mean(axis=0)) / np.sqrt(len(load_table)), mode="economic", pivoting=True)
+    return np.sort(order[: int((np.abs(np.diag(r)) > max(FAINT, RANK * np.abs(r[0, 0]))).sum())])
+
+
+def play_operator(lengths: Floats, half_width: float) -> Floats:
+    """Play operator (backlash): output (m, axes) of a play of a half width along lengths (m, axes), m or rad.
+
+    The output starts in the middle of the gap and is dragged along at its ends. Between knots the input is monotonic,
+    so the knots are all that matters. Source: Brokate and Sprekels, Hysteresis and Phase Transitions, 1996, ch. 2
+    """
+    return _walk(np.ascontiguousarray(lengths, dtype=float), float(half_width))
+
+
+def play_deviation(motion: Motion, half_width: float) -> Floats:
+    """Deviation (n, axes) m or rad from the command at the exposures by a play of a half width."""
+    path = motion.path
+    return motion.once(
+        ("behind", half_width),
+        lambda: (path.walked(lambda _, lengths: play_operator(lengths, half_width)) - path.lengths)[path.at],
+    )
+
+
+@njit(cache=True)
+def _walk(lengths: Floats, half: float) -> Floats:
+    out = np.empty_like(lengths)
+    at = lengths[0].copy()
+    for k in range(len(lengths)):
+        for i in range(lengths.shape[1]):
+            at[i] = min(max(at[i], lengths[k, i] - half), lengths[k, i] + half)
+            out[k, i] = at[i]
+    return out

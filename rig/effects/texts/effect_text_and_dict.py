@@ -1,0 +1,202 @@
+"""Effects as text (backlash:strut3:gap=40e-6) and as dicts: parsed, written, their name and place checked."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from rig.effects.catalogue.effect_list import BY_NAME
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect
+from rig.effects.framework.effect_data_types import AXES, Place, parse_stage_place
+from rig.errors import RigError
+from rig.formats.checked_entries import NAME, nearest_known_word
+from rig.formats.input_files import short_repr
+from rig.formats.json_type import Json
+from rig.formats.number_parsing_and_rounding import parse_number
+from rig.model import mechanisms
+from rig.model.design import Design
+
+Kinds = Mapping[str, type[Effect]]  # effects by their names
+
+
+def parse_effect(text: str, known_effects: Kinds = BY_NAME) -> Effect:
+    """Effect parsed from the text NAME:PLACE:PARAMETER=VALUE,.. ; a vector's numbers are separated by slashes.
+
+    The place may leave out its kind where there is no doubt ("strut3", "3", "cam1", "P2"), or stand alone ("rig",
+    "cameras").
+    Raises RigError naming what is not known.
+    """
+    name, _, rest = text.partition(":")
+    kind = _named(name, text, known_effects)
+    place, _, assignments = rest.partition(":")
+    values = {}
+    own = {parameter.name: parameter for parameter in kind.parameters}
+    for assignment in filter(None, assignments.split(",")):
+        key, equals, value = assignment.partition("=")
+        key = key.strip()
+        if not equals or key not in own:
+            raise RigError(
+                f"effect {short_repr(text)}: {short_repr(assignment)} is no PARAMETER=VALUE; {name} has "
+                f"{', '.join(own)}"
+            )
+        try:
+            numbers = tuple(parse_number(part) for part in value.split("/"))
+        except ValueError:
+            raise RigError(f"effect {short_repr(text)}: {short_repr(value)} is no number") from None
+        values[key] = numbers if own[key].size != 1 else numbers[0]
+        if own[key].size == 1 and len(numbers) > 1:
+            raise RigError(f"effect {short_repr(text)}: {key} is one number, got {short_repr(value)}")
+    try:
+        return check_effect(kind(_place(place.strip(), kind), **values))
+    except (TypeError, ValueError) as error:
+        raise RigError(f"effect {short_repr(text)}: {error}") from None
+
+
+def _place(text: str, kind: type[Effect]) -> str:
+    kinds = [*kind.places, *(AXES if "axis" in kind.places else ())]
+    if text in kinds or any(re.fullmatch(rf"{place} \S+", text) for place in kinds):
+        return text
+    of_stage = parse_stage_place(text, kind.places)
+    if of_stage is not None:
+        return str(of_stage)
+    for place in (*AXES, "camera", "marker", "target"):
+        if place in kinds:
+            rest = re.fullmatch(rf"(?:{place})?[ _]?({'[0-9]+' if place in (*AXES, 'marker') else NAME.pattern})", text)
+            if rest:
+                return str(Place(place, rest.group(1)))
+    if not text and len(kind.places) == 1 and kind.places[0] in ("rig", "clock", "cameras", "markers"):
+        return kind.places[0]
+    return text
+
+
+def effect_to_dict(effect: Effect) -> Json:
+    """Dict {"effect", "place", "parameters"} of an effect, as truth files and diagnoses write it."""
+    return {
+        "effect": effect.name,
+        "place": effect.place,
+        "parameters": {
+            key: list(value) if isinstance(value, tuple) else value
+            for key, value in effect.values().items()
+            if isinstance(value, tuple) or np.isfinite(value)
+        },
+    }  # what is infinite is its default
+
+
+def effect_from_dict(tree: Json, known_effects: Kinds = BY_NAME) -> Effect:
+    """Effect from a dict as `effect_to_dict` writes it, of known kinds. Raises RigError for anything else."""
+    if (
+        not isinstance(tree, dict)
+        or not isinstance(tree.get("effect"), str)
+        or not isinstance(tree.get("place"), str)
+        or not isinstance(tree.get("parameters"), dict)
+    ):
+        raise RigError(f"{short_repr(tree)} is no effect: it takes effect, place and parameters")
+    kind = _named(tree["effect"], tree["effect"], known_effects)
+    own = {parameter.name for parameter in kind.parameters}
+    values = {}
+    for key, value in tree["parameters"].items():
+        numbers = value if isinstance(value, list) else [value]
+        if key not in own or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers):
+            raise RigError(
+                f"{short_repr(tree)} is no effect: {short_repr(key)} = {short_repr(value)}; {kind.name} has "
+                f"{', '.join(sorted(own))}, numbers"
+            )
+        values[key] = tuple(value) if isinstance(value, list) else value
+    try:
+        return check_effect(kind(tree["place"], **values))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise RigError(f"{short_repr(tree)} is no effect: {error}") from None
+
+
+def _named(name: str, text: str, known: Kinds) -> type[Effect]:
+    if name not in known:
+        near = nearest_known_word(name, known)
+        every = f"there are {', '.join(known)}; of your own, those in files that --effects names"
+        told = f"is {near!r} meant? `rig effects` lists them" if near else every
+        raise RigError(f"effect {short_repr(text)}: there is no effect {short_repr(name)}; {told}")
+    return known[name]
+
+
+def require_nonzero_effect(effect: Effect) -> Effect:
+    """The effect, required to be nonzero. Raises RigError where its parameters amount to no effect."""
+    if effect.parameters and effect == type(effect)(effect.place):
+        p = effect.parameters_at(effect.place)[0]
+        usual = (
+            f", from {p.usual[0]:g} to {p.usual[1]:g}{f' {p.unit}' if p.unit else ''} where rigs show it"
+            if p.role != "choice"
+            else ""
+        )
+        raise RigError(
+            f"effect {effect.name} at {effect.place} has no size and would change nothing: write "
+            f"{effect.name}:{effect.place.replace(' ', '')}:{p.name}=..{usual}"
+        )
+    return effect
+
+
+def require_known_effect(text: str, design: Design, known_effects: Kinds = BY_NAME) -> str:
+    """The text "EFFECT" or "EFFECT PLACE", required to name a known effect and place. Raises RigError otherwise."""
+    name, _, place = text.partition(" ")
+    kind = _named(name, name, known_effects)
+    if not place:
+        return text
+    try:
+        require_existing_place(check_effect(kind(place)), design)
+    except ValueError as error:
+        raise RigError(f"{short_repr(text)}: {error}") from None
+    return text
+
+
+def parse_effect_and_place(text: str, design: Design, known_effects: Kinds = BY_NAME) -> tuple[str, str]:
+    """(effect, place) parsed from "EFFECT PLACE", of known effects. Raises RigError otherwise."""
+    name, _, place = text.partition(" ")
+    kind = _named(name, text, known_effects)
+    if kind.discrete:
+        raise RigError(
+            f"{short_repr(text)}: a {name} is looked for before all else and cannot be assumed; state it in rig.toml"
+        )
+    try:
+        effect = require_existing_place(check_effect(kind(_place(place.strip(), kind))), design)
+    except ValueError as error:
+        raise RigError(f"{short_repr(text)}: {error}") from None
+    return effect.name, effect.place
+
+
+def require_existing_place(effect: Effect, design: Design) -> Effect:
+    """The effect, its place required to exist in the design. Raises RigError otherwise."""
+    site, places = effect.site, mechanisms.axis_places(design.mechanism)
+    kind, name = site.kind, site.name
+    slide = str(replace(site, kind="slide"))
+    if kind == "joint" and slide in places:
+        try:
+            return check_effect(replace(effect, place=slide))
+        except ValueError as error:
+            raise RigError(str(error)) from None
+    if kind in AXES and design.mechanism.bodies and effect.place not in places:
+        near = nearest_known_word(effect.place, places)
+        raise RigError(
+            f"{effect.name} at {effect.place}: this rig has no such axis"
+            + (f"; is {near!r} meant?" if near else "")
+            + f"; it has {', '.join(places)}"
+        )
+    axes = [Place.parse(place) for place in places]
+    there = {
+        **{word: [axis.name for axis in axes if axis.kind == word] for word in AXES},
+        "camera": [c.name for c in design.cameras],
+        "target": [t.name for t in design.targets],
+        "marker": [str(i) for t in design.targets for i in t.ids],
+    }
+    asked = [(kind, name)] if name and kind in there else []
+    other = getattr(effect, "other", -1.0) if effect.discrete else -1.0
+    if other >= 0:
+        asked.append(("marker", f"{other:g}"))
+    for what, one in asked:
+        if one not in there[what]:
+            near = nearest_known_word(one, there[what])
+            raise RigError(
+                f"{effect.name} at {effect.place}: this rig has no {what} {short_repr(one)}"
+                + (f"; is {near!r} meant?" if near else "")
+                + f"; it has {', '.join(there[what]) or 'none'}"
+            )
+    return effect

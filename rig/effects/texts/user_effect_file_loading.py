@@ -1,0 +1,249 @@
+"""Loading of a user's effect files: Python files checked, run, and added to the catalogue.
+
+The file is run: it is a program, to be trusted as one. What is wrong with it, when it is read or while its model is
+worked out, is told with file and line.
+"""
+
+import ast
+import inspect
+import keyword
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from functools import wraps
+from hashlib import sha256
+from pathlib import Path
+from traceback import extract_tb
+from types import ModuleType
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rig.effects.catalogue.effect_list import BY_NAME, STAGES
+from rig.effects.framework.effect import MOTION_STAGES, Effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect
+from rig.effects.framework.effect_data_types import AXES, Context, Parameter
+from rig.errors import FileError, RigError
+
+KINDS = ("axis", *AXES, "rig", "clock", "camera", "cameras", "marker", "markers", "target")  # of place
+ROLES = ("linear", "inverse", "size", "phase", "log", "even", "moment", "direction", "choice")  # of a parameter
+ARRAYS = ("times", "deviation", "sway", "mount", "focal", "late")  # hooks whose answer has a shape
+HOOKS = (*ARRAYS, "needs", "follow", "attach", "camera", "bend", "print_", "covariate")
+RESERVED = frozenset(name for name in dir(Effect) if not name.startswith("__"))  # names that no parameter may have
+EXAMPLE = {
+    "axis": "strut 1",
+    "strut": "strut 1",
+    "joint": "joint 1",
+    "slide": "slide 1",
+    "camera": "camera one",
+    "marker": "marker 1",
+    "target": "target one",
+}
+T = TypeVar("T", bound=ArrayLike)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plugin:
+    """A file of effects. sha256 : of its bytes; kinds : classes of its effects."""
+
+    path: Path
+    sha256: str
+    kinds: tuple[type[Effect], ...]
+
+
+def load_effect_file(path: Path) -> Plugin:
+    """Load a user's effect file as a Plugin. Raises FileError, with the line, where it cannot be read, run or used."""
+    try:
+        raw = path.read_bytes()
+        text = raw.decode("utf-8")
+    except OSError as error:
+        raise FileError(path, f"cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise FileError(path, f"is no text in UTF-8: {error.reason}", raw[: error.start].count(b"\n") + 1) from None
+    return Plugin(path, sha256(raw).hexdigest(), effects_of_source(text, path))
+
+
+def catalogue_with_files(plugins: Iterable[Plugin]) -> dict[str, type[Effect]]:
+    """{name: class} of the catalogue with the effects of user files (plugins). Raises FileError for a name twice."""
+    out: dict[str, type[Effect]] = dict(BY_NAME)
+    where: dict[str, Path] = {}
+    for plugin in plugins:
+        for kind in plugin.kinds:
+            if kind.name in out:
+                raise FileError(
+                    plugin.path,
+                    f"there is an effect {kind.name!r} already, in {where[kind.name]}",
+                    _line(plugin.path.read_text(encoding="utf-8"), kind),
+                )
+            out[kind.name], where[kind.name] = kind, plugin.path
+    return out
+
+
+def effects_of_source(text: str, path: Path) -> tuple[type[Effect], ...]:
+    """Effect classes defined by a source text. path : its name in errors. Raises FileError."""
+    module = ModuleType(f"effects_of_{sha256(text.encode()).hexdigest()[:16]}")
+    module.__file__ = str(path)
+    sys.modules[module.__name__] = module  # dataclasses look their module up by its name
+    try:
+        exec(compile(text, str(path), "exec"), vars(module))
+    except SyntaxError as error:
+        raise FileError(path, f"is no Python: {error.msg}", error.lineno, error.offset) from None
+    except Exception as error:
+        raise FileError(path, f"cannot be run: {type(error).__name__}: {error}", _within(error, path)) from None
+    found = [
+        kind
+        for kind in vars(module).values()
+        if isinstance(kind, type) and issubclass(kind, Effect) and kind.__module__ == module.__name__
+    ]
+    if not found:
+        raise FileError(path, "defines no effect: a dataclass that stands on rig.effects.base.Effect")
+    for kind in found:
+        taken = next((name for name in _field_names(kind) if name in RESERVED), None)
+        if taken is not None:
+            raise FileError(
+                path,
+                f"{kind.__name__} has a parameter {taken!r}, which every effect has as a hook or an attribute: "
+                "take another name",
+                _line(text, kind, taken),
+            )
+        problem = _problem(kind)
+        if problem:
+            raise FileError(path, f"{kind.__name__} {problem}", _line(text, kind))
+    for kind in found:
+        _guard(kind, path, _line(text, kind))
+    return tuple(found)
+
+
+def effect_name_problem(name: str) -> str | None:
+    """Problem with the name of an effect, in words; None for a valid name."""
+    if not name.isidentifier() or keyword.iskeyword(name) or name != name.lower() or name.startswith("_"):
+        return f"takes a name of small letters, digits and underscores, not {name!r}"
+    return f"collides with the catalogue's {name}: take another name" if name in BY_NAME else None
+
+
+def _field_names(kind: type[Effect]) -> tuple[str, ...]:
+    """Names of a class' fields; none of one that is no dataclass."""
+    return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else ()
+
+
+def _problem(kind: type[Effect]) -> str | None:
+    """What is wrong with a class, in words that follow its name; None where nothing is."""
+    if not is_dataclass(kind) or not kind.__dataclass_params__.frozen:  # type: ignore[attr-defined]
+        return "must be a frozen dataclass: @dataclass(frozen=True, slots=True)"
+    if effect_name_problem(kind.name):
+        return effect_name_problem(kind.name)
+    if kind.stage not in STAGES:
+        return f"has the stage {kind.stage!r}; there are {', '.join(STAGES)}"
+    if not isinstance(kind.places, tuple) or not kind.places or set(kind.places) - set(KINDS):
+        return f"sits at {kind.places!r}; places are a tuple of {', '.join(KINDS)}"
+    if (kind.__doc__ or "").startswith(f"{kind.__name__}("):
+        return "has no docstring, which is what its model is told by"
+    for name in ("experiment", "action"):
+        if not getattr(kind, name):
+            return f"says nothing of its {name}"
+    if not any(name in vars(kind) for name in HOOKS if name not in ("needs", "covariate")):
+        return f"does nothing: it has none of {', '.join(n for n in HOOKS if n not in ('needs', 'covariate'))}"
+    return _parameters_problem(kind) or _default_problem(kind)
+
+
+def _parameters_problem(kind: type[Effect]) -> str | None:
+    own = [f for f in fields(kind) if f.name != "place"]
+    if (
+        not isinstance(kind.parameters, tuple)
+        or not kind.parameters
+        or not all(isinstance(p, Parameter) for p in kind.parameters)
+    ):
+        return "must list its parameters, a tuple of Parameter"
+    if [f.name for f in own] != [p.name for p in kind.parameters] or fields(kind)[0].name != "place":
+        return (
+            f"has the fields {', '.join(f.name for f in fields(kind))}; they are place and its parameters in "
+            "their order, "
+            f"{', '.join(p.name for p in kind.parameters)}"
+        )
+    for f, p in zip(own, kind.parameters):
+        if f.default is MISSING:
+            return f"gives {p.name} no default, with which it changes nothing"
+        if p.role not in ROLES:
+            return f"has {p.name} in the role {p.role!r}; there are {', '.join(ROLES)}"
+        if not p.bounds[0] < p.bounds[1]:
+            return f"has {p.name} within {p.bounds}, the smaller first"
+        if p.role not in ("choice", "moment", "phase") and not 0 < max(map(abs, p.usual)) < np.inf:
+            return f"must say how large {p.name} usually is, two numbers, not {p.usual}"
+        if p.role in ("log", "size") and not p.usual[0] > 0:
+            return f"has {p.name} on a scale of logarithms, where what is usual is above 0, not {p.usual}"
+    return None
+
+
+def _default_problem(kind: type[Effect]) -> str | None:
+    for place in kind.places:
+        try:
+            check_effect(kind(EXAMPLE.get(place, place)))
+        except Exception as error:
+            return f"cannot be made with its defaults at {place}: {error}"
+    return None
+
+
+def _guard(kind: type[Effect], path: Path, line: int | None) -> None:
+    """Have a class name its file and line where a hook of its own fails, or answers what nobody asked for."""
+    for name in HOOKS:
+        if name in vars(kind):
+            setattr(kind, name, _guarded(vars(kind)[name], name, path))
+    sites = inspect.getattr_static(kind, "sites").__func__
+
+    def lawful(cls: type[Effect], context: Context) -> tuple[str, ...]:
+        found = sites(cls, context)
+        if found and cls.stage in MOTION_STAGES:
+            motion, zero = context.moved(), cls(found[0])
+            if zero.deviation(motion).any() or zero.sway(motion).any():
+                raise FileError(
+                    path,
+                    f"{cls.name} changes something with its parameters at their defaults, where it must change nothing",
+                    line,
+                )
+        return found
+
+    setattr(kind, "sites", classmethod(lawful))  # noqa: B010  of a class, which is not to be assigned to
+
+
+def _guarded(hook: Callable[..., T], name: str, path: Path) -> Callable[..., T]:
+    @wraps(hook)
+    def guarded(effect: Effect, *given: object) -> T:
+        try:
+            found = hook(effect, *given)
+        except RigError:
+            raise
+        except Exception as error:
+            raise FileError(
+                path, f"{effect.name}.{name} fails: {type(error).__name__}: {error}", _within(error, path)
+            ) from None
+        if name in ARRAYS:
+            expected = np.shape(getattr(Effect, name)(effect, *given))
+            if np.shape(found) != expected or not np.isfinite(found).all():
+                said = (
+                    f"numbers of shape {np.shape(found)}" if np.shape(found) != expected else "what is no finite number"
+                )
+                raise FileError(
+                    path,
+                    f"{effect.name}.{name} answers {said}; it takes finite numbers of shape {expected}",
+                    hook.__code__.co_firstlineno,
+                )
+        return found
+
+    return guarded
+
+
+def _within(error: Exception, path: Path) -> int | None:
+    """The last line of a file that an error came through."""
+    lines = [frame.lineno for frame in extract_tb(error.__traceback__) if frame.filename == str(path)]
+    return lines[-1] if lines else None
+
+
+def _line(text: str, kind: type[Effect], field: str | None = None) -> int | None:
+    """Where a source text defines a class, or a field of it; None where that is not at its top level."""
+    for node in ast.parse(text).body:
+        if isinstance(node, ast.ClassDef) and node.name == kind.__name__:
+            own = (part for part in node.body if isinstance(part, ast.AnnAssign) and isinstance(part.target, ast.Name))
+            lines = [part.lineno for part in own if isinstance(part.target, ast.Name) and part.target.id == field]
+            return lines[0] if lines else node.lineno
+    return None

@@ -1,0 +1,300 @@
+"""Geometry classes of mechanisms (hexapod, planar, arm, chain, free): frozen dataclasses in m and rad."""
+
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import RigidTransform
+
+from rig.array_types import Booleans, Floats
+
+
+def _array(value: ArrayLike, shape: tuple[int | None, ...], what: str) -> Floats:
+    array = np.array(value, float)
+    if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape)):
+        raise ValueError(f"{what}: expected shape {shape}, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{what}: not finite: {array.tolist()}")
+    array.setflags(write=False)
+    return array
+
+
+def freeze_array(instance: object, name: str, shape: tuple[int | None, ...]) -> None:
+    """Freeze an array field of a dataclass instance: read-only floats of a shape. Raises ValueError otherwise."""
+    object.__setattr__(instance, name, _array(getattr(instance, name), shape, name))
+
+
+class StatedMechanism:
+    """What every mechanism answers of itself. A mechanism of which something else holds says so in its own class.
+
+    axis_unit : of the travel of its axes, the slides of an arm aside
+    pose_coordinates : which of a pose's six coordinates (x y z rx ry rz, from 0) its platform can change
+    placements : names of the poses that say where it stands and what it holds, fitted along with its geometry
+    """
+
+    __slots__ = ()
+    axis_unit: ClassVar[Literal["m", "rad"]] = "m"
+    pose_coordinates: ClassVar[tuple[int, ...]] = (0, 1, 2, 3, 4, 5)
+    placements: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def axis_words(self) -> tuple[str, ...]:
+        """What each of its axes is called: "strut", "joint" or "slide"."""
+        return ()
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the bodies that it moves below the platform; none where its platform stands on its base."""
+        return ()
+
+    @property
+    def home_pose(self) -> RigidTransform | None:
+        """T_base_platform at home, as its owner states it; None where no such pose is stated."""
+        return None
+
+    @property
+    def plates(self) -> tuple[Floats, Floats] | None:
+        """(base joints, platform joints) (axes, 3) m, each in its own plate's frame; None without two plates."""
+        return None
+
+    @property
+    def strut_joints(self) -> tuple[Floats, Floats] | None:
+        """(base joints (axes, 3) m in the base frame, the struts' other ends (axes, 3) m in the platform's); None
+        without struts.
+        """
+        return None
+
+    @property
+    def link_rows(self) -> Floats | None:
+        """(axes, 5) theta, d, a, alpha, beta of the links between its joints; None without links."""
+        return None
+
+    @property
+    def reach(self) -> float | None:
+        """m, how long it is at the most; None where that is not known of it as a whole."""
+        return None
+
+    @property
+    def geometry_arrays(self) -> dict[str, Floats]:
+        """{name: array} of the figures of its geometry that a calibration fits, m and rad."""
+        return {}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hexapod(StatedMechanism):
+    """Gough-Stewart platform: six struts of variable length between a base and a platform.
+
+    base_joints : (6, 3) m, base frame; platform_joints : (6, 3) m, platform frame
+    strut_range : (6, 2) m, shortest and longest commanded length; home : T_base_platform
+    strut_zeros : (6,) m, what a strut is longer than its command says (zero as the owner believes it)
+    """
+
+    base_joints: Floats
+    platform_joints: Floats
+    strut_range: Floats
+    home: RigidTransform
+    strut_zeros: Floats = field(default_factory=lambda: np.zeros(6))
+    kind: ClassVar[Literal["hexapod"]] = "hexapod"
+
+    def __post_init__(self) -> None:
+        for name, shape in (
+            ("base_joints", (6, 3)),
+            ("platform_joints", (6, 3)),
+            ("strut_range", (6, 2)),
+            ("strut_zeros", (6,)),
+        ):
+            freeze_array(self, name, shape)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the commanded axes, as commands.csv heads its columns."""
+        return ("l1", "l2", "l3", "l4", "l5", "l6")
+
+    @property
+    def axis_words(self) -> tuple[str, ...]:
+        """What each of its axes is called."""
+        return ("strut",) * 6
+
+    @property
+    def stages(self) -> tuple["Stage", ...]:
+        """What stands on its base, one upon the other: itself alone."""
+        return (self,)
+
+    @property
+    def home_pose(self) -> RigidTransform:
+        """T_base_platform at home, as its owner states it."""
+        return self.home
+
+    @property
+    def plates(self) -> tuple[Floats, Floats]:
+        """(base joints, platform joints) (6, 3) m, each in its own plate's frame."""
+        return self.base_joints, self.platform_joints
+
+    @property
+    def strut_joints(self) -> tuple[Floats, Floats]:
+        """(base joints, platform joints) (6, 3) m, each in its own plate's frame."""
+        return self.base_joints, self.platform_joints
+
+    @property
+    def reach(self) -> float:
+        """m, its longest strut at full length."""
+        return float(self.strut_range.max())
+
+    @property
+    def geometry_arrays(self) -> dict[str, Floats]:
+        """{name: array} of the figures of its geometry that a calibration fits, m."""
+        return {name: getattr(self, name) for name in ("base_joints", "platform_joints", "strut_zeros")}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Planar2(StatedMechanism):
+    """Two struts from two base joints to one common hinge in the plane z = 0 (configuration-space patent, fig. 1).
+
+    base_joints : (2, 2) m; strut_range : (2, 2) m; strut_zeros : (2,) m. The hinge is on the left of base joint 1 -> 2.
+    """
+
+    base_joints: Floats
+    strut_range: Floats
+    strut_zeros: Floats = field(default_factory=lambda: np.zeros(2))
+    kind: ClassVar[Literal["planar2"]] = "planar2"
+    pose_coordinates: ClassVar[tuple[int, ...]] = (0, 1)
+
+    def __post_init__(self) -> None:
+        for name, shape in (("base_joints", (2, 2)), ("strut_range", (2, 2)), ("strut_zeros", (2,))):
+            freeze_array(self, name, shape)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the commanded axes, as commands.csv heads its columns."""
+        return ("l1", "l2")
+
+    @property
+    def axis_words(self) -> tuple[str, ...]:
+        """What each of its axes is called."""
+        return ("strut", "strut")
+
+    @property
+    def stages(self) -> tuple["Stage", ...]:
+        """What stands on its base, one upon the other: itself alone."""
+        return (self,)
+
+    @property
+    def strut_joints(self) -> tuple[Floats, Floats]:
+        """(base joints (2, 3) m in the base frame, the hinge once for each strut (2, 3) m in its own)."""
+        return np.pad(self.base_joints, ((0, 0), (0, 1))), np.zeros((2, 3))
+
+    @property
+    def reach(self) -> float:
+        """m, its longest strut at full length."""
+        return float(self.strut_range.max())
+
+    @property
+    def geometry_arrays(self) -> dict[str, Floats]:
+        """{name: array} of the figures of its geometry that a calibration fits, m."""
+        return {name: getattr(self, name) for name in ("base_joints", "strut_zeros")}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arm(StatedMechanism):
+    """Serial arm: T_base_platform = base A_1(q_1) .. A_n(q_n) tool.
+
+    joints : (n, 4 or 5) theta (rad), d (m), a (m), alpha (rad), optional Hayati beta (rad): distal Denavit-Hartenberg,
+    A_i = Rot_z(theta_i + q_i) Trans_z(d_i) Trans_x(a_i) Rot_x(alpha_i) Rot_y(beta_i); limits : (n, 2) rad
+    base : where the arm's own frame 0 stands in the frame of poses; tool : the platform (hand, target) in frame n
+    slides : (n,) bool, joints that are prismatic: Rot_z(theta_i) Trans_z(d_i + q_i), q_i and its limits in m; none by
+        default
+    """
+
+    joints: Floats
+    limits: Floats
+    base: RigidTransform = field(default_factory=RigidTransform.identity)
+    tool: RigidTransform = field(default_factory=RigidTransform.identity)
+    slides: Booleans = field(default_factory=lambda: np.zeros(0, bool))
+    kind: ClassVar[Literal["arm"]] = "arm"
+    axis_unit: ClassVar[Literal["m", "rad"]] = "rad"
+    placements: ClassVar[tuple[str, ...]] = ("base", "tool")
+
+    def __post_init__(self) -> None:
+        freeze_array(self, "joints", (None, None))
+        if self.joints.shape[1] not in (4, 5):
+            raise ValueError(f"joints: expected rows of 4 or 5 figures, got {self.joints.shape[1]}")
+        freeze_array(self, "limits", (len(self.joints), 2))
+        slides = self.slides if np.size(self.slides) else np.zeros(len(self.joints))
+        object.__setattr__(self, "slides", _array(slides, (len(self.joints),), "slides") > 0)
+
+    @property
+    def rows(self) -> Floats:
+        """(n, 5) theta, d, a, alpha, beta; beta is 0 where it is not stated."""
+        return np.pad(self.joints, ((0, 0), (0, 5 - self.joints.shape[1])))
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the commanded axes, as commands.csv heads its columns."""
+        return tuple(f"q{i + 1}" for i in range(len(self.joints)))
+
+    @property
+    def axis_words(self) -> tuple[str, ...]:
+        """What each of its axes is called."""
+        return tuple("slide" if slide else "joint" for slide in self.slides)
+
+    @property
+    def stages(self) -> tuple["Stage", ...]:
+        """What stands on its base, one upon the other: itself alone."""
+        return (self,)
+
+    @property
+    def link_rows(self) -> Floats:
+        """(n, 5) theta, d, a, alpha, beta of the links between its joints."""
+        return self.rows
+
+    @property
+    def reach(self) -> float:
+        """m, how far links and slides reach at the most."""
+        return float(np.abs(self.joints[:, 1:3]).sum() + np.abs(self.limits[self.slides]).max(axis=1).sum())
+
+    @property
+    def geometry_arrays(self) -> dict[str, Floats]:
+        """{name: array} of the figures of its geometry that a calibration fits, m and rad."""
+        return {"joints": self.rows}
+
+
+Stage = Hexapod | Planar2 | Arm
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chain(StatedMechanism):
+    """Mechanisms one upon the other: the platform of each stage is the base of the next. stages : two or more, from the
+    base up.
+    """
+
+    stages: tuple[Stage, ...]
+    kind: ClassVar[Literal["chain"]] = "chain"
+
+    def __post_init__(self) -> None:
+        if len(self.stages) < 2:
+            raise ValueError(f"stages: a chain has two or more, got {len(self.stages)}")
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the commanded axes, as commands.csv heads its columns: s1q1 .., s2l1 .."""
+        return tuple(f"s{i + 1}{axis}" for i, stage in enumerate(self.stages) for axis in stage.axes)
+
+    @property
+    def axis_words(self) -> tuple[str, ...]:
+        """What each of its axes is called in its own stage."""
+        return tuple(word for stage in self.stages for word in stage.axis_words)
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of what its stages move below the last platform: "stage 1" .."""
+        return tuple(f"stage {i + 1}" for i in range(len(self.stages) - 1))
+
+
+@dataclass(frozen=True, slots=True)
+class Free(StatedMechanism):
+    """Moved by hand or by somebody else: there is nothing to command."""
+
+    kind: ClassVar[Literal["free"]] = "free"
+    axes = ()
+    stages = ()

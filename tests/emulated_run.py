@@ -1,0 +1,112 @@
+"""A rig that is run in tests: an emulated controller at a pseudo-terminal, cameras that answer at once, and runners
+that can be killed.
+"""
+
+import json
+import multiprocessing
+import os
+import socket
+import threading
+from pathlib import Path
+
+from rig.driving import emulators
+from rig.driving.clock import SystemClock
+from rig.driving.emulators import emulator_opening
+from rig.driving.emulators.controller_faults import Faults
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout_and_camera_placement
+
+WIDTH, HEIGHT = 64, 48
+CONTROLLER = """
+[controller]
+protocol = "{protocol}"
+port = "{port}"
+max_speed = 5.0
+max_acceleration = 500.0
+"""
+
+
+def cameras(listening: socket.socket) -> None:
+    """Answer as an emulator's cameras do, with images of one grey."""
+    while True:
+        caller = listening.accept()[0]
+        threading.Thread(target=_answer, args=(caller,), daemon=True).start()
+
+
+def _answer(caller: socket.socket) -> None:
+    with caller, caller.makefile("rb") as lines:
+        for _ in lines:
+            head = json.dumps({"width": WIDTH, "height": HEIGHT, "bits": 8, "age": 0.0}).encode() + b"\n"
+            caller.sendall(head + bytes([90]) * (WIDTH * HEIGHT))
+
+
+def _emulate(folder: str, protocol: str, pipe) -> None:
+    """The process of the emulator: every move that it was told is written down with its goal, as it is told."""
+    import numpy as np
+
+    listening = socket.create_server(("127.0.0.1", 0))
+    threading.Thread(target=cameras, args=(listening,), daemon=True).start()
+    link = Path(folder) / "port"
+    text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(
+        0.3, cameras=1, width=WIDTH, height=HEIGHT
+    ).replace('shutter = "global"', f'shutter = "global"\nsource = "emulator:127.0.0.1:{listening.getsockname()[1]}"')
+    (Path(folder) / "rig.toml").write_text(text + CONTROLLER.format(protocol=protocol, port=link))
+    clock = SystemClock()
+    made = emulators.emulator_of_design(
+        design_file.load_design(Path(folder) / "rig.toml"), Faults((), np.random.default_rng(0)), clock
+    )
+    wire = emulator_opening.Terminal(link)
+    told = open(Path(folder) / "told.csv", "w", encoding="utf-8")  # noqa: SIM115
+    count = 0
+
+    def record() -> None:
+        nonlocal count
+        for move in made.machine.executed[count:]:
+            told.write(",".join(f"{value:.6f}" for value in move.target) + "\n")
+            told.flush()
+            count += 1
+
+    pipe.send(True)
+    emulator_opening.serve_emulator(made, wire, lambda: True, lambda name: None, record)
+
+
+class EmulatedRig:
+    """An emulator in a process of its own, in a folder with rig.toml, port and told.csv (the goals of all moves that it
+    carried out).
+    """
+
+    def __init__(self, folder: Path, protocol: str = "grblhal") -> None:
+        self.folder = folder
+        context = multiprocessing.get_context("fork")
+        ours, theirs = context.Pipe()
+        self._process = context.Process(target=_emulate, args=(str(folder), protocol, theirs), daemon=True)
+        self._process.start()
+        assert ours.poll(60) and ours.recv()
+
+    def told(self) -> list[tuple[float, ...]]:
+        """Goals of the moves carried out so far, m."""
+        return [tuple(map(float, line.split(","))) for line in (self.folder / "told.csv").read_text().splitlines()]
+
+    def close(self) -> None:
+        self._process.kill()
+        self._process.join()
+
+
+def runner(arguments: list[str], log: Path) -> multiprocessing.Process:
+    """`rig` with arguments in a forked process, what it says appended to a log; it can be killed."""
+    process = multiprocessing.get_context("fork").Process(target=_run, args=(arguments, str(log)))
+    process.start()
+    return process
+
+
+def _run(arguments: list[str], log: str) -> None:
+    import sys
+
+    from rig.cli.command_line import main
+
+    handle = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    os.dup2(handle, 1)
+    os.dup2(handle, 2)
+    sys.stdout = os.fdopen(1, "w", buffering=1)
+    sys.stderr = os.fdopen(2, "w", buffering=1)
+    os._exit(main(arguments))

@@ -1,0 +1,50 @@
+"""A hexapod's closed loop through the command line: simulated with images or corners, calibrated, corrected, driven,
+verified.
+"""
+
+import pytest
+
+from rig.formats.rig_toml import design_file
+from rig.model.mechanisms import hexapod
+from rig.planning.configuration_sets import sobol_configurations
+from tests.closed_loops import holds, lines, rig, verified
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drawn", [(), ("--images",)], ids=["corners", "images"])
+def test_a_loop_closes(tmp_path, capfd, drawn):
+    rig(
+        "design",
+        "--radius",
+        "0.3",
+        "--cubes",
+        "3",
+        "--cameras",
+        "2",
+        "--size",
+        "800x640" if drawn else "1280x1024",
+        "--out",
+        tmp_path / "rig.toml",
+    )
+    rig(
+        "simulate",
+        tmp_path / "rig.toml",
+        "--plan",
+        "sobol:24" if drawn else "sobol:60",
+        "--seed",
+        "2",
+        *drawn,
+        "--out",
+        tmp_path / "rec",
+        "--truth",
+        tmp_path / "truth.json",
+    )
+    m = design_file.load_design(tmp_path / "rig.toml").mechanism
+    found = verified(
+        tmp_path,
+        capfd,
+        lines(hexapod.forward(sobol_configurations(m.strut_range, 4 if drawn else 8, 0.5, 5), m)),
+        drawn,
+    )
+    holds(found)
+    assert found["before"]["position"]["rms"] > 10 * found["after"]["position"]["rms"]

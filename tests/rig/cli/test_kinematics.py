@@ -1,0 +1,142 @@
+"""`rig kinematics`: poses of joint values, all joint values of poses, step by step; calibrated arms finished
+numerically.
+"""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from calib.api.kinematics import ArmKinematics
+from calib.models.arm.correction import ArmCorrection
+from calib.models.arm.identification_and_joint_profiles import Profile
+from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
+from rig.model.pose import pose, pose_difference, pose_to_vector
+from rig.planning.layout import shipped_arm_layout
+from tests.calib import secret_arms as worlds
+from tests.cli import command
+from tests.rig.arms import UR10
+
+
+@pytest.fixture
+def rig(capsys):
+    return command(capsys, "kinematics")
+
+
+def poses_file(path, T):
+    rows = [",".join([str(i), *(repr(float(x)) for x in row)]) for i, row in enumerate(pose_to_vector(T))]
+    path.write_text("\n".join(["frame,x,y,z,rx,ry,rz", *rows]) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("name", ["puma560", "ur10", "stanford", "scara"])
+def test_what_forward_gives_inverse_takes_back(tmp_path, rig, name):
+    arm = shipped_arm_layout.load_shipped_arm(name).mechanism
+    low, high = arm.limits.T
+    q = np.random.default_rng(1).uniform(0.8 * low, 0.8 * high, (4, len(low)))
+    rows = [",".join([str(i), *map(repr, row)]) for i, row in enumerate(q.tolist())]
+    (tmp_path / "q.csv").write_text("\n".join([",".join(["frame", *arm.axes]), *rows]) + "\n")
+    tree = json.loads(rig(name, "--forward", tmp_path / "q.csv", "--steps", "--json"))
+    found = np.array([entry["pose"] for entry in tree["link_frames"]])
+    T = pose(found[:, :3], found[:, 3:])
+    np.testing.assert_allclose(pose_difference(mechanism.forward(q, arm), T), 0, atol=1e-12)
+    assert [step["joint"] for step in tree["link_frames"][0]["steps"]] == [0, *range(len(low), 0, -1)]
+    back = json.loads(rig(name, "--inverse", poses_file(tmp_path / "p.csv", T), "--json"))
+    for entry, own in zip(back["link_frames"], q):
+        many = np.array([one["q"] for one in entry["solutions"]])
+        apart = (many - own) - np.where(arm.slides, 0.0, 2 * np.pi) * np.round((many - own) / (2 * np.pi))
+        assert np.abs(apart).max(axis=1).min() < 1e-7 and len(many) >= 2
+        assert (
+            np.abs(
+                pose_difference(
+                    mechanism.forward(many, arm),
+                    RigidTransform.from_matrix(np.tile(T[entry["frame"]].as_matrix(), (len(many), 1, 1))),
+                )
+            ).max()
+            < 1e-9
+        )
+
+
+def test_singular_and_unreachable_poses_are_named(tmp_path, rig):
+    arm = shipped_arm_layout.load_shipped_arm("puma560").mechanism
+    far = pose([9.0, 0, 0], [0, 0, 0])
+    T = RigidTransform.from_matrix(
+        np.stack([mechanism.forward(np.array([0.3, 0.4, 0.5, 0.6, 0.0, 0.8]), arm).as_matrix(), far.as_matrix()])
+    )
+    said = rig("puma560", "--inverse", poses_file(tmp_path / "p.csv", T), "--steps")
+    assert (
+        "frame 0: singular: wrist; " in said
+        and "frame 1: out of reach: too far, by 8." in said
+        and "0 solutions" in said
+    )
+    assert (
+        "joint 1 = " in said
+        and "read and returned about the axis through" in said
+        and "  D " not in said
+        and "  E (" in said
+    )
+    few = rig("scara", "--inverse", poses_file(tmp_path / "f.csv", T[:1]))
+    assert "out of reach: the arm comes no nearer than" in few
+
+
+@pytest.mark.parametrize("name", ["panda", "scara"])
+def test_steps_of_solutions_found_numerically_end_where_the_hand_is_at_zero(tmp_path, rig, name):
+    arm = shipped_arm_layout.load_shipped_arm(name).mechanism
+    T = mechanism.forward(np.array([[0.3, -0.4, 0.1, -1.5, 0.4, 1.2, 0.3][: len(arm.joints)]]), arm)
+    file = poses_file(tmp_path / "p.csv", T)
+    tree = json.loads(rig(name, "--inverse", file, "--steps", "--json"))
+    for one in tree["link_frames"][0]["solutions"]:
+        assert one["found"] == "numerically" and [s["joint"] for s in one["steps"]] == list(range(len(arm.joints) + 1))
+        np.testing.assert_allclose(
+            list(one["steps"][-1]["points"].values()),
+            arm_dynamics_and_step_by_step_kinematics.hand_points_at_zero(arm),
+            atol=1e-9,
+        )
+        assert [s["value"] for s in one["steps"][1:]] == one["q"]
+    said = rig(name, "--inverse", file, "--steps")
+    assert "found numerically" in said and ("moved back along the axis through" in said) == (name == "scara")
+
+
+@pytest.mark.parametrize(
+    "content, options, says",
+    [
+        ("frame,q1\n0,1\n", ("scara", "--forward"), "column 'q2' is missing"),
+        ("", ("scara", "--forward"), "is empty"),
+        ("frame,q1,q2,q3,q4\n0,1,2,3\n", ("scara", "--forward"), "4 cells in a table of 5 columns"),
+        ("frame,x,y,z,rx,ry,rz\n0,1,0,0,0,0,0\n", ("scarab", "--inverse"), "nor is it one of the shipped arms"),
+        ("frame,x,y,z,rx,ry,rz\n0,1,0,0,0,0,0\n", ("nowhere.json", "--inverse"), "no such file"),
+    ],
+)
+def test_what_cannot_be_read_is_named(tmp_path, rig, content, options, says):
+    (tmp_path / "in.csv").write_text(content)
+    assert says in rig(*options, tmp_path / "in.csv", ok=False)
+
+
+def test_a_calibrated_arm_is_finished_from_every_branch():
+    """Each branch of the owner's model is where the search for the calibrated arm's own begins, and all find theirs."""
+    rng = np.random.default_rng(2)
+    true = worlds.secret(UR10, rng)
+    nominal = replace(UR10, base=worlds.BASE, tool=worlds.TOOL)
+    remainder = (Profile(0, np.array([1.0]), np.array([1e-4, -2e-4]), np.zeros((6, 2))), *[None] * 5)
+    correction = ArmCorrection(nominal, true, remainder, np.zeros((1, 6)))
+    q = np.array([[0.3, -1.0, 1.2, 0.4, 0.9, 0.5], [1.0, -0.6, 1.4, -0.7, -1.1, 2.0]])
+    T = correction.predict(q)
+    tree = ArmKinematics(nominal, correction).inverse(np.arange(2), T)
+    for i, entry in enumerate(tree["link_frames"]):
+        assert len(entry["solutions"]) == 8
+        finished = np.array([one["corrected"] for one in entry["solutions"]])
+        np.testing.assert_allclose(
+            pose_difference(
+                correction.predict(finished), RigidTransform.from_matrix(np.tile(T[i].as_matrix(), (8, 1, 1)))
+            ),
+            0,
+            atol=1e-10,
+        )
+        moved = np.abs(np.exp(1j * finished) - np.exp(1j * np.array([one["q"] for one in entry["solutions"]]))).max(
+            axis=1
+        )
+        assert (moved < 0.05).all() and (moved > 1e-5).all()
+        assert np.abs(np.exp(1j * finished) - np.exp(1j * q[i])).max(axis=1).min() < 1e-8

@@ -1,0 +1,102 @@
+"""Pages that commands write find each other: an index with every verdict, kept up to date; and a recording in three
+dimensions.
+"""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.report.pose_figures_and_effect_displacements import FACTORS, effect_displacements, scaled_effect
+from rig.cli.command_line import main
+from rig.effects.texts.effect_text_and_dict import parse_effect
+from rig.planning import plan
+from rig.report.pages.page_templates_and_page_index import Page, list_pages_below_folder, read_page_summary, write_page
+from rig.report.verdict_and_refutations_of_results import State, Verdict
+
+BENCH = Path(__file__).parent / "data" / "bench"
+
+
+def page(path, state=State.GOOD, why="fine", kind="measure"):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_page(path, Page(kind, path.stem, Verdict(state, why), []))
+
+
+def test_an_index_lists_pages_with_their_verdicts_and_is_kept_up_to_date(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    page(tmp_path / "measured" / "report.html", State.CHECK, 'a "b" & <c>')
+    (tmp_path / "mine.html").write_text("<title>mine</title>")
+    (tmp_path / "half.html").write_bytes(b"\xff\xfe")
+    assert main(["index"]) == 0 and 'a "b" & <c>' in capsys.readouterr().out
+    index = (tmp_path / "index.html").read_text()
+    assert 'href="measured/report.html"' in index and "A &quot;b&quot; &amp; &lt;c&gt;" in index and "mine" not in index
+    assert read_page_summary(tmp_path / "index.html").state == State.CHECK and [
+        found.why for found in list_pages_below_folder(tmp_path)
+    ] == ['a "b" & <c>']
+    assert main(["view", str(BENCH / "check"), "--page", "view.html"]) == 0
+    assert (
+        'href="index.html">All pages' in (tmp_path / "view.html").read_text()
+        and 'href="view.html"' in (tmp_path / "index.html").read_text()
+    )
+    (tmp_path / "index.html").write_text((tmp_path / "index.html").read_text() + "<!-- a word of mine -->")
+    assert main(["view", str(BENCH / "check"), "--page", "again.html"]) == 0
+    assert "a word of mine" in (tmp_path / "index.html").read_text(), "what its owner changed stays"
+
+
+def test_an_index_is_refused_where_it_cannot_be(tmp_path, capsys):
+    assert main(["index", str(tmp_path / "typo")]) == 1 and "no such folder" in capsys.readouterr().err
+    (tmp_path / "index.html").write_text("mine")
+    assert main(["index", str(tmp_path)]) == 1 and (tmp_path / "index.html").read_text() == "mine"
+    assert "was not made by `rig index`" in capsys.readouterr().err
+
+
+def staged(path):
+    """What the page's view in three dimensions shows."""
+    return json.loads(re.search('id="stage-data">(.*?)</script>', path.read_text())[1])
+
+
+def test_a_recording_is_shown_in_three_dimensions_with_what_an_effect_does(tmp_path, capsys):
+    out = tmp_path / "view.html"
+    assert (
+        main(
+            [
+                "view",
+                str(BENCH / "check"),
+                "--page",
+                str(out),
+                "--effect",
+                "backlash:strut3:gap=8e-5",
+                "--effect",
+                "focal_drift:cameras:per_kelvin=4e-4",
+            ]
+        )
+        == 0
+    )
+    shown = staged(out)
+    assert len(shown["frames"]) == len(shown["poses"]) == 6 and len(shown["base"]) == 6
+    (effect,) = shown["effects"]
+    assert effect["name"] == "backlash at strut 3" and effect["sizes"][0] == "none" and "gap 80 µm" in effect["sizes"]
+    sizes = [float(np.abs(one).max()) for one in effect["shifts"]]
+    assert sizes[0] == 0 < sizes[1] < sizes[2] < sizes[3] and "moves no platform" in out.read_text()
+    for words, says in ((["--effect", "backlsh:strut3"], "backlsh"), (["--out", "x.png"], "--out is for --frame")):
+        assert (
+            main(["view", str(BENCH / "check"), "--page", str(tmp_path / "no.html"), *words]) == 1
+            and says in capsys.readouterr().err
+        )
+    assert main(["view", str(BENCH / "check"), "--frame", "1", "--effect", "backlash:strut3:gap=1e-5"]) == 1
+    assert (
+        main(["view", str(tmp_path / "typo"), "--page", str(tmp_path / "no.html")]) == 1
+        and not (tmp_path / "no.html").exists()
+    )
+
+
+def test_an_effect_played_is_its_own_model_at_its_sizes(design):
+    done = plan.build_plan(design, "sobol:6", 1)
+    effect = parse_effect("scale_error:strut2:scale=1e-3")
+    shown = effect_displacements(design, done.commands, done.t, (effect,), 0)
+    assert np.allclose(shown.shifts[3], 2 * shown.shifts[2], rtol=0.01, atol=1e-9) and len(shown.sizes) == len(FACTORS)
+    assert scaled_effect(parse_effect("compliance:rig:stiffness=3e6"), 2.0).stiffness == pytest.approx(1.5e6), (
+        "half as stiff is twice as much"
+    )
