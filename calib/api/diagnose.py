@@ -1,7 +1,5 @@
 """Diagnosis of a rig's recordings: physics that the model leaves out, and questions for an experiment.
 
-imported.
-
 Poses of an instrument are as sure as its others; of cameras, as their images will tell, with what cameras and lenses
 add to all alike.
 

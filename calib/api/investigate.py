@@ -1,7 +1,5 @@
 """Investigation of a rig: plan, record, diagnose, experiment, again and again; at its end a certificate.
 
-these suffice.
-
 certificate.
 """
 

@@ -1,7 +1,4 @@
-"""Next experiment of a diagnosis: its options, and the choice of the plan that answers open questions best.
-
-does.
-"""
+"""Next experiment of a diagnosis: its options, and the choice of the plan that answers open questions best."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,4 @@
-"""Verification of a calibration by another recording, and watch over it by repeated small visits.
-
-holds.
-"""
+"""Verification of a calibration by another recording, and watch over it by repeated small visits."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace

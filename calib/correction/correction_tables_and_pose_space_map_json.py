@@ -40,9 +40,7 @@ class CorrectionSummands(NamedTuple):
 
 
 def strut_correction_summands(samples: Samples, nominal: Struts) -> CorrectionSummands:
-    """Correction summands of struts at samples: commands less IK of the measured poses by the owner's model.
-    included.
-    """
+    """Correction summands of struts at samples: commands less IK of the measured poses by the owner's model."""
     A = strut_length_jacobian(samples.T_base_platform, nominal)
     return CorrectionSummands(
         samples.commanded - mechanisms.kinematics_of(nominal).inverse(samples.T_base_platform, nominal),

@@ -1,7 +1,4 @@
-"""Machine models by kind: geometric parameters, certification, covariance of corrected poses, file entries.
-
-measured pose.
-"""
+"""Machine models by kind: geometric parameters, certification, covariance of corrected poses, file entries."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

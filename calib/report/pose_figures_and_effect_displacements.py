@@ -1,7 +1,4 @@
-"""Figures of poses for pages (plots, 3-D scenes), and displacements of poses by one effect at several sizes.
-
-is.
-"""
+"""Figures of poses for pages (plots, 3-D scenes), and displacements of poses by one effect at several sizes."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -59,9 +59,7 @@ def private_or_user_folder(folder: Path) -> Path:
 
 @cache
 def is_private_folder(folder: Path) -> bool:
-    """Whether a folder is private: nobody but this user and root can write to it or replace it.
-    put another folder in its place.
-    """
+    """Whether a folder is private: nobody but this user and root can write to it or replace it."""
     found = Path(os.path.realpath(folder))
     there = [place.stat() for place in (found, *found.parents) if place.exists()]
     own = there[0].st_uid in (0, os.getuid()) and not there[0].st_mode & 0o022

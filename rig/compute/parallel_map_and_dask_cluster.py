@@ -1,7 +1,5 @@
 """Parallel map of a function over items: by forked processes, threads, or the workers of a Dask cluster.
 
-the workers of a cluster.
-
 Threads within the products of matrices as small as here cost more than they bring; who calls limits them to one.
 """
 
@@ -22,6 +20,8 @@ from rig.formats import remote_folders
 if TYPE_CHECKING:
     from dask.distributed import Client, Future
 
+T = TypeVar("T")
+R = TypeVar("R")
 
 WAIT = 20  # s for a scheduler, and for its first worker
 PATIENCE = 3  # such times for another worker, when the last one is gone
@@ -186,8 +186,6 @@ def _done(data: bytes, digest: str, part: Sequence[T]) -> list[R]:
 
 FEW = 4  # things for each process, below which it is not worth starting any
 
-T = TypeVar("T")
-R = TypeVar("R")
 
 _inherited: tuple[Callable[..., object], Sequence[object]] | None = None  # what the processes forked next are to call
 

@@ -58,9 +58,7 @@ def require_hexapod(
 def require_struts(
     mechanism: Mechanism, refusal: str = "this takes a platform on struts, not a mechanism of kind {kind!r}"
 ) -> Struts:
-    """The mechanism, required to have struts (hexapod or planar). Raises RigError for another kind.
-    another kind.
-    """
+    """The mechanism, required to have struts (hexapod or planar). Raises RigError for another kind."""
     if not has_struts(mechanism):
         raise RigError(refusal.format(kind=mechanism.kind))
     return mechanism
@@ -88,9 +86,7 @@ def target_bodies(mechanism: Mechanism) -> tuple[str, ...]:
 def require_axes(
     mechanism: Mechanism, refusal: str = "this takes a machine with axes, not a body that is moved by hand"
 ) -> Commanded:
-    """The mechanism, required to have axes that are commanded. Raises RigError for a free body.
-    is moved by hand.
-    """
+    """The mechanism, required to have axes that are commanded. Raises RigError for a free body."""
     if not has_axes(mechanism):
         raise RigError(refusal.format(kind=mechanism.kind))
     return mechanism

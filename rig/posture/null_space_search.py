@@ -111,7 +111,7 @@ def sampled_search(
     spread: float = 0.6,
 ) -> SearchResult:
     """SearchResult of a sampled search: best of `count` random postures about each start (m, n) in the null space.
-    joint limits and hand are. spread : rad, of one step; rng : numpy Generator
+    spread : rad, of one step; rng : numpy Generator
     """
     q = _starts(q, arm, fixed_hand_part)
     target, start = (

@@ -142,9 +142,7 @@ def content_hashes(recording: Recording) -> Marks:
 
 @contextmanager
 def start_content_hashing(recording: Recording) -> Iterator[Callable[[], Marks]]:
-    """Start hashing a recording's frames in background threads; returns a function that gives the hashes.
-    any.
-    """
+    """Start hashing a recording's frames in background threads; returns a function that gives the hashes."""
     paths = [recording.folder / name for name in recording.exposures.image if name]
     if worker_count() < 2:
         yield lambda: _marks(recording, dict(zip(paths, map(file_digest, paths))))

@@ -79,7 +79,7 @@ def test_lack_of_fit(
     model: LinearModel, products: FrameProducts, test: Test, correlated_frames: int = 1, alpha: float = LIKELY
 ) -> LackOfFit | None:
     """LackOfFit by a Test of smooth functions, None where the nuisances contain its functions.
-    taken out, tells their size. alpha : chance above which no dispersion is asked
+    alpha : chance above which no dispersion is asked
     """
     normal = normal_equations_by_direction_weights(products, test.weights[None])
     solved = solve_normal_equations(normal) if test.prior is None else solve_with_prior(normal, test.prior)

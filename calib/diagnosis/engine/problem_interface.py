@@ -1,5 +1,5 @@
 """The interface (protocol) of a problem that the engine searches: platforms, bodies and arms.
-have, each a protocol of its own. No member that asks changes anything.
+No member that asks changes anything.
 
 A Fit is all that is admitted at its best; a Model is what it leaves, linear, with nuisances and the admitted terms'
 parameters taken out.

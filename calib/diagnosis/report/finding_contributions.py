@@ -18,9 +18,7 @@ ROW, START, END = 16.0, 60.0, 392.0  # units of a figure: of a pose; where bars 
 
 
 def write_contributions(path: Path, diagnosis: Diagnosis) -> None:
-    """Write a table of contributions: a row for each pose, a column (m) for each finding and for the rest.
-    nobody knows what findings do to single poses.
-    """
+    """Write a table of contributions: a row for each pose, a column (m) for each finding and for the rest."""
     if not isinstance(diagnosis.evidence, PoseContributions):
         return
     frames, names, sizes = diagnosis.evidence.contributions(diagnosis.selection)

@@ -1,7 +1,4 @@
-"""Certification of a chain's calibration by held-out stretches, and its HTML page.
-
-apart.
-"""
+"""Certification of a chain's calibration by held-out stretches, and its HTML page."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -105,9 +105,7 @@ def add_limb_options(parser: ArgumentParser) -> None:
 
 
 def limb_source(arguments: Namespace) -> LimbSource | None:
-    """Source of limb readings (--limbs) that replaces vision, None where the arguments name none. Raises RigError.
-    or below 1
-    """
+    """Source of limb readings (--limbs) that replaces vision, None where the arguments name none. Raises RigError."""
     if arguments.check is not None and (arguments.limbs is None or arguments.check < 1):
         raise RigError("--check takes a number of poses, at least 1, and --limbs")
     if arguments.limbs is None:

@@ -1,6 +1,6 @@
 """Data types that effects are made of: place, parameter, recording context, covariate and linear column.
 
-or the whole of something. Files, JSON and the command line have its text.
+Files, JSON and the command line have a place's text.
 """
 
 import re

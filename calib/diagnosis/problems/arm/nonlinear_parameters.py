@@ -94,7 +94,7 @@ def term_parameter_covariance(fit: Fit, number: int) -> TermCovariance:
 
 def onset_time_interval(fit: Fit, number: int, dispersion: float) -> tuple[float, float]:
     """(earliest, latest) s at which the onset of a term may lie.
-    does in one of twenty, of AROUND to either side. dispersion : that its score allows for
+    dispersion : that its score allows for
     """
     term, rest = fit.terms[number], fit.without_terms([number])
     name = next(p.name for p in term.candidate.kind.parameters if p.role == "moment" and p.name in term.node)
