@@ -17,6 +17,8 @@ from calib.diagnosis.engine.frame_inner_products import SWALLOWED, FrameProducts
 from calib.diagnosis.engine.linear_model import LinearModel
 from rig.array_types import Floats
 
+# value, low, high of a number, or of the numbers of a vector
+Interval = tuple[float, float, float] | tuple[list[float], list[float], list[float]]
 Z95 = 1.959964  # normal quantile of a 95 % interval
 # degrees of freedom below which clusters show nothing of how they differ: what lies in one or two is judged frame by
 # frame

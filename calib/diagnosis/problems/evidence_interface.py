@@ -26,10 +26,6 @@ STATED, RESIDUALS, ASSUMED_NOISE = (
 Family = Literal["struts", "joints"]
 
 
-# value, low, high of a number, or of the numbers of a vector
-Interval = tuple[float, float, float] | tuple[list[float], list[float], list[float]]
-
-
 @dataclass(frozen=True, slots=True)
 class Value:
     """value : number, list of numbers or names; unit; ci95 : (low, high) of a number, (lows, highs) of a list;

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.diagnosis.engine.chance_probability import Interval
 from calib.diagnosis.engine.formula_library import Library, Quantity
 from calib.diagnosis.engine.formula_search import Formula
-from calib.diagnosis.problems.evidence_interface import Interval
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.formula_quantities import POSE, quantities_of_motion
 from rig.effects.framework.machine_motion_and_play import Motion

@@ -11,9 +11,8 @@ from typing import cast
 import numpy as np
 from scipy.linalg import block_diag
 
-from calib.diagnosis.engine.chance_probability import Z95
+from calib.diagnosis.engine.chance_probability import Z95, Interval
 from calib.diagnosis.engine.linear_model import Column, join_columns
-from calib.diagnosis.problems.evidence_interface import Interval
 from calib.diagnosis.problems.platform.candidate_search import candidate_column
 from calib.diagnosis.problems.platform.effect_candidates import SIZED, PlatformScore, coefficient_bounds
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, effect_parameter_directions
