@@ -15,8 +15,6 @@ from typing import TYPE_CHECKING
 from rig.compute.numba_kernels_and_lazy_exports import lazy_getattr
 
 if TYPE_CHECKING:
-    from calib.api.accept_limbs import AcceptLimbsOptions as AcceptLimbsOptions
-    from calib.api.accept_limbs import accept_limbs as accept_limbs
     from calib.api.calibrate import CalibrateOptions as CalibrateOptions
     from calib.api.calibrate import calibrate as calibrate
     from calib.api.certify import certify as certify
@@ -31,11 +29,13 @@ if TYPE_CHECKING:
     from calib.api.investigate import investigate as investigate
     from calib.api.learn import LearnOptions as LearnOptions
     from calib.api.learn import learn as learn
+    from calib.api.limb_acceptance_and_limb_poses import AcceptLimbsOptions as AcceptLimbsOptions
+    from calib.api.limb_acceptance_and_limb_poses import accept_limbs as accept_limbs
     from calib.api.plan import plan as plan
     from calib.api.plan_options_and_result import PlanOptions as PlanOptions
     from calib.api.recording_check_and_preparation import check as check
-    from calib.api.run import RunOptions as RunOptions
-    from calib.api.run import plan_run as plan_run
+    from calib.api.run_and_go import RunOptions as RunOptions
+    from calib.api.run_and_go import plan_run as plan_run
     from calib.api.verify_and_watch import verify as verify
     from calib.api.verify_and_watch import watch as watch
     from calib.api.workspace import analyse_workspace as analyse_workspace
@@ -88,10 +88,10 @@ __getattr__ = lazy_getattr(
         "watch": "calib.api.verify_and_watch",
         "certify": "calib.api.certify",
         **dict.fromkeys(("learn", "LearnOptions"), "calib.api.learn"),
-        **dict.fromkeys(("accept_limbs", "AcceptLimbsOptions"), "calib.api.accept_limbs"),
+        **dict.fromkeys(("accept_limbs", "AcceptLimbsOptions"), "calib.api.limb_acceptance_and_limb_poses"),
         **dict.fromkeys(("close_loops", "LoopClosureOptions"), "calib.api.close_loops"),
         **dict.fromkeys(("export", "ExportOptions"), "calib.api.export"),
-        **dict.fromkeys(("plan_run", "RunOptions"), "calib.api.run"),
+        **dict.fromkeys(("plan_run", "RunOptions"), "calib.api.run_and_go"),
         "analyse_workspace": "calib.api.workspace",
         "investigate": "calib.api.investigate",
         "InvestigateOptions": "calib.experiment.investigation_machine",

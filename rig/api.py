@@ -5,11 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats, Json
 from rig.checks.mistake import Mistake, sort_mistakes
 from rig.errors import FileError, RigError
-from rig.formats.input_files import read_bytes
-from rig.formats.json_type import Json
+from rig.formats.local_and_remote_files import read_bytes
 from rig.formats.output_files import CommandOutputs, write_bytes
 from rig.model import mechanisms
 from rig.model.design import Design

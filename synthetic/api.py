@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rig.array_and_json_types import Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_text_and_dict import Kinds, parse_effect, require_existing_place, require_nonzero_effect
 from rig.errors import RigError
-from rig.formats.json_type import Json
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design, Sensor
 from rig.planning.plan import build_plan
 from rig.recording.recording_folder import load_sensors
 from rig.report.pages.html_and_svg_elements import result_html
 from synthetic import recording_simulation, secret_machine
-from synthetic.diagnosed_recording_simulation import simulate_diagnosed_recording
+from synthetic.image_simulation import simulate_diagnosed_recording
 from synthetic.recording_simulation import Simulation
 
 if TYPE_CHECKING:

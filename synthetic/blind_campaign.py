@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 
+from rig.array_and_json_types import Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.errors import FileError, RigError
 from rig.formats import structured_files
-from rig.formats.input_files import read_bytes, short_repr
-from rig.formats.json_type import Json
+from rig.formats.local_and_remote_files import read_bytes, short_repr
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 from rig.formats.output_files import write_text
 from rig.report.pages.html_and_svg_elements import result_html
@@ -49,7 +49,7 @@ class CampaignOptions:
             raise RigError(
                 "--images are of hexapods; an arm's cases are poses: leave one of --images and --mechanism out"
             )
-        usual = blind_image_settings.FRAMES if self.images else blind_cases.FRAMES
+        usual = blind_image_settings.IMAGE_FRAMES if self.images else blind_cases.FRAMES
         frames = (blind_arm_cases.FRAMES if self.arm else usual) if self.frames is None else self.frames
         if not 40 <= frames <= MOST_FRAMES:
             raise RigError(
@@ -71,7 +71,7 @@ class CampaignOptions:
             for part in lists[name]:
                 if part not in known:
                     raise RigError(f"--{name}: there is no {part!r}; there are {', '.join(known)}")
-        able = blind_image_settings.KINDS if self.images else kinds
+        able = blind_image_settings.IMAGE_KINDS if self.images else kinds
         lists["hide"] = [kind for kind in lists["hide"] if kind in able]
         if not lists["hide"]:
             raise RigError(f"--hide takes some of {', '.join(able)}")

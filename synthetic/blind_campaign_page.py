@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rig.formats.json_type import Json
+from rig.array_and_json_types import Json
 from rig.report.pages.html_and_svg_elements import heading_html, note_html, paragraph_html, table_html
 from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
 from rig.report.pages.plots import Series, plot_panel_svg

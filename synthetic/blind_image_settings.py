@@ -42,12 +42,12 @@ def draw_printing_errors(design: Design, rng: np.random.Generator, place: float,
     return Printing("markers", tuple((place * rng.normal(size=2 * count)).tolist()), tuple(scales.tolist()))
 
 
-KINDS = (
+IMAGE_KINDS = (
     "nothing",
     "one",
     "two",
 )  # of what is hidden: a disturbance of corners has no picture, an effect out of the catalogue seldom one
-FRAMES = 40  # of a recording by default
+IMAGE_FRAMES = 40  # of a recording by default
 RESOLUTIONS = ((640, 512), (960, 768), (1280, 1024))  # px
 LENSES = (
     "[-0.1, 0.08, 0.0, 0.0, 0.0]",

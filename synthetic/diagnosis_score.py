@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import scipy
 
+from rig.array_and_json_types import Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect_data_types import Place
 from rig.formats import structured_files
 from rig.formats.checked_entries import Entries
-from rig.formats.input_files import short_repr
-from rig.formats.json_type import Json
+from rig.formats.local_and_remote_files import short_repr
 
 STRONG = 7.0  # signal-to-noise from which an effect must be found
 Group = tuple[str, list["Figure"], dict[str, int]]  # (effect or strength, detected .. covered, {taken for: times})

@@ -22,7 +22,7 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Floats, ImageBytes, Pixels, Singles
+from rig.array_and_json_types import Floats, ImageBytes, Pixels, Singles
 from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.errors import MissingLibrary
 from rig.model.design import Camera, Design

@@ -12,17 +12,22 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats, Json
 from rig.compute import parallel_map_and_dask_cluster
 from rig.compute.worker_processes import process_map, worker_count
+from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.errors import RigError
-from rig.formats.json_type import Json
+from rig.effects.texts.effect_text_and_dict import Kinds
+from rig.errors import FileError, RigError
 from rig.formats.output_files import write_bytes
+from rig.model import motion_simulation
 from rig.model.design import Camera, Sensor
-from synthetic import rig_meshes
+from rig.planning.plan_construction_and_table import Plan
+from rig.recording import recording_folder
+from rig.recording.recording_folder import Sensors
+from synthetic import rig_meshes, secret_machine
 from synthetic.ideal_image_renderer import SAMPLES, Renderer, import_pyrender
-from synthetic.image_sensor import expose_image
+from synthetic.image_sensor_and_occlusion import expose_image
 from synthetic.recording_simulation import Simulation, carried_camera_poses, stage_poses_of_run
 from vision.predict import State, markers_facing_cameras, predict_sightings
 from vision.targets import marker_map
@@ -253,3 +258,40 @@ def _travel(i: int, T: RigidTransform) -> float:
         return 0.0
     later = replace(found, frame=np.ones_like(found.frame))
     return float(np.abs(predict_sightings(later, state, markers) - predict_sightings(found, state, markers)).max())
+
+
+KINDS = ("with", "without")
+
+
+def simulate_diagnosed_recording(folder: Path, kinds: Kinds = BY_NAME) -> dict[str, Simulation]:
+    """Simulate a diagnosed recording's commands with and without the effects found: {with, without: Simulation}.
+
+    kinds : effects that there are
+
+    Raises FileError for a folder that holds no diagnosed recording, RigError where nothing was commanded
+    """
+    path = folder / "machine.json"
+    if not path.exists():
+        raise FileError(
+            path, "no such file; --from takes a folder that `rig diagnose` wrote from a commanded recording"
+        )
+    found = recording_folder.load_recording(folder)
+    if found.commands is None:
+        raise RigError(f"{folder}: nothing was commanded, so there is no motion to simulate")
+    secret = secret_machine.world_from_truth(path, found.design, kinds)
+    _, t = found.exposures.times()
+    sensors = found.sensors or Sensors(np.array([found.commands.t[0]]), {})
+    plan = Plan(found.commands, t, np.array([(0.0, 0.0)]), found.origin)
+    out = {}
+    for kind in KINDS:
+        part = secret if kind == "with" else replace(secret, effects=())
+        run = motion_simulation.simulate_machine_run(
+            part.true,
+            plan.commands,
+            t,
+            part.effects,
+            sensors,
+            rates=motion_simulation.has_rolling_shutter(part.true, part.effects),
+        )
+        out[kind] = Simulation(part, plan, sensors, sensors, run)
+    return out

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats
 from rig.formats.output_files import write_text
 from rig.model import motion_simulation
 from rig.model.design import Camera, Design, Instrument, MeasuringLimbs
@@ -22,7 +22,7 @@ from rig.planning.plan_construction_and_table import Plan
 from rig.recording.recording_folder import LIMB, Sensors
 from rig.recording.recording_tables import DISTANCE, POSE_COLUMNS, Corners, write_corners, write_table
 from synthetic import secret_machine as worlds
-from synthetic.occlusion import is_occluded
+from synthetic.image_sensor_and_occlusion import is_occluded
 from synthetic.secret_machine import remount_cubes
 from vision.predict import Sightings, State, is_inside_image, markers_facing_cameras, predict_sightings
 from vision.targets import MarkerMap, marker_map

@@ -13,7 +13,7 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.model.design import FACES, Design, Target
 from rig.model.mechanism_kinds_and_hexapod_properties import Mechanism, Struts, has_struts
 from vision.targets import MarkerMap, face_pose, marker_cells, marker_map

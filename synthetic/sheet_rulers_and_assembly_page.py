@@ -7,8 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Polygon, Rectangle
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Floats
-from rig.formats.json_type import Json
+from rig.array_and_json_types import Floats, Json
 from rig.model.design import Design, Target
 
 MARGIN, LEFT, FOOT = (

@@ -18,7 +18,7 @@ MOST_LINES, MOST_PARAMETERS = 100, 8  # lines as the formatter lays them out
 SHAPE = re.compile(
     r"\((\.\.\.?|\w+)( [-+*]+)?( \w+)?,[^()]*\)|\(\.\.\.\)|\(\d+ \+ "
 )  # (n, 2), (..., 6), (f a, q), (k,), (...)
-ARRAYS = re.compile(r"\b(Floats|Singles|Integers|Booleans|ImageBytes|Pixels|NDArray)\b")  # see rig.array_types
+ARRAYS = re.compile(r"\b(Floats|Singles|Integers|Booleans|ImageBytes|Pixels|NDArray)\b")  # see rig.array_and_json_types
 UNITS = ("m ", "m,", "m;", "rad", "px", "s ", "s,", "Nm", "kg", "image", "level")  # as docstrings write them
 
 
@@ -140,7 +140,7 @@ def annotations(tree: ast.Module) -> Iterator[ast.expr]:
 
 
 def test_arrays_are_annotated_with_what_they_hold():
-    """No annotation says np.ndarray, of which a type checker knows no more than that it is an array: rig.array_types has the
+    """No annotation says np.ndarray, of which a type checker knows no more than that it is an array: rig.array_and_json_types has the
     words for them.
     """
     bare = [

@@ -6,8 +6,17 @@ from dataclasses import dataclass
 from rig.recording.recording_folder import Recording
 from vision.bundle.adjustment_validation_and_determinacy import crossvalidate_adjustment, determined_combinations
 from vision.bundle.marker_displacements import compare_stated_and_adjusted_places
-from vision.checks.recording_refusal import Notice, ignore_notice, make_spoilt_corner_refusal, refuse_spoilt_files
-from vision.hand_camera_frame_exchange import has_hand_cameras, invert_measured_poses, recording_seen_from_hand
+from vision.checks.recording_refusal_and_cube_layout_remarks import (
+    Notice,
+    ignore_notice,
+    make_spoilt_corner_refusal,
+    refuse_spoilt_files,
+)
+from vision.hand_cameras_stages_and_remounted_cubes import (
+    has_hand_cameras,
+    invert_measured_poses,
+    recording_seen_from_hand,
+)
 from vision.measurement_result import MeasurementResult
 from vision.reading.marker_identity_mistakes import find_suspicious_markers
 from vision.reading.recording_corners import image_reader

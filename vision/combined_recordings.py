@@ -7,7 +7,7 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.design_comparison_and_cube_remounting import WORDS
 from rig.model.pose import log

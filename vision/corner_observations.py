@@ -13,7 +13,7 @@ from typing import cast
 
 import numpy as np
 
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Design
 from rig.recording.recording_tables import Corners
 from vision.predict import State

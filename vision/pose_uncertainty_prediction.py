@@ -6,14 +6,14 @@ from typing import cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError
 from rig.model.design import Design
 from rig.model.pose import adjoint
 from vision.bundle.normal_equations import linearise, normal_equations, schur_complement
 from vision.bundle.unknowns_and_estimate import POSE_SCALE, Estimate, Unknowns
 from vision.corner_observations import Observations, whitener_of_observations
-from vision.hand_camera_frame_exchange import has_hand_cameras
+from vision.hand_cameras_stages_and_remounted_cubes import has_hand_cameras
 from vision.predict import Sightings, State, is_inside_image, markers_facing_cameras, predict_sightings
 from vision.recording_adjustment import Measurement
 from vision.targets import SQUARE

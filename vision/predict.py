@@ -9,7 +9,7 @@ from typing import Protocol, cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
 from rig.model.design import Camera

@@ -7,7 +7,7 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Floats, Integers, Pixels
+from rig.array_and_json_types import Floats, Integers, Pixels
 from rig.errors import RigError
 from rig.model.design import Camera, Design
 from vision.corners.marker_detection import detect_markers

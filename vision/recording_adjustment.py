@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Camera, Design
 from rig.recording.recording_tables import Corners
 from rig.report.pages.html_and_svg_elements import result_html
@@ -18,10 +18,10 @@ from vision.bundle.printing_error_estimation import adjust_with_estimated_printi
 from vision.bundle.robust_adjustment import adjust_robustly, inflate_repeated_corner_covariance
 from vision.corner_observations import Observations, observations_of_frames
 from vision.pose.body_pose import FINEST
-from vision.pose.camera_poses_from_body_poses import camera_poses_from_body_poses
-from vision.pose.frame_poses import (
+from vision.pose.frame_and_camera_poses import (
     Frames,
     Views,
+    camera_poses_from_body_poses,
     locate_cameras_without_base_targets,
     locate_fixed_cameras,
     locate_frames,

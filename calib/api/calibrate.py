@@ -21,9 +21,9 @@ from calib.correction.correction_tables_and_pose_space_map_json import (
 )
 from calib.correction.joint_camera_fit import refine_correction_with_cameras
 from calib.correction.physics_compensation import Physics
-from calib.diagnosis import arm_findings_refit, platform_findings_refit
+from calib.diagnosis import findings_refit
 from calib.diagnosis.calibration_left_out_physics import mark_as_not_searched, search_left_out_physics
-from calib.diagnosis.platform_findings_refit import Findings, findings_of_diagnosis, load_findings
+from calib.diagnosis.findings_refit import Findings, findings_of_diagnosis, load_findings
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.files.calibration_from_recording import SEED, calibration_with_provenance
 from calib.models.arm import calibration_page as arm_page
@@ -36,11 +36,10 @@ from calib.online.measuring_limb_poses import LimbSource, sample_by_limbs
 from calib.report import platform_and_lens_calibration_pages as platform_page
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled, sample_recording
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats, Json
 from rig.effects.texts.effect_text_and_dict import Kinds
 from rig.effects.texts.user_effect_file_loading import Plugin, catalogue_with_files
 from rig.errors import RigError
-from rig.formats.json_type import Json
 from rig.model.design import Design
 from rig.model.mechanism_kinds_and_hexapod_properties import require_arm, require_chain, require_hexapod, require_struts
 from rig.recording.recording_folder import Recording
@@ -48,7 +47,7 @@ from rig.recording.recording_tables import write_table
 from rig.report.pages.html_and_svg_elements import result_html
 from rig.report.pages.page_templates_and_page_index import Link
 from rig.report.verdict_and_refutations_of_results import Verdict
-from vision.checks.recording_refusal import Notice, ignore_notice
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -264,7 +263,7 @@ def _fitted_platform(
     struts, samples = require_struts(recording.design.mechanism), sampled.samples
     refit = None
     if findings is not None:
-        refit = platform_findings_refit.refit_platform_with_findings(recording, sampled, findings, progress)
+        refit = findings_refit.refit_platform_with_findings(recording, sampled, findings, progress)
         samples = refit.samples
     if joint:
         require_hexapod(struts)
@@ -285,7 +284,7 @@ def _fitted_arm(
     """(the Samples fitted, Certified, Claim, Known) of an arm. findings : that are fitted with the geometry, or None"""
     refit = together = None
     if findings is not None:
-        refit = arm_findings_refit.refit_arm_with_findings(recording, sampled, findings, progress)
+        refit = findings_refit.refit_arm_with_findings(recording, sampled, findings, progress)
         together = refit.together
     samples = sampled.samples if together is None else together.samples
     arm = require_arm(recording.design.mechanism)

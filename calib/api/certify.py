@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certificate import certificate_json, certificate_page, certificate_pdf, digital_certificate_xml
+from calib.certificate import certificate_json_and_si_values, certificate_page, certificate_pdf, digital_certificate_xml
 from calib.certificate.certificate import Certificate, calibration_certificate, certificate_verdict
 from calib.certificate.certificate_contents import CertifyOptions
 from calib.certificate.digital_certificate_xml import Issuer
@@ -23,8 +23,8 @@ from calib.files import calibration_from_recording
 from calib.files.calibration_from_recording import SEED
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.recording_samples import Sampled, sample_recording
+from rig.array_and_json_types import Json
 from rig.errors import RigError
-from rig.formats.json_type import Json
 from rig.formats.output_files import write_text
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_frames import content_hashes, frames_with_known_hashes, hashes_of_frames
@@ -59,7 +59,7 @@ class CertificationResult:
 
     def tree(self) -> Json:
         """What certificate.json holds."""
-        return certificate_json.certificate_dict(self.certificate)
+        return certificate_json_and_si_values.certificate_dict(self.certificate)
 
     def write(self, path: Path, links: Sequence[Link] = (), issuer: Issuer = UNSTATED) -> None:
         """Write the certificate, in the form that the path's suffix names, one of KINDS.
@@ -73,7 +73,7 @@ class CertificationResult:
         elif path.suffix == ".xml":
             write_text(path, digital_certificate_xml.digital_certificate_xml(self.certificate, issuer))
         else:
-            write_text(path, certificate_json.certificate_text(self.certificate))
+            write_text(path, certificate_json_and_si_values.certificate_text(self.certificate))
 
 
 def certify(

@@ -9,9 +9,8 @@ import numpy as np
 from calib.certification import measuring_limbs, redundant_measuring_limb_checks
 from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.online.measuring_limbs_file import Accepted
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
-from rig.formats.json_type import Json
 from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
 from rig.model.mechanisms.redundant_legs import (
     LegClosures,

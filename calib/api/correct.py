@@ -13,9 +13,8 @@ from calib.correction.pose_route_and_pose_space_map import HOLDING
 from calib.models.arm import certification as arm_certification
 from calib.models.arm.correction import ArmCorrection
 from calib.models.wanted_pose_commands import RouteCommands, commands_along_route, pace_with_hold_times
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError, Unreachable
-from rig.formats.json_type import Json
 from rig.model import mechanisms
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Sensors, WantedPoses

@@ -49,9 +49,8 @@ from calib.models.arm.certification import CertifiedArm as ArmCertified
 from calib.models.platform.identification import inverse_strut_length_jacobian
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled
-from rig.array_types import Booleans
+from rig.array_and_json_types import Booleans, Json
 from rig.errors import NotEnoughData, RigError
-from rig.formats.json_type import Json
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.model import mechanisms
 from rig.model.design import Design

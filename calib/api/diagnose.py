@@ -40,7 +40,7 @@ from rig.recording.recording_frames import content_hashes
 from rig.report.pages.html_and_svg_elements import result_html
 from rig.report.pages.page_templates_and_page_index import Link
 from rig.report.verdict_and_refutations_of_results import State, Verdict
-from vision.checks.recording_refusal import Notice, ignore_notice, recorded_or_sampled_corners
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice, recorded_or_sampled_corners
 
 
 def diagnosis_questions(d: Diagnosis) -> Sequence[Question[object]]:

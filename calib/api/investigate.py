@@ -26,9 +26,9 @@ from calib.experiment.investigation_folder_and_report import (
 from calib.experiment.investigation_machine import Command, InvestigatedRig, InvestigateOptions, Waiting
 from calib.files import calibration_file
 from calib.models.arm import error_model_and_observations
+from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.formats import structured_files
-from rig.formats.json_type import Json
 from rig.formats.output_files import write_bytes, write_text
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms

@@ -8,9 +8,8 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.files import calibration_file
 from calib.models.arm.correction import ArmCorrection
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
-from rig.formats.json_type import Json
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanism_kinds_and_hexapod_properties import require_arm

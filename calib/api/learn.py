@@ -16,9 +16,9 @@ from calib.online.recording_learning import FILTER, Learning, learn_by_filter, l
 from calib.report.online_and_limb_pages import OnlineResult, online_verdict, write_online_page
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.recording_samples import Sampled, sample_recording
+from rig.array_and_json_types import Json
 from rig.errors import RigError
-from rig.formats.input_files import json_files_in_same_folders
-from rig.formats.json_type import Json
+from rig.formats.local_and_remote_files import json_files_in_same_folders
 from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_frames import content_hashes
@@ -26,7 +26,7 @@ from rig.report.pages.html_and_svg_elements import result_html
 from rig.report.pages.page_templates_and_page_index import Link
 from rig.report.verdict_and_refutations_of_results import Refutation, Verdict
 from vision.api import Progress
-from vision.checks.recording_refusal import Notice, ignore_notice
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
 
 
 @dataclass(frozen=True, slots=True, eq=False)

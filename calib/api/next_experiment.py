@@ -17,9 +17,8 @@ from calib.experiment.experiment_questions_and_information import (
     experiment_information,
 )
 from calib.experiment.investigation_folder_and_report import SETTING_UP
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
-from rig.formats.json_type import Json
 from rig.model.design import PERMITTED, TURN, Design, Permission
 from rig.model.design_comparison_and_cube_remounting import (
     parse_cube_turn_permission,

@@ -31,7 +31,7 @@ from calib.models.platform.optimal_configurations import (
 from calib.models.platform.parameter_accuracy import PLAUSIBLE, parameter_combinations, standard_error_along
 from calib.samples.confounded_conditions import confounds_of_configurations
 from rig import api
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_text_and_dict import parse_effect, require_existing_place
 from rig.errors import RigError

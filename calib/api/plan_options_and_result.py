@@ -11,9 +11,8 @@ from calib.models.platform.optimal_configurations import ConfigurationExclusion
 from calib.report.recording_and_plan_pages import write_plan_page
 from calib.samples.confounded_conditions import Confounds
 from calib.workspace.workspace_cells_and_reachable_poses import is_pose_lost
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
-from rig.formats.json_type import Json
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanism_kinds_and_hexapod_properties import has_plates

@@ -25,7 +25,7 @@ from calib.models.platform.identification import (
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import sample_recording
 from rig.api import CheckResult, check_files
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.checks import platform_commands_and_poses
 from rig.checks.mistake import Mistake, sort_mistakes
 from rig.model import mechanisms
@@ -35,14 +35,14 @@ from rig.recording.combined_recordings import is_measured_by_instrument
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
 from vision.checks import find_corner_mistakes
-from vision.checks.recording_refusal import (
+from vision.checks.recording_refusal_and_cube_layout_remarks import (
     Notice,
     make_spoilt_corner_refusal,
     recorded_or_sampled_corners,
     refuse_mistakes,
     refuse_spoilt_files,
+    uneven_cube_layout_remarks,
 )
-from vision.checks.uneven_cube_layout_remarks import uneven_cube_layout_remarks
 from vision.combined_recordings import combine_recordings, require_combinable
 
 ROUNDS = 4  # of linearising anew

@@ -38,9 +38,8 @@ from calib.report.verification_and_visit_pages import (
 from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled, sample_recording
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
-from rig.formats.json_type import Json
 from rig.model.pose import rms_uncertainty
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Poses

@@ -18,19 +18,18 @@ from calib.workspace.workspace_cells_and_reachable_poses import (
     workspace_dict,
     workspace_rows,
 )
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats, Json
 from rig.errors import FileError, RigError
 from rig.formats import structured_files
 from rig.formats.checked_entries import Entries
-from rig.formats.input_files import read_bytes
-from rig.formats.json_type import Json
+from rig.formats.local_and_remote_files import read_bytes
 from rig.formats.output_files import write_text
 from rig.model import mechanisms
 from rig.recording.recording_tables import write_table
 from rig.report.pages.html_and_svg_elements import result_html
 from rig.report.pages.page_templates_and_page_index import Link
 from rig.report.verdict_and_refutations_of_results import Verdict
-from vision.checks.recording_refusal import Notice, ignore_notice
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
 
 
 @dataclass(frozen=True, slots=True, eq=False)

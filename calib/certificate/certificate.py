@@ -37,9 +37,8 @@ from calib.files import calibration_from_recording
 from calib.models.machine_models import corrected_pose_covariance
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.recording_samples import Sampled
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats, Json
 from rig.errors import NotEnoughData
-from rig.formats.json_type import Json
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_frames import content_hashes, hashes_of_frames
 from rig.report.pages.html_and_svg_elements import result_html

@@ -12,8 +12,7 @@ from calib.certification.iso230_and_iso9283_tests import AxisTest, Iso9283
 from calib.certification.pose_error_promise_and_conformity import Cell, Conformity, Promise
 from calib.certification.uncertainty_budget import Budget
 from calib.samples.confounded_conditions import Confounds
-from rig.array_types import Floats
-from rig.formats.json_type import Json
+from rig.array_and_json_types import Floats, Json
 from rig.model.mechanism_geometry_classes import Arm, Hexapod
 from rig.recording.recording_folder import LIMB, PAYLOAD, Recording
 from rig.report.verdict_and_refutations_of_results import Evidence

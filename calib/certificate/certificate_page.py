@@ -10,7 +10,7 @@ from calib.certificate.certificate import Certificate, certificate_verdict
 from calib.certificate.certificate_sentences import micrometre_text
 from calib.certification.iso230_and_iso9283_tests import FEWEST
 from calib.report.platform_and_lens_calibration_pages import flattened_rows
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.report.pages.html_and_svg_elements import (
     folding_section_html,
     heading_html,

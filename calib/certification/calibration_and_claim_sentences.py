@@ -12,9 +12,8 @@ from calib.correction.physics_compensation import Physics
 from calib.samples.confounded_conditions import Confounds
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_cells_and_reachable_poses import Workspace
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
-from rig.formats.json_type import Json
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_and_svg_elements import result_html
 

@@ -20,7 +20,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.certification.held_out_errors import pose_errors
 from calib.certification.workspace_claim import Claim
 from calib.samples.pose_samples import Samples
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.model.pose import adjoint, exp
 from rig.report.verdict_and_refutations_of_results import REFUTES
 

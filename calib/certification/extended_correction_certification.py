@@ -61,7 +61,7 @@ from calib.models.platform.identification import (
     pose_parameter_jacobian,
 )
 from calib.samples.pose_samples import Samples, inverse_covariance
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.certification.held_out_poses_and_distinct_configurations import LEAST
 from calib.correction.correction import AnyCorrection
 from calib.samples.pose_samples import Samples
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.model import mechanisms
 from rig.model.pose import pose_difference, rms_uncertainty
 

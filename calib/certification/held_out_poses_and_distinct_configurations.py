@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.correction.correction import AnyCorrection
 from calib.samples.pose_samples import Samples, inverse_covariance, time_block_folds
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Chain

@@ -20,7 +20,7 @@ import numpy as np
 
 from calib.certification.held_out_poses_and_distinct_configurations import HeldPoses
 from calib.correction.correction import AnyCorrection
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.recording.recording_folder import Recording

@@ -20,7 +20,7 @@ from calib.certification import redundant_measuring_limb_checks
 from calib.certification.redundant_measuring_limb_checks import Limbs
 from calib.models.platform.identification import PRIOR, Identified, identify_platform
 from calib.samples.pose_samples import Samples, time_block_folds
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Design, MeasuringLimbs
 from rig.model.mechanism_geometry_classes import Hexapod

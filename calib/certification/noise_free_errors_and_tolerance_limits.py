@@ -27,7 +27,7 @@ import numpy as np
 import scipy
 from scipy.special import betainc, xlogy
 
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotEnoughData
 
 ROUNDING = 1e-12

@@ -41,7 +41,7 @@ from calib.models.platform.identification import (
 )
 from calib.models.platform.parameter_accuracy import estimate_tolerance_of_stated_geometry
 from calib.samples.pose_samples import Samples, inverse_covariance
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.model.mechanism_kinds_and_hexapod_properties import Struts
 

@@ -31,7 +31,7 @@ from calib.models.platform.identification import (
 )
 from calib.models.platform.parameter_accuracy import Tolerance, expand_parameter_widths
 from calib.samples.pose_samples import Samples
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model import mechanisms
 from rig.model.mechanism_kinds_and_hexapod_properties import Struts
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.models.platform.identification import PRIOR, pose_parameter_jacobian
 from calib.samples.pose_samples import time_block_folds
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged, RigError
 from rig.model.design import Design, MeasuringLimbs
 from rig.model.mechanism_geometry_classes import Hexapod

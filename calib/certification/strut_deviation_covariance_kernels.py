@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.samples.pose_samples import Samples
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.model import mechanisms
 from rig.model.mechanism_kinds_and_hexapod_properties import Struts
 from rig.planning.configuration_sets import FILL, sobol_configurations

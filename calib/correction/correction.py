@@ -28,7 +28,7 @@ from calib.models.platform.identification import (
 )
 from calib.models.platform.parameter_accuracy import estimate_tolerance_of_stated_geometry
 from calib.samples.pose_samples import Samples
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.effects.framework.effect_data_types import PLOT_UNITS
 from rig.errors import NotConverged, RigError, Unreachable

@@ -14,10 +14,9 @@ from calib.correction.interpolation_methods_and_summand_extension import pose_co
 from calib.correction.pose_route_and_pose_space_map import NAMES, PoseMap
 from calib.models.platform.identification import strut_length_jacobian
 from calib.samples.pose_samples import Samples
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats, Json
 from rig.errors import NotConverged, RigError
 from rig.formats.checked_entries import Entries
-from rig.formats.json_type import Json
 from rig.model import mechanisms
 from rig.model.mechanism_kinds_and_hexapod_properties import Struts
 from rig.model.pose import pose_to_entry

@@ -34,10 +34,9 @@ from calib.models.platform.identification import (
 )
 from calib.models.platform.parameter_accuracy import estimate_tolerance_of_stated_geometry
 from calib.samples.pose_samples import Samples
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.formats.checked_entries import Entries
-from rig.formats.json_type import Json
 from rig.formats.structured_files import json_data
 from rig.model import mechanisms
 from rig.model.mechanism_kinds_and_hexapod_properties import Struts

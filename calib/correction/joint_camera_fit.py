@@ -21,7 +21,7 @@ from calib.models.platform.identification import (
 )
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.design import Camera, Design
 from rig.model.mechanism_geometry_classes import Hexapod

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.correction.correction import AnyCorrection
 from calib.correction.pose_route_and_pose_space_map import Route
 from calib.samples.pose_samples import Samples
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
 from rig.errors import NotConverged, RigError

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.correction.interpolation.field_and_combinations import Field
-from rig.array_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotConverged, Unreachable
 from rig.model.pose import exp, log
 from rig.recording.recording_folder import Commands

@@ -30,9 +30,8 @@ from calib.files import calibration_file
 from calib.files.calibration_from_recording import SEED
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats, Json
 from rig.errors import NotEnoughData
-from rig.formats.json_type import Json
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_frames import Marks, frames_with_known_hashes
 from rig.report.verdict_and_refutations_of_results import State, refutations_of_file

@@ -11,7 +11,7 @@ from calib.models.arm import error_model_and_observations
 from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters
 from calib.models.machine_models import independent_geometric_parameters
 from calib.models.platform.identification import PRIOR, loop_closure_jacobian
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
 from rig.model import motion_simulation

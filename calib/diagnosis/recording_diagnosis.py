@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from threadpoolctl import threadpool_limits
 
 from calib.certification.calibration_and_claim_sentences import Calibration
-from calib.diagnosis.engine.cross_validation import CrossValidation
+from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Fit, Progress
@@ -31,7 +31,7 @@ from calib.diagnosis.problems.evidence_interface import (
     Tolerable,
     ToleratedFindings,
 )
-from calib.diagnosis.problems.formula_suggestion import Suggestion
+from calib.diagnosis.problems.remainder_covariates_and_formulas import Suggestion
 from calib.diagnosis.problems.requested_effects import RequestedEffects
 from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
 from calib.samples.recording_samples import Sampled

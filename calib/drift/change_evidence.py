@@ -18,7 +18,7 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.special import logsumexp
 
 from calib.drift.visit_equations_and_reference import GAP, GEOMETRY, GROWTH, OWN, SOFT, UNITS, Equations, Reference
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from vision.bundle.unknowns_and_estimate import POSE_SCALE
 
 SIZES = (1.0, 0.25, 0.0625)  # of the greatest plausible size, each as likely

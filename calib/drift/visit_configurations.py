@@ -22,7 +22,7 @@ from calib.drift.visit_equations_and_reference import (
 from calib.models.platform.identification import pose_parameter_jacobian
 from calib.models.platform.optimal_configurations import allowed_configurations
 from calib.workspace.workspace_cells_and_reachable_poses import is_pose_lost
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError
 from rig.model.design import Actuator, Design
 from rig.planning import configuration_sets

@@ -16,7 +16,7 @@ from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.models.platform.identification import inverse_strut_length_jacobian, pose_parameter_jacobian
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import sample_recording
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
 from rig.errors import RigError
 from rig.model import motion_simulation

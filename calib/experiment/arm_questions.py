@@ -32,7 +32,7 @@ from calib.experiment.experiment_questions_and_information import (
     rival_hypotheses,
 )
 from calib.experiment.predicted_recording import predicted_sensor_log
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError
 from rig.model.mechanism_geometry_classes import Arm
 from rig.planning.plan_construction_and_table import Plan

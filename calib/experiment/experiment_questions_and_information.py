@@ -12,7 +12,7 @@ from calib.diagnosis.engine.candidate_score import Alternative
 from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.selection_inputs import PLATFORM, C
 from calib.diagnosis.report.diagnosis_json import UNKNOWN
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.design import Design
 from rig.planning.configuration_sets import grid_configurations, sobol_configurations

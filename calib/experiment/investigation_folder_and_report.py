@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.diagnosis.report.diagnosis_json import SCHEMA, UNKNOWN
-from rig.formats import csv_table, structured_files
+from rig.formats import csv_and_parquet_tables, structured_files
 from rig.formats.checked_entries import Entries
 from rig.report.pages.html_and_svg_elements import heading_html, list_html, note_html, paragraph_html, table_html
 from rig.report.pages.page_templates_and_page_index import Page, write_page
@@ -99,7 +99,7 @@ def diagnosis_path(folder: Path, number: int) -> Path:
 
 def plan_minutes(plan: Path) -> float:
     """Minutes that a plan takes. Raises FileError for what is no table in time."""
-    t = csv_table.read(plan, ("frame", "t")).numbers("t")
+    t = csv_and_parquet_tables.read(plan, ("frame", "t")).numbers("t")
     return float(t.max() - t.min()) / 60 + SETTING_UP
 
 

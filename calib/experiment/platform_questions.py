@@ -43,7 +43,7 @@ from calib.experiment.predicted_recording import (
     predicted_poses,
     predicted_sensor_log,
 )
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate
 from rig.errors import RigError

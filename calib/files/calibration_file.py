@@ -25,12 +25,11 @@ from calib.models.arm.correction import ArmCorrection
 from calib.models.machine_models import model_of
 from calib.samples.confounded_conditions import confounds_from_entries
 from calib.workspace.workspace_cells_and_reachable_poses import workspace_dict, workspace_from_entries
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats, Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.texts.effect_text_and_dict import Kinds
 from rig.formats import structured_files
 from rig.formats.checked_entries import Entries
-from rig.formats.json_type import Json
 from rig.formats.output_files import write_text
 
 SCHEMA = "calibration/1"

@@ -6,14 +6,13 @@ from functools import partial
 import numpy as np
 
 from calib.correction.physics_compensation import Physics, Unknown
-from rig.array_types import Booleans
+from rig.array_and_json_types import Booleans, Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.framework.effect_data_types import Place
 from rig.effects.texts.effect_text_and_dict import Kinds, effect_to_dict
 from rig.formats.checked_entries import LARGEST_RIG, Entries
-from rig.formats.input_files import short_repr
-from rig.formats.json_type import Json
+from rig.formats.local_and_remote_files import short_repr
 from rig.formats.machine_json import effects_from_entries
 from rig.formats.structured_files import json_data
 from rig.model import mechanisms

@@ -18,10 +18,9 @@ from calib.models.chain.certification_and_page import CertifiedChain as ChainCer
 from calib.models.machine_models import calibration_with_workspace
 from calib.samples.confounded_conditions import confounds_of_samples
 from calib.samples.recording_samples import Sampled
-from rig.array_types import Floats
-from rig.formats import remote_folders
-from rig.formats.input_files import read_bytes
-from rig.formats.json_type import Json
+from rig.array_and_json_types import Floats, Json
+from rig.formats import local_and_remote_files
+from rig.formats.local_and_remote_files import read_bytes
 from rig.recording.exposures_and_images import LARGEST_IMAGE_FILE
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_frames import content_hashes, frames_with_known_hashes, hashes_of_frames
@@ -111,7 +110,9 @@ def _input_digests(recording: Recording, used_images: bool) -> dict[str, str]:
     """{file: SHA-256} of a recording's files, its images together. used_images : whether they were read"""
     folder = recording.folder
     files = {
-        name: _hash([folder / name]) for name in remote_folders.list_folder(folder) if name.endswith((".toml", ".csv"))
+        name: _hash([folder / name])
+        for name in local_and_remote_files.list_folder(folder)
+        if name.endswith((".toml", ".csv"))
     }
     if used_images:
         names = sorted(name for name in recording.exposures.image if name)

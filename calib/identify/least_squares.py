@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 from scipy.linalg import null_space, qr, solve_triangular
 
-from rig.array_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotEnoughData, RigError
 
 NULL = 1e-11  # of the greatest eigenvalue; directions below are not stepped along

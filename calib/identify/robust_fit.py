@@ -14,7 +14,7 @@ import scipy
 from scipy.spatial import cKDTree
 from scipy.special import chdtri
 
-from rig.array_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats
 
 CONSISTENT = 1.4826  # times the median of absolute residuals: the standard deviation of normal ones
 HUBER, TUKEY = 1.5, 6.0  # standard deviations: of the weights at first, and from which a row counts for nothing

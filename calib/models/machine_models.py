@@ -28,7 +28,7 @@ from calib.models.chain import error_model as chains
 from calib.models.platform.identification import NAMES, PRIOR, geometric_parameters, pose_parameter_jacobian
 from calib.samples.recording_samples import Sampled
 from calib.workspace.workspace_cells_and_reachable_poses import map_workspace
-from rig.array_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2

@@ -18,7 +18,7 @@ from calib.correction.physics_compensation import (
 )
 from calib.correction.pose_route_and_pose_space_map import Pace, Route, timed_route, untimed_route
 from calib.models.machine_models import corrected_pose_covariance
-from rig.array_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats
 from rig.effects.framework.effect import Effect
 from rig.errors import NotConverged, Unreachable
 from rig.model import mechanisms

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.special import chdtri, ndtri
 
 from calib.models.platform.closed_loop_equations import Measured, forward_kinematics_kernel, whitened_pose_row
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.compute.numba_kernels_and_lazy_exports import njit
 
 STRUTS, WINDOW = 6, 3  # the poses within which a change must show, each a possible onset

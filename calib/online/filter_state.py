@@ -29,7 +29,7 @@ from calib.online.filter_kernels_and_change_detection import (
     add_pose_to_estimate,
     solve_triangle_into_estimate,
 )
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.errors import FileError, RigError
 from rig.formats import structured_files
 from rig.formats.checked_entries import LARGEST_RIG, Entries

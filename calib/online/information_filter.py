@@ -28,7 +28,7 @@ from calib.online.filter_state import (
     state_refiltered_with_changes_freed,
     state_with_pose,
 )
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.mechanism_geometry_classes import Hexapod
 

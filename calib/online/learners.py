@@ -15,7 +15,7 @@ from calib.files.calibration_file_entries import mechanism_dict, mechanism_from_
 from calib.models.platform import closed_loop_equations
 from calib.models.platform.identification import PRIOR, geometric_parameters, mechanism_with_parameters
 from calib.models.platform.parameter_accuracy import PLAUSIBLE
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.formats import structured_files
 from rig.formats.checked_entries import LARGEST_RIG

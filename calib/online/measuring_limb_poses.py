@@ -23,14 +23,14 @@ from calib.online.information_filter import Online
 from calib.online.measuring_limbs_file import Accepted
 from calib.samples.pose_samples import Samples, pair_samples
 from calib.samples.recording_samples import Sampled
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_frames import select_frames
 from vision.api import Progress
-from vision.checks.recording_refusal import Notice
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice
 from vision.recording_measurement import measure_recording
 
 IN_A_ROW = 3  # poses of vision that agree with nothing, from which it is not vision that is wrong

@@ -11,10 +11,10 @@ from calib.certification.measuring_limbs import Agreement, limb_hexapod, stated_
 from calib.certification.redundant_measuring_limb_checks import Checks, Limbs
 from calib.files.calibration_file import covariance_from_entries
 from calib.files.calibration_file_entries import mechanism_dict, mechanism_from_entries
+from rig.array_and_json_types import Json
 from rig.errors import FileError, RigError
 from rig.formats import structured_files
 from rig.formats.checked_entries import Entries
-from rig.formats.json_type import Json
 from rig.formats.output_files import write_text
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod

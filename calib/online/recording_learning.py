@@ -13,15 +13,14 @@ from calib.online.information_filter import Online, Update
 from calib.online.learners import LEARNERS, Learner, load_learner
 from calib.report.online_and_limb_pages import MANY, OnlineResult
 from calib.samples.recording_samples import Sampled
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
-from rig.formats.json_type import Json
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_frames import Marks, content_hashes, frames_with_known_hashes, hashes_of_frames
 from vision.api import Progress
-from vision.checks.recording_refusal import Notice
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice
 
 RETURNS = 0.5  # of the sum of its changes' sizes, within which a strut that changes comes back to where it was
 FILTER = "filter"  # the learner that names what jumped; the others are in LEARNERS

@@ -12,7 +12,7 @@ from calib.correction.correction import Correction
 from calib.online.filter_kernels_and_change_detection import Change
 from calib.online.information_filter import Online
 from calib.samples.pose_samples import Samples
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod

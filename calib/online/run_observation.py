@@ -15,10 +15,10 @@ from calib.certification.redundant_measuring_limb_checks import has_six_measurin
 from calib.online.filter_kernels_and_change_detection import change_sentence
 from calib.online.measuring_limb_poses import Disagreement, LiveLimbPoses
 from calib.online.run_learning import Learner, Learnt, LimbWatch
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.move_and_record_loop import RecordedFrame
-from rig.driving.run_journal import Departure, Ended, Exposed, Readings, Remark, Resumed, Row
+from rig.driving.run_journal_and_recording import Departure, Ended, Exposed, Readings, Remark, Resumed, Row
 from rig.driving.run_steps_and_progress import Step, step_distances
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms

@@ -14,9 +14,9 @@ from calib.online.measuring_limb_poses import LimbSource, LiveLimbPoses, write_w
 from calib.online.measuring_limbs_file import Accepted
 from calib.online.run_learning import Learner
 from calib.online.run_observation import RunObserver, RunStop
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.driving.cameras import open_camera
-from rig.driving.cameras.grab_and_settling import Settling, SynchronisedCameras, set_exposure_for_markers
+from rig.driving.cameras.camera_interface_and_grabbing import Settling, SynchronisedCameras, set_exposure_for_markers
 from rig.driving.clock import Clock
 from rig.driving.move_and_record_loop import RunEquipment
 from rig.driving.run_steps_and_progress import Step
@@ -28,9 +28,9 @@ from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_kinds_and_hexapod_properties import has_plates
 from vision.corners.marker_detection import detect_markers
-from vision.hand_camera_frame_exchange import has_hand_cameras
+from vision.hand_cameras_stages_and_remounted_cubes import has_hand_cameras
 from vision.reading.live_measurement import Live
-from vision.reading.run_images import marker_white_level, render_marker_images, save_image
+from vision.reading.parallel_image_reading import marker_white_level, render_marker_images, save_image
 from vision.targets import marker_map
 
 ALARMS = ("jump", "camera", "covered", "unseen", "drift", "limbs")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.report.pose_figures_and_effect_displacements import pose_coverage_figures
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_and_svg_elements import (
@@ -22,7 +22,7 @@ from rig.report.pages.html_and_svg_elements import (
 from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure, patch_means
 from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
-from vision import frame_pictures
+from vision import frame_and_effect_pictures
 from vision.bundle.adjustment_validation_and_determinacy import HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places
 from vision.measurement_result import TWICE, MeasurementResult, measurement_verdict
@@ -34,7 +34,7 @@ ENLARGED = 200.0
 
 def _frame_pictures_html(recording: Recording, measurement: Measurement, frame: int) -> list[str]:
     """HTML of the images of a frame; nothing where the recording has corners alone."""
-    images = frame_pictures.frame_jpegs(recording, frame)
+    images = frame_and_effect_pictures.frame_jpegs(recording, frame)
     if not images:
         return []
     figures = [

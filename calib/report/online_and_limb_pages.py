@@ -9,7 +9,7 @@ import numpy as np
 from calib.certification.calibration_evidence import ALONE, OfCalibrations, confound_sentences
 from calib.certification.measuring_limbs import AXES, MOVES, Agreement
 from calib.samples.confounded_conditions import Confounds
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.report.pages.html_and_svg_elements import heading_html, list_html, note_html, paragraph_html, table_html
 from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
 from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_panel_svg

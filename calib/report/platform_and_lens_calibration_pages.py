@@ -19,7 +19,7 @@ from calib.report.pose_figures_and_effect_displacements import (
 )
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
-from rig.formats.json_type import Json
+from rig.array_and_json_types import Json
 from rig.model import mechanisms
 from rig.model.mechanism_kinds_and_hexapod_properties import Struts
 from rig.model.pose import pose_to_vector

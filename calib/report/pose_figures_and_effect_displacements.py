@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers, Json
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.errors import RigError
-from rig.formats.json_type import Json
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm, Chain

@@ -24,7 +24,7 @@ from calib.report.pose_figures_and_effect_displacements import (
 )
 from calib.samples.confounded_conditions import Confounds
 from calib.samples.pose_samples import Samples
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.model.design import Design
 from rig.model.pose import pose_to_vector
 from rig.report.pages.html_and_svg_elements import heading_html, note_html, paragraph_html, table_html

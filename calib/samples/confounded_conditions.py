@@ -16,9 +16,8 @@ import numpy as np
 from scipy.special import betainc
 
 from calib.samples.pose_samples import Samples, conditions_of_exposures
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats, Json
 from rig.formats.checked_entries import Entries
-from rig.formats.json_type import Json
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Chain, Free
 from rig.model.mechanism_kinds_and_hexapod_properties import Struts

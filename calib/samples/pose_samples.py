@@ -6,7 +6,7 @@ from typing import cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData
 from rig.recording.recording_folder import PAYLOAD, Commands, Recording
 

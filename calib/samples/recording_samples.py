@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.samples.pose_samples import Samples, add_stage_measurements, pair_samples, planar_samples
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Instrument
 from rig.model.mechanism_kinds_and_hexapod_properties import has_links

@@ -18,7 +18,7 @@ from calib.correction.interpolation_methods_and_summand_extension import (
     measured_correction_summands,
 )
 from calib.samples.pose_samples import Samples
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.model.mechanism_geometry_classes import Planar2
 from rig.model.mechanisms import two_strut_plane
 from rig.planning.configuration_sets import FILL, divided_grid_configurations

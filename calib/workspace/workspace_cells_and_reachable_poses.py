@@ -17,10 +17,9 @@ from calib.correction.correction import (
     solvable_commands_and_poses,
 )
 from calib.correction.interpolation_methods_and_summand_extension import home_pose
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers, Json
 from rig.errors import NotConverged
 from rig.formats.checked_entries import Entries
-from rig.formats.json_type import Json
 from rig.model import mechanisms
 from rig.model.mechanism_kinds_and_hexapod_properties import has_struts
 from rig.model.pose import pose_difference, pose_to_vector

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.workspace.workspace_cells_and_reachable_poses import SHORT, Workspace
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect_data_types import PLOT_UNITS
 from rig.formats.number_parsing_and_rounding import round_to_digits
 from rig.report.pages.html_and_svg_elements import (

@@ -8,11 +8,11 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
+from rig.checks.environment_values_and_units import poses_in_other_conventions
 from rig.checks.mistake import Mistake
-from rig.checks.units_and_conventions import poses_in_other_conventions
 from rig.errors import RigError
-from rig.formats import csv_table
+from rig.formats import csv_and_parquet_tables
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
 from rig.model.mechanisms import hexapod as kinematics
@@ -100,7 +100,7 @@ def commands_and_measured_poses(
 
 def written_pose_columns(recording: Recording) -> Floats:
     """(n, 6) m and rad pose columns of poses.csv as written, rotation vectors longer than pi included."""
-    return csv_table.read(recording.folder / "poses.csv", POSE_COLUMNS).matrix(POSE_COLUMNS)
+    return csv_and_parquet_tables.read(recording.folder / "poses.csv", POSE_COLUMNS).matrix(POSE_COLUMNS)
 
 
 def commands_disagree_with_poses(moves: CommandsAndPoses) -> bool:

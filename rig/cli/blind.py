@@ -11,12 +11,16 @@ from pathlib import Path
 from signal import SIGKILL
 from subprocess import CompletedProcess
 
+from rig.array_and_json_types import Json
 from rig.cli.shared import blind_case_process
-from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option
-from rig.cli.shared.worker_options import results_with_progress, worker_pool
+from rig.cli.shared.command_options import (
+    add_json_result_option,
+    add_overwrite_option,
+    results_with_progress,
+    worker_pool,
+)
 from rig.compute.worker_processes import run_child_process
 from rig.errors import RigError
-from rig.formats.json_type import Json
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 
 ONE_THREAD = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}

@@ -6,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import calibration_and_effect_files
+from rig.cli.shared import input_file_options
 from rig.cli.shared.command_options import (
     add_json_result_option,
     add_overwrite_option,
@@ -14,7 +14,7 @@ from rig.cli.shared.command_options import (
     page_links,
     parse_length,
 )
-from rig.cli.shared.recording_options import (
+from rig.cli.shared.input_file_options import (
     add_anyway_option,
     add_limb_options,
     add_recordings_argument,
@@ -52,7 +52,7 @@ def arguments(parser: ArgumentParser) -> None:
         "geometry; rig correct undoes it",
     )
     kind.add_argument("--find", action="store_true", help="diagnose this recording first and take in what is found")
-    calibration_and_effect_files.add_effects_option(parser)
+    input_file_options.add_effects_option(parser)
     parser.add_argument(
         "--quick",
         action="store_true",
@@ -118,7 +118,7 @@ def run(arguments: Namespace) -> None:
     recordings, options = read_recordings(arguments), _options(arguments)
     from calib.api.calibrate import calibrate, has_axis_correction_summands
     from calib.files import calibration_file
-    from rig.cli.shared.calibration_summary import print_calibration, print_verdict
+    from rig.cli.shared.measurement_and_calibration_summary import print_calibration, print_verdict
 
     out = arguments.outputs.file(arguments.out)
     page = arguments.outputs.stage_file(out, ".html")
@@ -149,7 +149,7 @@ def _options(arguments: Namespace) -> CalibrateOptions:
     return CalibrateOptions(
         arguments.diagnosis,
         arguments.find,
-        calibration_and_effect_files.load_effect_files(arguments),
+        input_file_options.load_effect_files(arguments),
         arguments.quick,
         arguments.joint,
         _extend_options(arguments),

@@ -2,7 +2,7 @@
 
 from argparse import ArgumentParser, Namespace
 
-from rig.cli.shared import calibration_and_effect_files
+from rig.cli.shared import input_file_options
 from rig.cli.shared.command_options import add_overwrite_option, file_or_stdout
 from rig.formats.output_files import STANDARD_OUTPUT
 
@@ -17,7 +17,7 @@ def arguments(parser: ArgumentParser) -> None:
         help="where it is written, as Markdown, with a "
         "sketch of each effect in a folder FILE beside it; printed without sketches by default",
     )
-    calibration_and_effect_files.add_effects_option(parser)
+    input_file_options.add_effects_option(parser)
     add_overwrite_option(parser)
 
 
@@ -28,9 +28,9 @@ def run(arguments: Namespace) -> None:
     from rig.effects.catalogue.effect_list import catalogue_markdown
     from rig.errors import RigError
     from rig.formats.output_files import write_text
-    from rig.formats.output_files.atomic_file import is_written_directly
+    from rig.formats.output_files.atomic_file_and_manifest import is_written_directly
 
-    kinds = calibration_and_effect_files.known_effects(calibration_and_effect_files.load_effect_files(arguments))
+    kinds = input_file_options.known_effects(input_file_options.load_effect_files(arguments))
     out = arguments.outputs.file(arguments.out)
     if is_written_directly(out):
         return write_text(out, catalogue_markdown(kinds.values()))
@@ -40,7 +40,7 @@ def run(arguments: Namespace) -> None:
             f"sketches: name it {arguments.out}.md"
         )
     from rig.report.pages.page_templates_and_page_index import standalone_svg
-    from vision.effect_sketches import effect_sketch
+    from vision.frame_and_effect_pictures import effect_sketch
 
     folder, sketches = arguments.out.with_suffix(""), {}
     place = arguments.outputs.folder(folder)

@@ -11,7 +11,7 @@ from rig.cli.shared.command_options import add_json_option, parse_length, print_
 from rig.errors import FileError
 
 if TYPE_CHECKING:
-    from rig.array_types import Floats
+    from rig.array_and_json_types import Floats
     from rig.model.design import Design
     from vision.printed_marker_size import Printed
 

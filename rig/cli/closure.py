@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option, file_or_stdout
-from rig.cli.shared.recording_options import add_recording_argument, read_recording
+from rig.cli.shared.input_file_options import add_recording_argument, read_recording
 
 if TYPE_CHECKING:
     from calib.api.close_loops import LoopClosureResult

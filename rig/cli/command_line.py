@@ -239,7 +239,7 @@ def _workers(arguments: argparse.Namespace) -> AbstractContextManager[None]:
     """Within it those work for a command who were asked for."""
     if "workers" not in arguments:
         return nullcontext()
-    from rig.cli.shared.worker_options import use_requested_workers
+    from rig.cli.shared.command_options import use_requested_workers
 
     return use_requested_workers(arguments)
 

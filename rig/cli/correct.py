@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import calibration_and_effect_files
+from rig.cli.shared import input_file_options
 from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option, file_or_stdout
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_numbers
@@ -15,7 +15,7 @@ from rig.formats.number_parsing_and_rounding import parse_numbers
 if TYPE_CHECKING:
     from calib.api.correct import CorrectionResult, CorrectOptions
     from calib.certification.calibration_and_claim_sentences import Calibration
-    from rig.array_types import Floats
+    from rig.array_and_json_types import Floats
     from rig.recording.recording_folder import WantedPoses
 
 
@@ -72,7 +72,7 @@ def arguments(parser: ArgumentParser) -> None:
         action="store_true",
         help="command X + KSF(X), the method's first step, not the fixed point that is exact",
     )
-    calibration_and_effect_files.add_effects_option(parser)
+    input_file_options.add_effects_option(parser)
     add_overwrite_option(parser)
     add_json_result_option(parser)
 
@@ -90,11 +90,11 @@ def run(arguments: Namespace) -> None:
             "--uncorrected, --single-step, --skip-unreachable and --sensors are about commands for wanted "
             "poses, not about --forward"
         )
-    calibration = calibration_and_effect_files.calibration_of_arguments(arguments)
+    calibration = input_file_options.calibration_of_arguments(arguments)
     out = arguments.outputs.file(arguments.out)
     if arguments.forward:
         return _write_read_poses(arguments, calibration, out)
-    calibration_and_effect_files.read_refutations(arguments.calibration)
+    input_file_options.read_refutations(arguments.calibration)
     wanted = load_wanted_poses(arguments.poses)
     result = correct(calibration, wanted, _options(arguments, wanted))
     result.write(out)
@@ -137,11 +137,11 @@ def _start(text: str) -> Floats | None:
 
 def _write_read_poses(arguments: Namespace, calibration: Calibration, out: Path) -> None:
     """Write the poses that a measuring machine's readings stand for."""
-    from calib.api.poses_from_readings_and_limbs import poses_of_readings
-    from rig.formats import csv_table
+    from calib.api.limb_acceptance_and_limb_poses import poses_of_readings
+    from rig.formats import csv_and_parquet_tables
 
     axes = calibration.correction.nominal.axes
-    found = poses_of_readings(calibration, csv_table.read(arguments.forward, ("frame", *axes)))
+    found = poses_of_readings(calibration, csv_and_parquet_tables.read(arguments.forward, ("frame", *axes)))
     found.write(out)
     print(f"{len(found.poses.frame)} poses written to {arguments.out}: {found}")
     if found.physics:

@@ -7,12 +7,17 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import calibration_and_effect_files
+from rig.cli.shared import input_file_options
 from rig.cli.shared.command_options import SEED, add_json_result_option, add_overwrite_option, page_links
-from rig.cli.shared.recording_options import add_anyway_option, add_recordings_argument, notice_printer, read_recordings
+from rig.cli.shared.input_file_options import (
+    add_anyway_option,
+    add_recordings_argument,
+    notice_printer,
+    read_recordings,
+)
 from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
-from rig.formats.input_files import json_files_in_same_folders
+from rig.formats.local_and_remote_files import json_files_in_same_folders
 from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
@@ -60,7 +65,7 @@ def arguments(parser: ArgumentParser) -> None:
         dest="before",
         help="what another diagnosis found: begin with its findings, each of which has to stand here as well",
     )
-    calibration_and_effect_files.add_effects_option(parser)
+    input_file_options.add_effects_option(parser)
     _add_experiment_options(parser)
     add_overwrite_option(parser)
     add_anyway_option(parser)
@@ -111,7 +116,7 @@ def run(arguments: Namespace) -> None:
     notice = notice_printer(progress)
     result = diagnose(recordings, options, progress, notice)
     for path, state, finding in result.against:
-        calibration_and_effect_files.write_refutation(arguments, path, result.recording.name, finding, state)
+        input_file_options.write_refutation(arguments, path, result.recording.name, finding, state)
     result.write(out)
     result.write_page(out / "diagnosis.html", page_links(arguments, arguments.out / "diagnosis.html"))
     if experiment is not None:
@@ -133,7 +138,7 @@ def _options(arguments: Namespace, recordings: list[Recording]) -> DiagnoseOptio
     """What a diagnosis is asked for, by the arguments."""
     from calib.api.diagnose import DiagnoseOptions
 
-    effects = calibration_and_effect_files.load_effect_files(arguments)
+    effects = input_file_options.load_effect_files(arguments)
     known = arguments.calibration
     return DiagnoseOptions(
         None if arguments.only is None else tuple(arguments.only),
@@ -141,7 +146,7 @@ def _options(arguments: Namespace, recordings: list[Recording]) -> DiagnoseOptio
         tuple(arguments.assume),
         arguments.before,
         effects,
-        None if known is None else calibration_and_effect_files.load_calibration(known, effects),
+        None if known is None else input_file_options.load_calibration(known, effects),
         str(known),
         tuple(json_files_in_same_folders(recordings[0].folder, arguments.out)),
         arguments.anyway,

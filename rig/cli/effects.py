@@ -6,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import calibration_and_effect_files
+from rig.cli.shared import input_file_options
 from rig.cli.shared.command_options import add_json_option, add_overwrite_option, print_json
 from rig.errors import RigError
 
@@ -18,7 +18,7 @@ def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("name", metavar="NAME", nargs="?", help="one of them, whole; all as a table without it")
     add_json_option(parser)
-    calibration_and_effect_files.add_effects_option(parser)
+    input_file_options.add_effects_option(parser)
     parser.add_argument(
         "--new", metavar="NAME", help="write a file with an effect of your own, to be edited and given to --effects"
     )
@@ -49,7 +49,7 @@ def run(arguments: Namespace) -> None:
     from rig.effects.catalogue.effect_list import effect_description, effect_description_dict, effect_table
 
     width = get_terminal_size((160, 24)).columns
-    known = calibration_and_effect_files.known_effects(calibration_and_effect_files.load_effect_files(arguments))
+    known = input_file_options.known_effects(input_file_options.load_effect_files(arguments))
     if arguments.name is None:
         if arguments.json:
             print_json([effect_description_dict(effect) for effect in known.values()])

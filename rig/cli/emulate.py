@@ -15,7 +15,7 @@ from rig.formats.number_parsing_and_rounding import parse_number, parse_numbers,
 if TYPE_CHECKING:
     from rig.driving.clock import Clock
     from rig.driving.emulators.controller_emulator import Emulator
-    from synthetic.emulated_camera_process import EmulatedCameraProcess
+    from synthetic.emulated_cameras import EmulatedCameraProcess
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -117,7 +117,7 @@ def run(arguments: Namespace) -> None:
 
 def _cameras(arguments: Namespace, followed: Path) -> EmulatedCameraProcess:
     """The process that draws; its address is printed."""
-    from synthetic.emulated_camera_process import EmulatedCameraProcess
+    from synthetic.emulated_cameras import EmulatedCameraProcess
 
     cameras = EmulatedCameraProcess(
         arguments.design, arguments.truth, followed, _address(arguments.cameras, "--cameras"), arguments.seed

@@ -6,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import calibration_and_effect_files
+from rig.cli.shared import input_file_options
 from rig.cli.shared.command_options import (
     add_json_result_option,
     add_port_options,
@@ -20,7 +20,7 @@ from rig.formats.number_parsing_and_rounding import parse_numbers
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
-    from calib.api.go import PoseMove
+    from calib.api.run_and_go import PoseMove
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -42,21 +42,21 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--dry-run", action="store_true", help="say what would be commanded, and move nothing")
     add_speed_option(parser, 1.0)
     add_trust_option(parser)
-    calibration_and_effect_files.add_effects_option(parser)
+    input_file_options.add_effects_option(parser)
     add_port_options(parser)
     add_json_result_option(parser)
 
 
 def run(arguments: Namespace) -> None:
     """Go to a pose: the corrected lengths, checked, commanded and read back."""
-    from calib.api.go import plan_pose_move, require_same_rig
-    from rig.cli.shared.controller_status import print_status
+    from calib.api.run_and_go import plan_pose_move, require_same_rig
+    from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.driver_session import design_with_controller_port, open_driver
 
     require_share(arguments.speed)
     design = design_with_controller_port(arguments.rig, arguments.port)
-    calibration = calibration_and_effect_files.calibration_of_arguments(arguments)
-    calibration_and_effect_files.read_refutations(arguments.calibration)
+    calibration = input_file_options.calibration_of_arguments(arguments)
+    input_file_options.read_refutations(arguments.calibration)
     require_same_rig(design, calibration, arguments.rig, arguments.calibration)
     move = plan_pose_move(design, calibration, parse_pose(arguments.pose), arguments.uncorrected)
     _print_plan(move)
@@ -75,7 +75,7 @@ def run(arguments: Namespace) -> None:
 
 def _print_plan(move: PoseMove) -> None:
     """Print the lengths to command."""
-    from rig.cli.shared.controller_status import lengths_text
+    from rig.cli.shared.run_display_and_controller_status import lengths_text
 
     print(f"to command: {lengths_text(move.lengths)}, which is {lengths_text(move.off_nominal)} off the owner's model")
 

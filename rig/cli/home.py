@@ -13,7 +13,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Home all struts and say where they stand."""
-    from rig.cli.shared.controller_status import print_status
+    from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.driver_session import design_with_controller_port, open_driver
 
     design = design_with_controller_port(arguments.design, arguments.port)

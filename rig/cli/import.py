@@ -5,9 +5,9 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.array_and_json_types import Json
 from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option
 from rig.errors import RigError
-from rig.formats.json_type import Json
 
 if TYPE_CHECKING:
     from rig.formats.importers import ImportedRecording, Recipe

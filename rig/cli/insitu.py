@@ -13,12 +13,12 @@ from rig.cli.shared.command_options import (
     page_path,
     print_frames_without_pose,
 )
-from rig.cli.shared.recording_options import add_recording_argument, notice_printer, read_recording
+from rig.cli.shared.input_file_options import add_recording_argument, notice_printer, read_recording
 from rig.cli.shared.terminal_output import Progress
 from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
-    from calib.api.accept_limbs import LimbAcceptance
+    from calib.api.limb_acceptance_and_limb_poses import LimbAcceptance
     from calib.certification.measuring_limbs import Agreement
 
 
@@ -58,9 +58,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> int:
     """Hold the measuring limbs against vision, say whether they pass, save that, and learn from them where they do."""
-    from calib.api.accept_limbs import AcceptLimbsOptions, accept_limbs
+    from calib.api.limb_acceptance_and_limb_poses import AcceptLimbsOptions, accept_limbs
     from calib.online.measuring_limbs_file import is_limbs_file
-    from rig.cli.shared.measurement_summary import print_learning
+    from rig.cli.shared.measurement_and_calibration_summary import print_learning
 
     names = None if arguments.use is None else tuple(arguments.use.split(","))
     options = AcceptLimbsOptions(tuple(arguments.tolerance), names, tuple(arguments.argv))

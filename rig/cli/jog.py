@@ -10,7 +10,7 @@ from rig.errors import PositionLost, RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_numbers, parse_whole_number
 
 if TYPE_CHECKING:
-    from rig.array_types import Floats
+    from rig.array_and_json_types import Floats
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -39,7 +39,7 @@ def run(arguments: Namespace) -> None:
     """Move struts a little, checked as any move."""
     import numpy as np
 
-    from rig.cli.shared.controller_status import print_status
+    from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.driver_session import design_with_controller_port, open_driver
 
     design = design_with_controller_port(arguments.design, arguments.port)

@@ -4,10 +4,10 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.array_and_json_types import Json
 from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option, page_links
 from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
-from rig.formats.json_type import Json
 
 if TYPE_CHECKING:
     from vision.lenses.lens_calibration_from_photographs import Calibrated

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option, page_links
-from rig.cli.shared.recording_options import (
+from rig.cli.shared.input_file_options import (
     add_anyway_option,
     add_limb_options,
     add_recording_argument,
@@ -55,7 +55,7 @@ def run(arguments: Namespace) -> None:
     if limbs is not None:
         return _by_limbs(arguments, recording, limbs, progress)
     from calib.report.measurement_page import write_measurement_page
-    from rig.cli.shared.measurement_summary import print_measurement
+    from rig.cli.shared.measurement_and_calibration_summary import print_measurement
     from rig.recording import recording_frames
     from vision.api import MeasureOptions, measure
 
@@ -88,8 +88,8 @@ def _by_limbs(arguments: Namespace, recording: Recording, limbs: LimbSource, pro
     """Write the poses of measuring limbs, with covariance; rig.toml stays as stated, since no camera was adjusted."""
     if arguments.hold or arguments.detect or arguments.places != "auto":
         raise RigError("--hold, --places and --detect are about cameras and what they see; leave them out with --limbs")
-    from calib.api.poses_from_readings_and_limbs import measure_poses_by_limbs
-    from rig.cli.shared.measurement_summary import print_limb_pose_uncertainty
+    from calib.api.limb_acceptance_and_limb_poses import measure_poses_by_limbs
+    from rig.cli.shared.measurement_and_calibration_summary import print_limb_pose_uncertainty
     from rig.recording import recording_frames
 
     out = arguments.outputs.folder(arguments.out)

@@ -6,9 +6,9 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import calibration_and_effect_files
+from rig.cli.shared import input_file_options
 from rig.cli.shared.command_options import add_json_result_option, add_page_option, page_links, page_path
-from rig.cli.shared.recording_options import (
+from rig.cli.shared.input_file_options import (
     add_anyway_option,
     add_limb_options,
     add_recording_argument,
@@ -99,7 +99,7 @@ def run(arguments: Namespace) -> None:
 
 def _print_result(arguments: Namespace, result: LearningResult) -> None:
     """Print what was learnt, and where the state is."""
-    from rig.cli.shared.measurement_summary import print_learning
+    from rig.cli.shared.measurement_and_calibration_summary import print_learning
 
     named = arguments.learner == FILTER
     written = [] if arguments.state is None else [f"written: {arguments.state}"]
@@ -119,7 +119,7 @@ def _options(arguments: Namespace, limbs: LimbSource | None) -> LearnOptions:
         arguments.state,
         None if start is None else calibration_file.load(start),
         str(start),
-        () if start is None else calibration_and_effect_files.read_refutations(start),
+        () if start is None else input_file_options.read_refutations(start),
         arguments.learner,
         getattr(arguments, SETTINGS.get(arguments.learner, ""), None),
         limbs,

@@ -22,7 +22,7 @@ from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_nu
 
 if TYPE_CHECKING:
     from calib.api.plan_options_and_result import PlanOptions
-    from rig.array_types import Floats
+    from rig.array_and_json_types import Floats
     from rig.model.design import Design
     from rig.recording.recording_folder import Sensors
 
@@ -134,11 +134,11 @@ def _visited(path: Path, design: Design) -> Floats:
     another kind of machine
     """
     import rig
-    from rig.formats import csv_table
+    from rig.formats import csv_and_parquet_tables
 
     axes = design.mechanism.axes
     if not path.is_dir():
-        return csv_table.read(path, ("frame", *axes)).matrix(axes)
+        return csv_and_parquet_tables.read(path, ("frame", *axes)).matrix(axes)
     read = rig.load(path)
     if read.design.mechanism.kind != design.mechanism.kind:
         raise RigError(f"{path} is a recording of a mechanism of kind {read.design.mechanism.kind!r}")

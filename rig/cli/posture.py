@@ -7,6 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.array_and_json_types import Json
 from rig.cli.shared.command_options import (
     add_json_option,
     add_overwrite_option,
@@ -16,12 +17,11 @@ from rig.cli.shared.command_options import (
     require_matplotlib,
 )
 from rig.errors import RigError
-from rig.formats.json_type import Json
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.formats.output_files import write_text
 
 if TYPE_CHECKING:
-    from rig.array_types import Floats
+    from rig.array_and_json_types import Floats
     from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
     from rig.model.mechanism_geometry_classes import Arm
     from rig.posture.best_posture import PostureOptions

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared.command_options import SEED, add_controller_arguments
-from rig.cli.shared.recording_options import add_limb_options, limb_source
+from rig.cli.shared.input_file_options import add_limb_options, limb_source
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
 if TYPE_CHECKING:
-    from calib.api.run import PlannedRun, RunOptions
+    from calib.api.run_and_go import PlannedRun, RunOptions
 
 KINDS = ("jump", "camera", "covered", "unseen", "drift", "limbs")
 
@@ -78,7 +78,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Check, home, and visit every pose of the plan; or go on where another process ended."""
-    from calib.api.run import plan_run
+    from calib.api.run_and_go import plan_run
     from rig.driving.driver_session import design_with_controller_port
 
     design = design_with_controller_port(arguments.design, arguments.port)
@@ -86,7 +86,7 @@ def run(arguments: Namespace) -> None:
     if arguments.dry_run:
         _print_plan(planned)
         return
-    from rig.cli.shared.run_terminal_display import run_displays
+    from rig.cli.shared.run_display_and_controller_status import run_displays
 
     out = arguments.out
     frames = planned.carry_out(out, partial(run_displays, arguments.page), print)
@@ -95,7 +95,7 @@ def run(arguments: Namespace) -> None:
 
 def _options(arguments: Namespace) -> RunOptions:
     """How a run goes, by the arguments. Raises RigError for what cannot be meant, before anything moves."""
-    from calib.api.run import RunOptions
+    from calib.api.run_and_go import RunOptions
     from calib.files import calibration_file
 
     exposure, known = arguments.exposure, arguments.calibration
@@ -132,7 +132,7 @@ def _print_plan(planned: PlannedRun) -> None:
     """Check the whole plan from home and say what it would do."""
     import numpy as np
 
-    from rig.cli.shared.controller_status import lengths_text
+    from rig.cli.shared.run_display_and_controller_status import lengths_text
 
     steps, cameras, distances = planned.steps, planned.design.cameras, planned.distances()
     for k, step in enumerate(steps):

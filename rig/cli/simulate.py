@@ -6,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import calibration_and_effect_files
+from rig.cli.shared import input_file_options
 from rig.cli.shared.command_options import add_overwrite_option
 from rig.cli.shared.terminal_output import Progress
 from rig.errors import RigError
@@ -55,7 +55,7 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="NAME:PLACE:PARAMETER=VALUE,..",
         help="left-out physics; may be repeated",
     )
-    calibration_and_effect_files.add_effects_option(parser)
+    input_file_options.add_effects_option(parser)
     parser.add_argument(
         "--noise", type=parse_number, default=0.04, metavar="PX", help="of corners, standard deviation (default 0.04)"
     )
@@ -127,7 +127,7 @@ def _options(arguments: Namespace) -> SimulateOptions:
     return SimulateOptions(
         arguments.plan,
         tuple(arguments.effect),
-        calibration_and_effect_files.known_effects(calibration_and_effect_files.load_effect_files(arguments)),
+        input_file_options.known_effects(input_file_options.load_effect_files(arguments)),
         arguments.noise,
         arguments.seed,
         arguments.secret,

@@ -14,7 +14,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Stop the struts, and whatever process moves them; its run can be resumed."""
-    from rig.cli.shared.controller_status import print_status
+    from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.clock import SystemClock
     from rig.driving.controller_lock import stop_lock_holder
     from rig.driving.driver_session import design_with_controller_port, open_driver

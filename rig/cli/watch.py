@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared import calibration_and_effect_files
+from rig.cli.shared import input_file_options
 from rig.cli.shared.command_options import (
     SEED,
     add_json_option,
@@ -91,16 +91,14 @@ def _watch(arguments: Namespace) -> int:
     refuted = refutations_of_file(arguments.calibration)
     result = watch(calibration, loaded, history, refuted, progress)
     progress.close()
-    calibration_and_effect_files.print_refutations(arguments.calibration, refuted)
+    input_file_options.print_refutations(arguments.calibration, refuted)
     if kept is not None:
         visit_history.write_history(kept, result.history)
     if page is not None:
         result.write_page(page, arguments.calibration.name, page_links(arguments, arguments.page))
     if result.refutation is not None:
         state, sentence = result.refutation
-        calibration_and_effect_files.write_refutation(
-            arguments, arguments.calibration, result.visits[-1].name, sentence, state
-        )
+        input_file_options.write_refutation(arguments, arguments.calibration, result.visits[-1].name, sentence, state)
     if arguments.json:
         print_json(result.tree())
     else:

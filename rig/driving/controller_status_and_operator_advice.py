@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,16 +9,15 @@ from typing import Protocol
 
 import numpy as np
 
-from rig.array_types import Floats, Pixels
-from rig.driving.cameras.camera_interface_and_clock import Frame
-from rig.driving.cameras.grab_and_settling import Settling, SynchronisedCameras
+from rig.array_and_json_types import Floats, Pixels
+from rig.driving.cameras.camera_interface_and_grabbing import Frame, Settling, SynchronisedCameras
 from rig.driving.clock import Clock
-from rig.driving.recording_from_journal import GrowingRecording
-from rig.driving.run_journal import (
+from rig.driving.run_journal_and_recording import (
     Arrival,
     Departure,
     Ended,
     Exposed,
+    GrowingRecording,
     Journal,
     Readings,
     Remark,

@@ -5,8 +5,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.array_types import Floats
-from rig.driving.run_journal import Arrival, Began, Departure, Ended, Exposed, Readings, Remark, Resumed, Row
+from rig.array_and_json_types import Floats
+from rig.driving.run_journal_and_recording import (
+    Arrival,
+    Began,
+    Departure,
+    Ended,
+    Exposed,
+    Readings,
+    Remark,
+    Resumed,
+    Row,
+)
 from rig.errors import RigError, Unreachable
 from rig.planning.plan_construction_and_table import Plan
 

@@ -13,7 +13,7 @@ import numpy as np
 import serial
 from serial.tools import list_ports
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.controller_requests_and_answers import Port
 from rig.errors import LinkLost, NoAnswer

@@ -7,7 +7,7 @@ from typing import TextIO, TypeVar, cast
 
 import numpy as np
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.driving import protocols, straight_move_profile
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_requests_and_answers import Link, Port

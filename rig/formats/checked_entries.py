@@ -13,9 +13,9 @@ from typing import Any, NoReturn, TypedDict, Unpack, cast, overload
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.errors import FileError
-from rig.formats.input_files import require_schema, short_repr
+from rig.formats.local_and_remote_files import require_schema, short_repr
 from rig.model.pose import pose
 
 LARGEST_RIG = 50.0  # m; nothing on struts or arms is larger, so a larger figure is in another unit

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from rig.array_and_json_types import Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_text_and_dict import Kinds, effect_from_dict, effect_to_dict, require_existing_place
 from rig.errors import FileError, RigError
 from rig.formats import structured_files
 from rig.formats.checked_entries import LARGEST_RIG, Entries
-from rig.formats.json_type import Json
 from rig.model.design import Camera, Design
 from rig.model.mechanism_kinds_and_hexapod_properties import Mechanism, has_stages
 from rig.model.pose import pose, pose_to_vector

@@ -15,10 +15,10 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import RigidTransform
 
+from rig.array_and_json_types import Json
 from rig.errors import FileError
 from rig.formats.checked_entries import Entries
-from rig.formats.input_files import read_text, require_schema, short_repr
-from rig.formats.json_type import Json
+from rig.formats.local_and_remote_files import read_text, require_schema, short_repr
 from rig.formats.toml_positions import value_positions
 from rig.model.pose import pose_to_entry
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.model.design import Camera
 
 

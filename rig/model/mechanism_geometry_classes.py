@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats
 
 
 def _array(value: ArrayLike, shape: tuple[int | None, ...], what: str) -> Floats:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.array_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats
 from rig.compute.numba_kernels_and_lazy_exports import njit
 
 TRIANGLE = np.triu_indices(6)

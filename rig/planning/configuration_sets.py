@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.errors import FileError, RigError
-from rig.formats import csv_table
-from rig.formats.input_files import short_repr
+from rig.formats import csv_and_parquet_tables
+from rig.formats.local_and_remote_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
@@ -105,7 +105,7 @@ def _levels_of_text(strokes: Floats, text: str) -> list[Floats]:
 
 
 def _levels_of_file(strokes: Floats, path: Path) -> list[Floats]:
-    rows = csv_table.read(path, ("axis", "level"))
+    rows = csv_and_parquet_tables.read(path, ("axis", "level"))
     axis, level = rows.matrix(("axis", "level")).T
     out = []
     for i, (low, high) in enumerate(strokes):

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.errors import FileError, RigError
-from rig.formats import csv_table
-from rig.formats.input_files import short_repr
+from rig.formats import csv_and_parquet_tables
+from rig.formats.local_and_remote_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.design_comparison_and_cube_remounting import find_cube
@@ -279,7 +279,7 @@ def _iso9283(writer: PlanWriter, design: Design, cycles: int, rng: np.random.Gen
 
 
 def _commands(writer: PlanWriter, design: Design, file: str, rng: np.random.Generator) -> None:
-    rows = csv_table.read(Path(file), ("frame", *design.mechanism.axes))
+    rows = csv_and_parquet_tables.read(Path(file), ("frame", *design.mechanism.axes))
     if "t" in rows.columns:
         raise FileError(file, "is in time (it has a column t), so it is a plan by itself and no part of one")
     for goal in require_commands_in_range(rows, design):

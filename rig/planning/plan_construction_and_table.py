@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.errors import FileError
-from rig.formats import csv_table
-from rig.formats.input_files import short_repr
+from rig.formats import csv_and_parquet_tables
+from rig.formats.local_and_remote_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.design_comparison_and_cube_remounting import COLUMN, QUARTERS, find_cube
@@ -137,7 +137,7 @@ def plan_of_time_table(design: Design, path: str) -> Plan | None:
     FileError with line and column for what is no
     such table.
     """
-    rows = csv_table.read(Path(path), ("frame", *design.mechanism.axes), (PAYLOAD,))
+    rows = csv_and_parquet_tables.read(Path(path), ("frame", *design.mechanism.axes), (PAYLOAD,))
     if "t" not in rows.columns:
         return None
     rows.times("t", TimeOrigin())  # which checks them
@@ -155,7 +155,7 @@ def plan_of_time_table(design: Design, path: str) -> Plan | None:
     )
 
 
-def _cubes(rows: csv_table.Table, design: Design) -> tuple[tuple[str, int], ...]:
+def _cubes(rows: csv_and_parquet_tables.Table, design: Design) -> tuple[tuple[str, int], ...]:
     """(cube, quarter turns) that a table's columns turned_CUBE say. Raises FileError for a cube that there is not, and
     one that turns on the way.
     """
@@ -180,7 +180,7 @@ def _cubes(rows: csv_table.Table, design: Design) -> tuple[tuple[str, int], ...]
     return tuple(out)
 
 
-def require_commands_in_range(table: csv_table.Table, design: Design) -> Floats:
+def require_commands_in_range(table: csv_and_parquet_tables.Table, design: Design) -> Floats:
     """Commands (n, axes) m or rad of a table. Raises FileError with the line of one out of range.
     Raises FileError with the line of what is out of the axes' range.
     """

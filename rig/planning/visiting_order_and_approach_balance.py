@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 
 TRIED = 64  # exchanges of two configurations that are compared at once
 REACHES = (0.02, 0.2)  # of the stroke, shortest and longest last move

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.array_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats, Json
 from rig.errors import RigError
-from rig.formats.json_type import Json
 from rig.formats.rig_toml.arm_dynamics_entries import load_arm_dynamics
 from rig.model.design import Design
 from rig.model.mechanism_kinds_and_hexapod_properties import require_arm

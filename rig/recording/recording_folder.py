@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.errors import FileError, RigError
-from rig.formats import csv_table, remote_folders
+from rig.formats import csv_and_parquet_tables, local_and_remote_files
 from rig.formats.checked_entries import name_problem
-from rig.formats.csv_table import Table
+from rig.formats.csv_and_parquet_tables import Table
 from rig.formats.output_files import require_complete_folder
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design
@@ -157,17 +157,17 @@ def load_recording(folder: str | Path, skip_unreadable: bool = False) -> Recordi
     ('hexapod', (14, 6))
     """
     folder = Path(folder)
-    remote_folders.clear_listing_cache()
-    if not remote_folders.is_folder(folder):
+    local_and_remote_files.clear_listing_cache()
+    if not local_and_remote_files.is_folder(folder):
         raise FileError(
-            folder, "is a file, not a recording folder" if remote_folders.exists(folder) else "no such folder"
+            folder, "is a file, not a recording folder" if local_and_remote_files.exists(folder) else "no such folder"
         )
     require_complete_folder(folder)
-    if remote_folders.is_empty(folder):
+    if local_and_remote_files.is_empty(folder):
         raise FileError(folder, "is an empty folder; a recording has at least rig.toml and frames.csv")
     design = design_file.load_design(folder / "rig.toml")
     commanded = _command_rows(folder / "commands.csv", design)
-    exposed = csv_table.read(folder / "frames.csv", ("frame", "t", "camera", "image"))
+    exposed = csv_and_parquet_tables.read(folder / "frames.csv", ("frame", "t", "camera", "image"))
     origin = _origin(exposed if commanded is None else commanded)
     exposures, skipped = load_exposures(folder, design, exposed, origin, skip_unreadable)
     commands = None if commanded is None else _commands(commanded, design, exposures, origin)
@@ -175,7 +175,7 @@ def load_recording(folder: str | Path, skip_unreadable: bool = False) -> Recordi
     known = set(exposures.frame.tolist())
     poses = (
         load_instrument_poses(folder / "poses.csv", known, design.instrument)
-        if remote_folders.exists(folder / "poses.csv")
+        if local_and_remote_files.exists(folder / "poses.csv")
         else None
     )
     sensors = _sensors(folder / "sensors.csv", origin, exposures)
@@ -199,7 +199,7 @@ def _stages(folder: Path, design: Design, known: set[int]) -> dict[int, Poses]:
     """
     bodies = target_bodies(design.mechanism)
     out = {}
-    for name in remote_folders.list_folder(folder):
+    for name in local_and_remote_files.list_folder(folder):
         if not name.startswith("poses_stage") or not name.endswith(".csv"):
             continue
         body = name.removesuffix(".csv").replace("poses_stage", "stage ")
@@ -226,7 +226,7 @@ def load_wanted_poses(path: str | Path) -> WantedPoses:
     """Load WantedPoses from a table frame,x,y,z,rx,ry,rz with or without t. Raises FileError.
     Raises FileError with line and column.
     """
-    poses, rows = load_poses(path, are_commands=True), csv_table.read(path, ("frame",))
+    poses, rows = load_poses(path, are_commands=True), csv_and_parquet_tables.read(path, ("frame",))
     if "t" not in rows.columns:
         return WantedPoses(poses, None, TimeOrigin())
     origin = _origin(rows)
@@ -235,7 +235,7 @@ def load_wanted_poses(path: str | Path) -> WantedPoses:
 
 def load_sensors(path: str | Path, origin: TimeOrigin) -> Sensors:
     """Load Sensors from a sensors.csv, times relative to an Origin. Raises FileError with line and column."""
-    return _sensor_rows(csv_table.read(path, ("t",)), origin)
+    return _sensor_rows(csv_and_parquet_tables.read(path, ("t",)), origin)
 
 
 def _origin(rows: Table) -> TimeOrigin:
@@ -245,11 +245,11 @@ def _origin(rows: Table) -> TimeOrigin:
 
 
 def _command_rows(path: Path, design: Design) -> Table | None:
-    if not remote_folders.exists(path):
+    if not local_and_remote_files.exists(path):
         return None
     if not design.mechanism.axes:
         raise FileError(path, 'stands beside a mechanism of kind "free", which cannot be commanded')
-    return csv_table.read(path, ("t", *design.mechanism.axes))
+    return csv_and_parquet_tables.read(path, ("t", *design.mechanism.axes))
 
 
 def _commands(rows: Table, design: Design, exposures: Exposures, origin: TimeOrigin) -> Commands:
@@ -296,9 +296,9 @@ def _increasing(rows: Table, origin: TimeOrigin) -> Floats:
 
 
 def _sensors(path: Path, origin: TimeOrigin, exposures: Exposures) -> Sensors | None:
-    if not remote_folders.exists(path):
+    if not local_and_remote_files.exists(path):
         return None
-    rows = csv_table.read(path, ("t",))
+    rows = csv_and_parquet_tables.read(path, ("t",))
     sensors = _sensor_rows(rows, origin)
     if not all(LIMB.fullmatch(name) for name in sensors.channels):
         _covers(rows, sensors.t, exposures, origin)

@@ -25,11 +25,11 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.array_types import Integers
+from rig.array_and_json_types import Integers
 from rig.compute.worker_processes import worker_count
 from rig.errors import FileError, NotEnoughData, RigError
-from rig.formats.input_files import short_repr
-from rig.formats.output_files.folder_manifest import file_digest, load_manifest
+from rig.formats.local_and_remote_files import short_repr
+from rig.formats.output_files.atomic_file_and_manifest import file_digest, load_manifest
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import LIMB, Recording
 from rig.recording.recording_tables import Poses

@@ -8,12 +8,12 @@ from typing import Any, NoReturn
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.errors import FileError
-from rig.formats import csv_table, remote_folders
+from rig.formats import csv_and_parquet_tables, local_and_remote_files
 from rig.formats.checked_entries import LARGEST_RIG
-from rig.formats.csv_table import Table
-from rig.formats.input_files import read_bytes
+from rig.formats.csv_and_parquet_tables import Table
+from rig.formats.local_and_remote_files import read_bytes
 from rig.formats.output_files import write_bytes, write_text
 from rig.model.design import Design, Instrument
 from rig.model.pose import TRIANGLE, angle_sigmas, covariance_from_triangle, pose, pose_to_vector, roll_pitch_yaw
@@ -54,9 +54,9 @@ def load_corners(path: Path, design: Design, exposures: Exposures) -> Corners | 
     """Load the Corners of a corners.csv, None where there is none. Raises FileError.
     Raises FileError with line and column.
     """
-    if not remote_folders.exists(path):
+    if not local_and_remote_files.exists(path):
         return None
-    rows = csv_table.read(path, CORNER_COLUMNS, ("sigma", *CORNER_COVARIANCE))
+    rows = csv_and_parquet_tables.read(path, CORNER_COLUMNS, ("sigma", *CORNER_COVARIANCE))
     frame, marker, corner, camera = rows.whole("frame"), rows.whole("marker"), rows.whole("corner"), rows.text("camera")
     uv = rows.matrix(("u", "v"))
     cameras = {c.name for c in design.cameras}
@@ -133,7 +133,7 @@ def load_poses(
     machine has no freedom
     Raises FileError with line and column.
     """
-    rows = csv_table.read(path, ("frame", *POSE_COLUMNS[: 3 if positions_only else 6]), COVARIANCE_COLUMNS)
+    rows = csv_and_parquet_tables.read(path, ("frame", *POSE_COLUMNS[: 3 if positions_only else 6]), COVARIANCE_COLUMNS)
     frame = _frames(rows, known_frames)
     values = np.zeros((len(rows), 6))
     values[:, : 3 if positions_only else 6] = rows.matrix(POSE_COLUMNS[: 3 if positions_only else 6])
@@ -152,7 +152,7 @@ def load_instrument_poses(path: Path, known_frames: set[int], instrument: Instru
     if kind == "pose":
         return load_poses(path, known_frames, instrument is not None and instrument.rotation_sigma is None)
     columns = POSE_COLUMNS[3:] if kind == "orientation" else (DISTANCE,)
-    rows = csv_table.read(path, ("frame", *columns))
+    rows = csv_and_parquet_tables.read(path, ("frame", *columns))
     frame, values = _frames(rows, known_frames), rows.matrix(columns)
     nothing = np.zeros((len(rows), 3))
     if kind == "orientation":
@@ -289,5 +289,5 @@ def copy_frames_commands_and_sensors(source: Path, target: Path, exposures: Expo
     ]
     write_text(Path(target) / "frames.csv", "\n".join(lines) + "\n")
     for name in ("commands.csv", "sensors.csv"):
-        if remote_folders.exists(Path(source) / name):
+        if local_and_remote_files.exists(Path(source) / name):
             write_bytes(Path(target) / name, read_bytes(Path(source) / name))

@@ -9,7 +9,7 @@ from decimal import Context, Decimal, InvalidOperation
 
 import numpy as np
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 
 DIGITS = Context(prec=60, traps=[])
 LATEST = 1e11  # s, in the year 5138; a greater figure is in another unit

@@ -15,11 +15,11 @@ from enum import StrEnum
 from pathlib import Path
 from typing import NamedTuple
 
+from rig.array_and_json_types import Json
 from rig.errors import FileError
-from rig.formats.input_files import require_schema
-from rig.formats.json_type import Json
+from rig.formats.local_and_remote_files import require_schema
 from rig.formats.output_files import write_text
-from rig.formats.output_files.folder_manifest import file_digest
+from rig.formats.output_files.atomic_file_and_manifest import file_digest
 
 AGREES = 1.2  # times what noise and claim allow: up to that a held-out error agrees with them
 REFUTES = 1.5  # from there on it refutes them

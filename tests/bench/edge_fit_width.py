@@ -117,7 +117,7 @@ def _rendered(design, rng):
     """The same of the renderer's pictures of a rig."""
     from synthetic import rig_meshes
     from synthetic.ideal_image_renderer import SAMPLES, Renderer
-    from synthetic.image_sensor import expose_image
+    from synthetic.image_sensor_and_occlusion import expose_image
     from vision.predict import markers_expected_in_image
     from vision.targets import marker_map
 

@@ -18,7 +18,7 @@ from calib.correction.interpolation_methods_and_summand_extension import (
     fit_correction_summand_field,
     measured_correction_summands,
 )
-from calib.diagnosis.platform_findings_refit import findings_of_diagnosis
+from calib.diagnosis.findings_refit import findings_of_diagnosis
 from calib.samples.recording_samples import sample_recording
 from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.formats.rig_toml import design_file

@@ -17,11 +17,10 @@ from calib.online.run_learning import Learner
 from calib.online.run_observation import RunObserver, RunStop
 from calib.online.run_page import RunPage
 from calib.online.run_preparation import compile_kernels_for_run
-from rig.driving.cameras.camera_interface_and_clock import Frame
-from rig.driving.cameras.grab_and_settling import SynchronisedCameras, parse_settling
+from rig.driving.cameras.camera_interface_and_grabbing import Frame, SynchronisedCameras, parse_settling
 from rig.driving.clock import SystemClock
 from rig.driving.move_and_record_loop import RunEquipment, RunOperator
-from rig.driving.run_journal import Began, Journal
+from rig.driving.run_journal_and_recording import Began, Journal
 from rig.driving.run_steps_and_progress import steps_of_plan
 from rig.formats.rig_toml import design_file
 from rig.model.design import Sensor
@@ -31,8 +30,8 @@ from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
 from synthetic.image_simulation import Images
 from vision.reading.live_measurement import TAUGHT, Live
+from vision.reading.parallel_image_reading import save_image
 from vision.reading.recording_corners import read_image
-from vision.reading.run_images import save_image
 
 FRAMES = 20
 TIME = 1.0  # s that moving and settling take here, so that frames do not wait for each other

@@ -16,10 +16,10 @@ from pathlib import Path
 from types import FunctionType, ModuleType
 
 WATCHED = (
-    "rig.formats.csv_table",
+    "rig.formats.csv_and_parquet_tables",
     "rig.formats.checked_entries",
     "rig.formats.structured_files",
-    "rig.formats.input_files",
+    "rig.formats.local_and_remote_files",
     "rig.recording.time_origin",
     "rig.recording.image_file_check",
     "rig.recording.exposures_and_images",
@@ -29,7 +29,7 @@ WATCHED = (
     "rig.formats.toml_positions",
     "rig.formats.structured_files",
     "rig.formats.number_parsing_and_rounding",
-    "rig.formats.output_files.atomic_file",
+    "rig.formats.output_files.atomic_file_and_manifest",
     "rig.driving.cameras.opencv_camera",
     "rig.model.design",
     "rig.report.pages.run_page_server",

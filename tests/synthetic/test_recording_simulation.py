@@ -15,7 +15,7 @@ from rig.model.pose import pose_difference
 from rig.planning import plan
 from rig.recording import recording_folder
 from synthetic import ideal_image_renderer, image_simulation, recording_simulation, rig_meshes, secret_machine
-from synthetic.occlusion import is_occluded
+from synthetic.image_sensor_and_occlusion import is_occluded
 from tests.conftest import SHARED
 from vision.reading.recording_corners import collect_corners
 from vision.targets import marker_map

@@ -6,7 +6,7 @@ from typing import Literal, cast
 
 import numpy as np
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from vision.bundle.bundle_adjustment import Adjustment
 from vision.bundle.normal_equations import linearise, normal_equations, schur_complement
 from vision.bundle.unknown_priors import POSE_SIGMA, adjustment_unknowns

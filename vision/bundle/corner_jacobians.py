@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.numba_kernels_and_lazy_exports import njit
 from vision import lens
 from vision.corner_observations import Observations

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import special
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect_data_types import Place
 from rig.model.design import Marker
 from rig.model.pose import log
@@ -16,7 +16,12 @@ from vision.bundle.normal_equations import linearise, normal_equations, predicte
 from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.bundle.unknowns_and_estimate import offset_from_stated
 from vision.corner_observations import Observations, whitener_of_observations
-from vision.pose.ambiguous_poses import MOST, neighbour_rotation_scatter, pose_from_neighbours, rotation_angle
+from vision.pose.pose_refinement_and_ambiguity import (
+    MOST,
+    neighbour_rotation_scatter,
+    pose_from_neighbours,
+    rotation_angle,
+)
 from vision.predict import State, predict_corners
 from vision.targets import MarkerMap
 

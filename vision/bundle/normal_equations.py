@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import thread_map
 from vision.bundle import corner_jacobians
 from vision.bundle.corner_jacobians import (

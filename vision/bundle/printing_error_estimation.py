@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.compute.parallel_map_and_dask_cluster import thread_map
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, schur_complement, solve_step

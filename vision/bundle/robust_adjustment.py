@@ -7,7 +7,7 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.corner_observations import (
@@ -17,8 +17,8 @@ from vision.corner_observations import (
     inverse_cholesky_factors,
     observations_of_frames,
 )
-from vision.pose.frame_poses import PLATFORM
-from vision.pose.pose_refinement import GATE, MEDIAN
+from vision.pose.frame_and_camera_poses import PLATFORM
+from vision.pose.pose_refinement_and_ambiguity import GATE, MEDIAN
 from vision.predict import State, predict_corners
 
 ROUNDS = 8  # of adjusting and sorting out; a corner that still wavers then stays as it was adjusted

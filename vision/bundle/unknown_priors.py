@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.model.design import Camera
 from rig.model.marker_and_sensor_tolerances import SIDES
 from rig.model.pose import skew

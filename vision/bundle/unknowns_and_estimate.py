@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.pose import exp, log
 from vision.bundle.printing_errors import NONE, Prints, apply_printing_errors, fill_printing_error_offsets
 from vision.predict import State

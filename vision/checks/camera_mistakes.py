@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.model.design import Camera
 from vision import lens
 from vision.checks.corner_convention_trials import SampledRecording

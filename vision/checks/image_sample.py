@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
-from rig.array_types import Pixels
+from rig.array_and_json_types import Pixels
 from rig.checks import Mistake
 from rig.errors import FileError
 from rig.recording.recording_folder import Recording
@@ -14,7 +14,7 @@ from rig.recording.recording_tables import Corners
 from vision.checks.corner_convention_trials import FRAMES
 from vision.corners.marker_detection import Detection, detect_markers
 from vision.corners.whole_image_marker_reader import opencv_detector
-from vision.reading.parallel_images import map_images_in_threads
+from vision.reading.parallel_image_reading import map_images_in_threads
 from vision.reading.recording_corners import image_reader
 from vision.targets import MarkerMap, marker_map
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.array_types import Floats, Pixels
+from rig.array_and_json_types import Floats, Pixels
 from rig.model.design import Camera, Target
 from vision.checks.corner_convention_trials import SampledRecording, Trial
 from vision.targets import SQUARE, marker_map

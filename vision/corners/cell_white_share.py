@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.array_types import Floats
-from vision.corners.numba_compilation import kernel
+from rig.array_and_json_types import Floats
+from vision.corners.numba_cholesky_and_order_statistics import kernel
 
 STEPS, SPAN = 512, 10.0  # a tabulated edge reaches from -SPAN / 2 to SPAN / 2 widths
 TOGETHER = 3.0  # edge widths from two edges at once within which their meeting matters

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import ndtr
 
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from vision.corners.cell_white_share import GRID
 from vision.corners.square_fit_residuals import PROFILED
 

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.model.design import Camera
 from vision import lens
-from vision.corners.numba_compilation import kernel
+from vision.corners.numba_cholesky_and_order_statistics import kernel
 
 SPACING = 32.0  # px between the table's nodes; four of them to each side interpolate a lens of photographs to 1e-5 px
 BEYOND = 4  # nodes outside the image

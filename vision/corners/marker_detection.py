@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Floats, Integers, Pixels
+from rig.array_and_json_types import Floats, Integers, Pixels
 from rig.model.design import Camera
 from vision.corners import edge_pixels, local_lens, square_fit, square_gauss_newton, square_sides
 from vision.corners.edge_spread import LEVELS, NO_PROFILE, PLAIN_EDGE_SPREAD, EdgeSpread

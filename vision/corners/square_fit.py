@@ -14,12 +14,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from vision.corners.cell_white_share import STEPS, Tables, fill_edge_spread_table
-from vision.corners.cholesky_and_order_statistics import cholesky_factor, cholesky_solve, order_statistic
 from vision.corners.edge_pixels import KINDS, EdgePixels, Printed, Raster, collect_edge_pixels
 from vision.corners.local_lens import corners_to_image
-from vision.corners.numba_compilation import inlined_kernel, kernel
+from vision.corners.numba_cholesky_and_order_statistics import (
+    cholesky_factor,
+    cholesky_solve,
+    inlined_kernel,
+    kernel,
+    order_statistic,
+)
 from vision.corners.square_fit_residuals import (
     TERMS,
     Bow,

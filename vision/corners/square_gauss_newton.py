@@ -9,11 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from vision.corners.cell_white_share import Tables
-from vision.corners.cholesky_and_order_statistics import cholesky_factor, cholesky_solve
 from vision.corners.edge_pixels import KINDS, EdgePixels
-from vision.corners.numba_compilation import inlined_kernel, kernel
+from vision.corners.numba_cholesky_and_order_statistics import cholesky_factor, cholesky_solve, inlined_kernel, kernel
 from vision.corners.strip_white_share import ROWS, STRIP, Seen, strip_white_share
 
 UNKNOWNS = 15

@@ -4,10 +4,9 @@ import math
 
 import numpy as np
 
-from rig.array_types import Floats, Pixels
-from vision.corners.cholesky_and_order_statistics import order_statistic
+from rig.array_and_json_types import Floats, Pixels
 from vision.corners.local_lens import pixel_to_ideal
-from vision.corners.numba_compilation import inlined_kernel, kernel
+from vision.corners.numba_cholesky_and_order_statistics import inlined_kernel, kernel, order_statistic
 
 PROFILES = 8  # along each side
 FAINTEST = 6.0  # grey levels; a step below this is none

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from vision.corners.cell_white_share import (
     NODES,
     SKEW,
@@ -23,7 +23,7 @@ from vision.corners.cell_white_share import (
     wide_edge_cell_white_share,
 )
 from vision.corners.edge_pixels import KINDS, LEVEL, MEETING, REACH, UPRIGHT, EdgePixels
-from vision.corners.numba_compilation import inlined_kernel, kernel
+from vision.corners.numba_cholesky_and_order_statistics import inlined_kernel, kernel
 
 ROWS = 16  # of a strip
 STRIP = 256  # pixels in a strip; its rows fit the processor's first cache

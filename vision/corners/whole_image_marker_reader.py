@@ -10,7 +10,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from rig.array_types import Floats, Integers, Pixels
+from rig.array_and_json_types import Floats, Integers, Pixels
 from vision.targets import MarkerMap
 
 CELL_PIXELS = 8  # pixels each way that are sampled in a cell

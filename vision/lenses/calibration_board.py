@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Floats, Integers, Pixels
+from rig.array_and_json_types import Floats, Integers, Pixels
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 from rig.model.design import DICTIONARIES, Camera

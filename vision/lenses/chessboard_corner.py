@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from rig.array_types import Floats, Pixels
+from rig.array_and_json_types import Floats, Pixels
 
 ITERATIONS = 40
 SETTLING = 8  # iterations

@@ -1,6 +1,6 @@
-"""Lens calibration from board corners: lens models compared on held-out photographs."""
+"""Lens calibration from views of a board, and initial lenses of cameras that state none."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -8,14 +8,14 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.array_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotEnoughData
 from rig.model.design import Camera
 from vision import lens
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.corner_observations import Observations, observations_of_frames
 from vision.lenses.calibration_board import Board, BoardView
-from vision.pose.pose_refinement import GATE, MEDIAN
+from vision.pose.pose_refinement_and_ambiguity import GATE, MEDIAN
 from vision.predict import State, predict_corners
 
 MODELS = (0, 4, 5, 8, 12, 14)  # distortion terms, OpenCV's order; 0: a pinhole
@@ -217,3 +217,52 @@ def _start(o: Observations, width: int, height: int, terms: int, name: str, came
         poses.append(RigidTransform.from_components(shift.ravel(), Rotation.from_rotvec(turn.ravel())).inv())
     T = RigidTransform.concatenate(poses)
     return State((camera,), RigidTransform.from_matrix(np.tile(np.eye(4), (len(poses), 1, 1))), {0: T})
+
+
+FACTORS = (1.0, 0.9, 1.1)  # times the stated focal length, from which lenses of which nothing is known are adjusted
+UNSTATED = (
+    0.2,
+    0.06,
+    # of the focal length and of the image's width, that a lens which nobody stated may be from the stated one and the
+    # middle
+)
+Cameras = tuple[Camera, ...]
+
+
+def alternative_initial_lenses(
+    stated: Cameras, adjust_with_free_places: Callable[[Cameras], Cameras | None]
+) -> Iterator[Cameras]:
+    """Alternative initial lenses in turn: plain ones first, then lenses adjusted with free marker places.
+
+    adjust_with_free_places : Cameras -> these, adjusted with markers' places free, or None where that fails
+    A lens far from the stated one puts corners of its camera so far off that frames or the whole camera are left out;
+    with places free they are not
+    """
+    unknown = [_undistorted_lenses(stated, factor) for factor in FACTORS]
+    yield from unknown
+    for begun in (stated, unknown[0]):
+        found = adjust_with_free_places(begun)
+        if found is not None:
+            yield found
+
+
+def _undistorted_lenses(stated: Cameras, factor: float = 1.0) -> Cameras:
+    """The same cameras with no distortion, the centre in the middle of the image and a factor times the stated focal
+    length.
+    """
+    out = []
+    for c in stated:
+        f = c.matrix[0, 0] * factor
+        matrix = np.array([[f, 0, (c.width - 1) / 2], [0, f, (c.height - 1) / 2], [0, 0, 1.0]])
+        out.append(replace(c, matrix=matrix, distortion=np.zeros(max(5, len(c.distortion)))))
+    return tuple(out)
+
+
+def are_lenses_plausible(adjusted: Cameras, stated: Cameras) -> bool:
+    """Whether adjusted lenses are plausible: near the stated focal length, centred in the image."""
+    zoomed = [abs(float(a.matrix[0, 0] / s.matrix[0, 0]) - 1) for a, s in zip(adjusted, stated)]
+    aside = [
+        float(np.abs(a.matrix[:2, 2] - [(s.width - 1) / 2, (s.height - 1) / 2]).max()) / s.width
+        for a, s in zip(adjusted, stated)
+    ]
+    return max(zoomed) < UNSTATED[0] and max(aside) < UNSTATED[1]

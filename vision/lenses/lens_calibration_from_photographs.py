@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Floats, Pixels
+from rig.array_and_json_types import Floats, Pixels
 from rig.errors import FileError, NotEnoughData, RigError
 from rig.model.design import Camera
 from rig.recording.exposures_and_images import read_image

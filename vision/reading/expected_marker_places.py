@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged, NotEnoughData
 from rig.model import mechanisms
 from rig.model.design import Camera, Design
@@ -15,7 +15,7 @@ from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
 from vision.corner_observations import observations_from_corners
 from vision.pose.body_pose import FINEST
-from vision.pose.frame_poses import Views, locate_frames
+from vision.pose.frame_and_camera_poses import Views, locate_frames
 from vision.predict import State, predict_corners
 from vision.reading.marker_identity_mistakes import find_suspicious_markers
 from vision.recording_adjustment import Measurement, measure_observations

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Booleans, Floats, Pixels
+from rig.array_and_json_types import Booleans, Floats, Pixels
 from rig.compute.worker_processes import worker_count
 from rig.errors import NotEnoughData
 from rig.model.design import Camera, Design
@@ -30,9 +30,9 @@ from vision.corners.marker_detection import (
     fit_read_markers,
     grey_images_for_reader_and_fit,
 )
-from vision.hand_camera_frame_exchange import design_seen_from_hand, has_hand_cameras
+from vision.hand_cameras_stages_and_remounted_cubes import design_seen_from_hand, has_hand_cameras
 from vision.pose.body_pose import FINEST
-from vision.pose.frame_poses import Views, locate_fixed_cameras, locate_frames
+from vision.pose.frame_and_camera_poses import Views, locate_fixed_cameras, locate_frames
 from vision.predict import State, markers_expected_in_image, predict_corners
 from vision.reading.corner_refit import ROUNDS, SETTLED, largest_lens_difference
 from vision.reading.recording_corners import corners_from_detections, learn_camera_edge_spread
@@ -102,7 +102,7 @@ class _Adjusted:
 
 class Live:
     """The measuring of one run. design : Design as stated, one whose cameras are in the hand as seen from there (see
-    vision.hand_camera_frame_exchange)
+    vision.hand_cameras_stages_and_remounted_cubes)
     cameras : as adjusted so far; noise : px of a corner, None before that."""
 
     def __init__(self, design: Design) -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from rig.array_types import Floats, Integers, Pixels
+from rig.array_and_json_types import Floats, Integers, Pixels
 from vision.corners.whole_image_marker_reader import opencv_detector
 from vision.predict import Sightings, markers_expected_in_image, markers_facing_cameras, predict_sightings
 from vision.recording_adjustment import Measurement

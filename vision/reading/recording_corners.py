@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Floats, Integers, Pixels
+from rig.array_and_json_types import Floats, Integers, Pixels
 from rig.compute.parallel_map_and_dask_cluster import path_on_workers
 from rig.errors import FileError
 from rig.model.design import Camera, Design
@@ -22,7 +22,7 @@ from vision.corners.marker_detection import Detection, detect_markers, fit_read_
 from vision.corners.whole_image_marker_reader import ReadMarkers, read_markers
 from vision.predict import markers_expected_in_image
 from vision.reading import expected_marker_places
-from vision.reading.parallel_images import map_images_in_processes, map_images_in_threads
+from vision.reading.parallel_image_reading import map_images_in_processes, map_images_in_threads
 from vision.recording_adjustment import Measurement
 from vision.targets import MarkerMap
 

@@ -22,7 +22,7 @@ from calib.correction.interpolation.delaunay_and_grid_kernels import (
     n_linear_interpolation_kernel,
 )
 from calib.correction.interpolation.field_and_combinations import FieldSamples, WeightedField, Weights, average_samples
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError
 from rig.model.mechanisms.hexapod_kernels import EACH, run_in_threads
 

@@ -16,7 +16,7 @@ from typing import ClassVar, Self, TypeVar
 import numpy as np
 
 from calib.correction.interpolation.field_and_combinations import FieldSamples, merge_repeats
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 
 EMPTY = np.zeros(0)
 RANK = 1e-10  # of the largest singular value; directions below are not told by the samples and left at zero

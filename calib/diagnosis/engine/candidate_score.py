@@ -6,11 +6,11 @@ from typing import Generic
 
 import numpy as np
 
-from calib.diagnosis.engine.chance_probability import residual_dispersion, scan_p_value
+from calib.diagnosis.engine.cross_validation_and_chance import residual_dispersion, scan_p_value
 from calib.diagnosis.engine.frame_inner_products import FrameProducts, Solved, normal_equations_by_direction_weights
 from calib.diagnosis.engine.linear_model import LinearModel
 from calib.diagnosis.engine.selection_inputs import C, Node, Role, UsualRange
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 
 BEYOND = 0.3  # standard deviation of the logarithm of a parameter above what rigs show
 WRONG_SIGN = 12.0  # minus twice the logarithm of the chance that a parameter has the sign that rigs do not show

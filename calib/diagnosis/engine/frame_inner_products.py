@@ -16,7 +16,7 @@ import numpy as np
 from scipy.fft import next_fast_len
 from scipy.sparse import csr_array
 
-from rig.array_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats
 
 SWALLOWED = 1e-7  # share of a direction's square that the nuisances must leave for it to count as seen
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from calib.diagnosis.engine.chance_probability import residual_dispersion, scan_p_value
+from calib.diagnosis.engine.cross_validation_and_chance import residual_dispersion, scan_p_value
 from calib.diagnosis.engine.frame_inner_products import (
     SWALLOWED,
     FrameProducts,
@@ -16,7 +16,7 @@ from calib.diagnosis.engine.frame_inner_products import (
     solve_with_prior,
 )
 from calib.diagnosis.engine.linear_model import LinearModel
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 
 ALPHA = 1e-4  # chance of calling anything unknown where there is nothing, over all tests
 LIKELY = 1e-3  # chance above which no dispersion is asked, since that only makes it likelier

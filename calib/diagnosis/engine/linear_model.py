@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.sparse.linalg import LinearOperator
 
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 
 RANK = 1e-11  # of the greatest eigenvalue; nuisances below are none
 

@@ -8,7 +8,7 @@ from scipy.linalg import solve_triangular
 
 from calib.diagnosis.engine.frame_inner_products import SWALLOWED, FrameProducts
 from calib.diagnosis.engine.linear_model import LinearModel, orthonormal_combinations
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from calib.identify.robust_fit import MOST
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 
 Node = dict[str, Any]  # {parameter: value} of the nonlinear parameters, one node of a candidate's grid
 

@@ -5,14 +5,14 @@ from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from calib.diagnosis.engine.cross_validation import CrossValidation
+from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Fit, Problem, Progress
 from calib.diagnosis.engine.selection_inputs import C, NotAsked, Outliers
 from calib.diagnosis.engine.term_selection import Selection
-from calib.diagnosis.problems.formula_suggestion import Suggestion
-from rig.array_types import Floats, Integers
+from calib.diagnosis.problems.remainder_covariates_and_formulas import Suggestion
+from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.model.design import Design
 from rig.recording.time_origin import TimeOrigin

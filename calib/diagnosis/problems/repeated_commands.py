@@ -7,7 +7,7 @@ import scipy
 from scipy.spatial import cKDTree
 
 from calib.diagnosis.problems.evidence_interface import Repeats
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 
 SAME = {"rad": 1e-3, "m": 1e-5}  # commands nearer than this in every axis are one command
 FEWEST = 12  # pairs

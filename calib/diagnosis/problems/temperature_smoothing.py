@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.recording.recording_folder import Sensors
 
 DEGREES = (

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from calib.diagnosis.engine.lack_of_fit import Covariate
 from calib.diagnosis.engine.selection_inputs import StatedTerms
 from calib.diagnosis.problems.evidence_interface import Value
-from calib.diagnosis.problems.formula_suggestion import Suggestion
+from calib.diagnosis.problems.remainder_covariates_and_formulas import Suggestion
 from rig.effects.texts.effect_file_from_formula import Written
 from rig.effects.texts.user_effect_file_loading import Plugin
 from rig.recording.recording_folder import RecordingPart

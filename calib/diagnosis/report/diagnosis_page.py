@@ -20,7 +20,7 @@ from rig.report.pages.html_and_svg_elements import (
 from rig.report.pages.image_plane_and_3d_views import view_scripts
 from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
 from rig.report.pages.plots import panel_row_html
-from vision.effect_sketches import effect_sketch
+from vision.frame_and_effect_pictures import effect_sketch
 
 DOTS = (
     "Small dots are residuals, large ones means of as many of them each with their 95 % interval. Without "
@@ -53,10 +53,10 @@ def arm_or_platform_page_view(diagnosis: Diagnosis, recording: Recording, report
     first = len(diagnosis.measured_findings)
     entries = report.findings[first : first + len(diagnosis.findings)]
     if diagnosis.evidence.family == "joints":
-        from calib.diagnosis.report.arm_page_figures import ArmView
+        from calib.diagnosis.report.platform_and_arm_page_figures import ArmView
 
         return ArmView(diagnosis, entries)
-    from calib.diagnosis.report.platform_page_figures import PlatformView
+    from calib.diagnosis.report.platform_and_arm_page_figures import PlatformView
 
     return PlatformView(diagnosis, entries, recording)
 

@@ -32,7 +32,7 @@ from calib.diagnosis.report.report_sentences import (
     value_text,
 )
 from calib.samples.confounded_conditions import Confounds
-from rig.formats.json_type import Json
+from rig.array_and_json_types import Json
 from rig.formats.output_files import write_text
 from rig.report.pages.html_and_svg_elements import result_html
 from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from calib.report.pose_figures_and_effect_displacements import closed_outline
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.effects.framework.effect_data_types import Place
 from rig.model import mechanisms
 from rig.model.design import Camera

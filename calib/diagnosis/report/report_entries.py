@@ -7,12 +7,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from calib.diagnosis.engine.cross_validation import CrossValidation
+from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit import LackOfFit, first_of_each_place
 from calib.diagnosis.problems.evidence_interface import MeasuredFinding, Misfit, ScatterSize, Value
 from calib.diagnosis.recording_diagnosis import Diagnosis
-from calib.diagnosis.report import finding_contributions
+from calib.diagnosis.report import residual_figures_and_contributions
 from calib.diagnosis.report.diagnosis_json import (
     UNKNOWN,
     AlternativeEntry,
@@ -29,10 +29,10 @@ from calib.diagnosis.report.diagnosis_json import (
     suggested_formula_entries,
 )
 from calib.diagnosis.report.diagnosis_report import Report, write_diagnosis_json
-from calib.diagnosis.report.residual_figures import held_out_entries
+from calib.diagnosis.report.residual_figures_and_contributions import held_out_entries
 from rig.effects.framework.effect import Effect
-from rig.formats import machine_json, remote_folders
-from rig.formats.input_files import read_text
+from rig.formats import local_and_remote_files, machine_json
+from rig.formats.local_and_remote_files import read_text
 from rig.formats.output_files import write_text
 from rig.recording.recording_folder import Recording
 
@@ -189,12 +189,12 @@ def write_diagnosis_folder(folder: Path, diagnosis: Diagnosis, recording: Record
     tree = machine_json.machine_dict(diagnosis.design, diagnosis.machine_effects)
     write_text(folder / "machine.json", json.dumps(tree) + "\n")
     copy_recording(folder, recording)
-    finding_contributions.write_contributions(folder / "contributions.csv", diagnosis)
+    residual_figures_and_contributions.write_contributions(folder / "contributions.csv", diagnosis)
 
 
 def copy_recording(folder: Path, recording: Recording) -> None:
     """Copy a recording's own rig.toml, commands, frames and sensors into a folder; of several, the first one's."""
     recording = recording.apart[0].recording
     for name in ("rig.toml", "commands.csv", "frames.csv", "sensors.csv"):
-        if remote_folders.exists(recording.folder / name):
+        if local_and_remote_files.exists(recording.folder / name):
             write_text(folder / name, read_text(recording.folder / name))

@@ -10,8 +10,8 @@ from calib.diagnosis.problems.platform.lack_of_fit import closure_residuals, clo
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
-from calib.diagnosis.report.residual_figures import AFTER, BEFORE, residual_scatter_figure
-from rig.array_types import Floats, Integers
+from calib.diagnosis.report.residual_figures_and_contributions import AFTER, BEFORE, residual_scatter_figure
+from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
 from rig.report.pages.image_plane_and_3d_views import Arrows, image_plane_figure, patch_means
 from rig.report.pages.plots import bar_chart_svg, panel_row_html

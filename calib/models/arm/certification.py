@@ -53,7 +53,7 @@ from calib.models.arm.joint_effects_fit_and_held_out_scatter import (
     unexplained_scatter_sentences,
 )
 from calib.samples.pose_samples import Samples
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Instrument
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.pose import pose_difference

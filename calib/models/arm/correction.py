@@ -19,7 +19,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.correction.correction import Correction, Responses
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.identification_and_joint_profiles import Profile
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.errors import Unreachable
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism

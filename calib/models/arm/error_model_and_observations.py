@@ -20,7 +20,7 @@ from scipy.linalg import qr
 from scipy.spatial.transform import RigidTransform
 
 from calib.samples.pose_samples import Samples
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import exp, pose, pose_difference, skew

@@ -48,7 +48,7 @@ from calib.models.arm.joint_effects_fit_and_held_out_scatter import (
     identification_with_held_out_scatter,
 )
 from calib.samples.pose_samples import Samples
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.design import Instrument
 from rig.model.mechanism_geometry_classes import Arm

@@ -24,7 +24,7 @@ from calib.identify.robust_fit import excess_scatter
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.error_model_and_observations import Observations, Rank
 from calib.models.arm.error_model_and_observations import parameter_rank as independent
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.mechanism_geometry_classes import Arm
 

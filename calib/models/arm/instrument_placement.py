@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.error_model_and_observations import Observations
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism

@@ -22,7 +22,7 @@ from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.error_model_and_observations import observation_jacobian, sample_observations
 from calib.models.arm.identification_and_joint_profiles import Identified, identify_arm, independent_arm_parameters
 from calib.samples.pose_samples import Samples
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import (
     Coordinate,

@@ -15,7 +15,7 @@ from calib.identify.robust_fit import robust_fit
 from calib.models.chain import error_model
 from calib.models.chain.error_model import measured_stages, noise_leverage
 from calib.samples.pose_samples import Samples
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.mechanism_geometry_classes import Chain
 

@@ -17,7 +17,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.identify.least_squares import Linear
 from calib.samples.pose_samples import Samples
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.errors import NotConverged, RigError
 from rig.model.mechanism_geometry_classes import Planar2

@@ -19,7 +19,7 @@ from calib.identify.least_squares import Fit, Linear, fit_least_squares
 from calib.identify.robust_fit import MOST, robust_fit
 from calib.models.platform import closed_loop_equations
 from calib.samples.pose_samples import Samples
-from rig.array_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Hexapod, Planar2

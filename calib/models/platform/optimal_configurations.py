@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.models.platform.identification import pose_parameter_jacobian
 from calib.models.platform.parameter_accuracy import PLAUSIBLE
-from rig.array_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotConverged, RigError
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod as mechanism

@@ -99,7 +99,7 @@ def suggestion_text(word: str, known: Iterable[str]) -> str:
 def add_common_options(parser: ArgumentParser, command: str) -> None:
     """Add the common options of all commands (--quiet, --progress), and worker options where the command uses them."""
     if command in SHARED:
-        from rig.cli.shared.worker_options import add_worker_options
+        from rig.cli.shared.command_options import add_worker_options
 
         add_worker_options(parser)
     if command in PRINTED:

@@ -16,11 +16,11 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.array_and_json_types import Json
 from rig.compute.worker_processes import end_when_parent_ends
-from rig.formats.json_type import Json
 
 if TYPE_CHECKING:
-    from rig.array_types import Floats
+    from rig.array_and_json_types import Floats
 
 
 WATCHED = (

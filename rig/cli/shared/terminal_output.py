@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
 from typing import Any, ClassVar, Protocol, TextIO, cast
 
-from rig.formats.output_files.atomic_file import escape_unprintable
+from rig.formats.output_files.atomic_file_and_manifest import escape_unprintable
 
 
 class EscapedStream:

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from rig.array_types import Pixels
-from rig.driving.cameras.camera_interface_and_clock import UNIFORM, CameraError, Frame, Source
+from rig.array_and_json_types import Pixels
+from rig.driving.cameras.camera_interface_and_grabbing import UNIFORM, CameraError, Frame, Source
 from rig.driving.cameras.genicam_camera import open_genicam_camera
 from rig.driving.cameras.opencv_camera import open_opencv_camera
 from rig.driving.clock import Clock

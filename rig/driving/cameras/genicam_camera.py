@@ -6,8 +6,8 @@ from typing import Protocol
 
 import numpy as np
 
-from rig.array_types import Integers
-from rig.driving.cameras.camera_interface_and_clock import CameraError, ClockOffset, Frame
+from rig.array_and_json_types import Integers
+from rig.driving.cameras.camera_interface_and_grabbing import CameraError, ClockOffset, Frame
 from rig.driving.clock import Clock
 from rig.errors import MissingLibrary
 

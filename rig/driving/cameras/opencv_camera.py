@@ -7,7 +7,7 @@ import re
 import sys
 from typing import TYPE_CHECKING, cast
 
-from rig.driving.cameras.camera_interface_and_clock import UNIFORM, CameraError, ClockOffset, Frame
+from rig.driving.cameras.camera_interface_and_grabbing import UNIFORM, CameraError, ClockOffset, Frame
 from rig.driving.clock import Clock
 
 READING = re.compile(r"(?!wrapper)[a-z0-9]+src")
@@ -49,7 +49,7 @@ def gstreamer_pipeline_problem(pipeline: str) -> str | None:
 if TYPE_CHECKING:
     from cv2 import VideoCapture
 
-    from rig.array_types import Integers
+    from rig.array_and_json_types import Integers
 
 FLUSHED = 8  # frames that may wait in a driver's queue
 WAIT = 5.0  # s without a frame after which a camera counts as gone

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.emulators.controller_faults import Faults
 from rig.driving.emulators.emulated_machine import EmulatedMachine

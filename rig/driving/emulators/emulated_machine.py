@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.driving.emulators.controller_faults import Faults
 
 FINE = 1e-7  # m by which straight lines between knots may leave the true motion

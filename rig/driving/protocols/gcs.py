@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from rig.array_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats
 from rig.driving.protocols.protocol_interface import (
     POLL,
     REST,

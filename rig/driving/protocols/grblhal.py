@@ -11,7 +11,7 @@ from typing import cast
 
 import numpy as np
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.driving.protocols.protocol_interface import (
     POLL,
     Dialogue,

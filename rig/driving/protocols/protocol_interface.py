@@ -7,7 +7,7 @@ from typing import TypeVar
 
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.errors import NoAnswer
 
 T = TypeVar("T")

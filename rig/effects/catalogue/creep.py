@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.effects.catalogue.servo_lag import lagged_path
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_data_types import Parameter

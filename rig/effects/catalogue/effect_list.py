@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from rig.array_and_json_types import Json
 from rig.effects.catalogue.axis_coupling import AxisCoupling
 from rig.effects.catalogue.backlash import Backlash
 from rig.effects.catalogue.base_expansion import BaseExpansion
@@ -37,7 +38,6 @@ from rig.effects.catalogue.vibration import Vibration
 from rig.effects.catalogue.warm_up import WarmUp
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_data_types import AXES, Parameter, fill_axis_placeholder
-from rig.formats.json_type import Json
 from rig.formats.number_parsing_and_rounding import range_text
 from rig.model.marker_and_sensor_tolerances import Tolerance
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE
 from rig.effects.framework.effect_data_types import AXES
 from rig.effects.framework.machine_motion_and_play import Motion

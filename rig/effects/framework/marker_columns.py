@@ -5,7 +5,7 @@ from typing import Any, Protocol, TypeVar, cast
 
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 
 
 class MarkerColumns(Protocol):

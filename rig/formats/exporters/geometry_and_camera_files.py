@@ -16,7 +16,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.design import Camera
 from rig.model.mechanism_geometry_classes import Arm, Hexapod

@@ -17,9 +17,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.errors import MissingLibrary, RigError
-from rig.formats import csv_table
-from rig.formats.input_files import read_bytes
-from rig.formats.parquet_table import parquet_bytes
+from rig.formats import csv_and_parquet_tables
+from rig.formats.csv_and_parquet_tables import parquet_bytes
+from rig.formats.local_and_remote_files import read_bytes
 from rig.model.design import Camera, Target
 from rig.recording.recording_folder import Recording
 
@@ -199,10 +199,13 @@ def parquet_tables(recording_folder: Path) -> dict[str, bytes]:
     Raises MissingLibrary without pyarrow, FileError for a table that cannot be read
     """
     found = [name for name in RECORDING_TABLES if (recording_folder / f"{name}.csv").is_file()]
-    return {name: parquet_bytes(_columns(csv_table.read(recording_folder / f"{name}.csv", ()))) for name in found}
+    return {
+        name: parquet_bytes(_columns(csv_and_parquet_tables.read(recording_folder / f"{name}.csv", ())))
+        for name in found
+    }
 
 
-def _columns(rows: csv_table.Table) -> dict[str, list[int] | list[float] | list[str]]:
+def _columns(rows: csv_and_parquet_tables.Table) -> dict[str, list[int] | list[float] | list[str]]:
     return {
         name: rows.text(name) if name in TEXT else (rows.whole(name) if name in WHOLE else rows.numbers(name)).tolist()
         for name in rows.columns

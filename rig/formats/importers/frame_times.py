@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.checks.clock_mistakes import dwell_clock_shift
 from rig.errors import RigError
 from rig.formats.importers import image_file_frames
-from rig.formats.importers.command_table import ImportedCommands
+from rig.formats.importers.command_and_sensor_tables import ImportedCommands
 from rig.formats.importers.csv_dialect import read_foreign_table
 from rig.formats.importers.foreign_table_columns import CAMERA, FRAME, IMAGE, TIME, columns_for_recipe, find_columns
 from rig.formats.importers.image_file_frames import ImportedExposures

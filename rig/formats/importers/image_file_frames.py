@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.errors import FileError, RigError
 from rig.formats.importers import units_and_timestamps as times
 from rig.formats.importers.import_recipe import Images
 from rig.formats.importers.units_and_timestamps import ambiguity_error
-from rig.formats.input_files import short_repr
+from rig.formats.local_and_remote_files import short_repr
 from rig.model.design import Design
 
 KINDS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm")

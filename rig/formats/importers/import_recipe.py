@@ -6,10 +6,10 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.formats.checked_entries import Entries
-from rig.formats.input_files import read_text, short_repr
-from rig.formats.json_type import Json
+from rig.formats.local_and_remote_files import read_text, short_repr
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.formats.structured_files import toml_entries
 

@@ -7,7 +7,7 @@ from decimal import Decimal
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError
 from rig.formats.checked_entries import LARGEST_RIG
 from rig.formats.importers.csv_dialect import read_foreign_table

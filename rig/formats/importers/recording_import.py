@@ -7,11 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError
 from rig.formats.importers import image_file_frames
 from rig.formats.importers.camera_calibrations import rig_toml_with_cameras
-from rig.formats.importers.command_table import ImportedCommands, read_commands
+from rig.formats.importers.command_and_sensor_tables import (
+    ImportedCommands,
+    ImportedSensors,
+    read_commands,
+    read_sensors,
+)
 from rig.formats.importers.frame_times import (
     LISTED,
     Like,
@@ -22,8 +27,7 @@ from rig.formats.importers.frame_times import (
 from rig.formats.importers.image_file_frames import ImportedExposures
 from rig.formats.importers.import_recipe import Images, Recipe
 from rig.formats.importers.pose_table import ImportedPoses, read_poses
-from rig.formats.importers.sensor_table import ImportedSensors, read_sensors
-from rig.formats.input_files import read_bytes, read_text
+from rig.formats.local_and_remote_files import read_bytes, read_text
 from rig.formats.output_files import write_bytes
 from rig.formats.rig_toml import design_file
 from rig.formats.structured_files import toml_entries

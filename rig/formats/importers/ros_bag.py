@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats, Json
 from rig.errors import FileError, MissingLibrary, RigError
 from rig.formats.checked_entries import name_problem
 from rig.formats.importers.import_recipe import FROM_BAG, TABLES, Bag, ForeignTable, Images, Recipe
@@ -28,8 +28,7 @@ from rig.formats.importers.ros_messages import (
     write_image_message,
 )
 from rig.formats.importers.units_and_timestamps import ambiguity_error
-from rig.formats.input_files import short_repr
-from rig.formats.json_type import Json
+from rig.formats.local_and_remote_files import short_repr
 from rig.formats.output_files import write_bytes
 from rig.model.design import Design
 from rig.model.mechanism_kinds_and_hexapod_properties import has_links

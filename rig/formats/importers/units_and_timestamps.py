@@ -8,9 +8,9 @@ from decimal import Decimal
 
 import numpy as np
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.errors import RigError
-from rig.formats.input_files import short_repr
+from rig.formats.local_and_remote_files import short_repr
 from rig.recording.time_origin import DIGITS
 
 

@@ -2,9 +2,15 @@
 made.
 """
 
-from rig.formats.output_files.atomic_file import STANDARD_OUTPUT, write_bytes, write_text
+from rig.formats.output_files.atomic_file_and_manifest import (
+    MANIFEST,
+    STANDARD_OUTPUT,
+    FolderManifest,
+    require_complete_folder,
+    write_bytes,
+    write_text,
+)
 from rig.formats.output_files.command_outputs import CommandOutputs
-from rig.formats.output_files.folder_manifest import MANIFEST, FolderManifest, require_complete_folder
 
 __all__ = [
     "MANIFEST",

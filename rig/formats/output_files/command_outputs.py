@@ -5,14 +5,16 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from rig.errors import FileError, RigError
-from rig.formats import remote_folders
-from rig.formats.output_files.atomic_file import is_written_directly, path_status, write_text
-from rig.formats.output_files.folder_manifest import (
+from rig.formats import local_and_remote_files
+from rig.formats.output_files.atomic_file_and_manifest import (
     MANIFEST,
     FolderManifest,
     FolderOrigin,
     is_recording_table,
+    is_written_directly,
     load_manifest,
+    path_status,
+    write_text,
 )
 from rig.formats.output_files.staged_folder import GROWING, StagedFolder, lock_folder, remove_stale_staged_files
 
@@ -237,8 +239,8 @@ def _here(path: Path) -> None:
     """Raise RigError for a place behind a URL: what commands make is put there whole or not at all, which only a file
     system does.
     """
-    if remote_folders.is_remote(path):
+    if local_and_remote_files.is_remote(path):
         raise RigError(
-            f"{remote_folders.remote_url(path)} is behind a URL, from which recordings are read; results are "
+            f"{local_and_remote_files.remote_url(path)} is behind a URL, from which recordings are read; results are "
             "written on this computer, name a place here"
         )

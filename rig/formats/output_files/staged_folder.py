@@ -9,8 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from rig.errors import FileError, RigError
-from rig.formats.output_files.atomic_file import path_status, sync_folder, write_text
-from rig.formats.output_files.folder_manifest import (
+from rig.formats.output_files.atomic_file_and_manifest import (
     MANIFEST,
     FolderManifest,
     FolderOrigin,
@@ -18,6 +17,9 @@ from rig.formats.output_files.folder_manifest import (
     file_digest,
     is_recording_table,
     load_manifest,
+    path_status,
+    sync_folder,
+    write_text,
 )
 
 NEW = ".rig-new-"

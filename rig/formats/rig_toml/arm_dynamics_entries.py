@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.formats.checked_entries import Entries
 from rig.formats.rig_toml import design_file

@@ -4,7 +4,7 @@ from dataclasses import fields
 from pathlib import Path
 
 from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries, Required
-from rig.formats.input_files import read_text
+from rig.formats.local_and_remote_files import read_text
 from rig.formats.rig_toml import camera_instrument_and_cube_entries
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table
 from rig.formats.rig_toml.mechanism_entries import mechanism_of_table

@@ -12,7 +12,7 @@ from typing import cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.array_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats
 from rig.errors import Unreachable
 from rig.model.mechanism_geometry_classes import Arm
 

@@ -28,8 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.array_types import Floats
-from rig.formats.json_type import Json
+from rig.array_and_json_types import Floats, Json
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms.closed_form_and_numerical_arm_inverse import SixJointArm, frame_at_first_axes_crossing

@@ -11,7 +11,7 @@ from typing import cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged, Unreachable
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Stage
 from rig.model.mechanisms import arm, hexapod, two_strut_plane

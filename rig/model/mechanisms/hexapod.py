@@ -7,7 +7,7 @@ import numpy as np
 from scipy.linalg import lu
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod_kernels

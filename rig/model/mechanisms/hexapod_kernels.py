@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.compute.worker_processes import worker_count
 

@@ -11,7 +11,7 @@ from math import atan2, sqrt
 
 import numpy as np
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.compute.numba_kernels_and_lazy_exports import njit
 
 SLACK = 1e-10  # m or rad; by so much a pose may lie beyond the edge of the reach before it counts as unreachable

@@ -5,7 +5,7 @@ from typing import Any, Protocol, TypeVar
 
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Planar2
 from rig.model.mechanisms import arm, chain, hexapod, two_strut_plane

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError
 from rig.model.design import MeasuringLimbs
 from rig.model.mechanism_geometry_classes import Hexapod

@@ -6,7 +6,7 @@ patent CN111488654A, claim 5 (there for parallel axes 2, 3, 4; the spherical wri
 
 import numpy as np
 
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.model.mechanisms.joint_angle_kernels import (
     ELBOW,

@@ -5,7 +5,7 @@ from typing import cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.errors import NotConverged
 from rig.model.mechanism_geometry_classes import Planar2
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design

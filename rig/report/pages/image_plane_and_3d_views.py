@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rig.array_types import Floats, Integers
-from rig.formats.json_type import Json
+from rig.array_and_json_types import Floats, Integers, Json
 from rig.report.pages.html_and_svg_elements import (
     TEXT,
     WIDTH,

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.report.pages.html_and_svg_elements import (
     TEXT,
     escape_html,

@@ -19,8 +19,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
 from urllib.parse import parse_qs, urlsplit
 
+from rig.array_and_json_types import Json
 from rig.errors import RigError
-from rig.formats.json_type import Json
 
 HOST = "127.0.0.1"
 FILES = {

@@ -18,7 +18,7 @@ from calib.correction.physics_compensation import (
     unknown_history_uncertainty,
 )
 from calib.correction.pose_route_and_pose_space_map import HOLDING, TURNING, Pace, timed_route
-from calib.diagnosis.platform_findings_refit import Findings
+from calib.diagnosis.findings_refit import Findings
 from calib.files import calibration_file
 from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.recording_samples import sample_recording

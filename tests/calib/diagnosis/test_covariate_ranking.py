@@ -11,7 +11,7 @@ from calib.diagnosis.engine.selection_inputs import NO_STATED_TERMS
 from calib.diagnosis.engine.term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.joint_candidates import joint_candidates
-from calib.diagnosis.problems.arm.lack_of_fit import ranked_covariates
+from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import ranked_covariates
 from calib.diagnosis.problems.arm.linearised_poses import linearise_poses
 from calib.diagnosis.problems.arm.projected_pose_residuals import fit_poses
 from calib.diagnosis.problems.requested_effects import RequestedEffects

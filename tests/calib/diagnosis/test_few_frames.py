@@ -7,8 +7,7 @@ import pytest
 from scipy.special import chdtri
 
 from calib.diagnosis.engine.candidate_score import Score, score_raised_to_likelihood_ratio
-from calib.diagnosis.engine.chance_probability import residual_dispersion, scan_p_value
-from calib.diagnosis.engine.cross_validation import frame_folds
+from calib.diagnosis.engine.cross_validation_and_chance import frame_folds, residual_dispersion, scan_p_value
 from calib.diagnosis.engine.frame_inner_products import (
     FrameProducts,
     normal_equations_by_common_weights,

@@ -5,7 +5,7 @@ rows has it.
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.cross_validation import RIDGE, held_out_residuals
+from calib.diagnosis.engine.cross_validation_and_chance import RIDGE, held_out_residuals
 from calib.diagnosis.engine.linear_model import Block, Column, LinearModel
 
 FRAMES, NUISANCES = 12, 5

@@ -10,7 +10,7 @@ import pytest
 
 from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.certification.platform_certification import certify_platform
-from calib.diagnosis.engine.chance_probability import scan_p_value
+from calib.diagnosis.engine.cross_validation_and_chance import scan_p_value
 from calib.diagnosis.problems.platform import misplaced_markers_and_frames
 from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, effect_parameter_directions

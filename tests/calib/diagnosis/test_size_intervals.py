@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.chance_probability import Z95
+from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.problems.evidence_interface import Value, bounded_value
 from calib.diagnosis.problems.platform import tolerance_columns
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities

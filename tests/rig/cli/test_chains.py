@@ -17,7 +17,7 @@ from calib.samples.recording_samples import sample_recording
 from rig.cli import command_line
 from rig.effects.texts.effect_text_and_dict import parse_effect, require_existing_place
 from rig.errors import FileError, RigError, Unreachable
-from rig.formats import csv_table, machine_json
+from rig.formats import csv_and_parquet_tables, machine_json
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import arm, chain, hexapod
 from rig.model.mechanisms import axis_places as chain_places
@@ -251,7 +251,9 @@ def test_configurations_are_planned_that_tell_all_stages(tmp_path, capfd):
     rows = [line.split() for line in said.splitlines() if " um  " in line or " urad  " in line]
     assert len(rows) == 8 and all(float(row[0]) < float(row[1]) for row in rows)
     m = design_file.load_design(tmp_path / "rig.toml").mechanism
-    assert not chain.limits(csv_table.read(tmp_path / "plan.csv", ("frame", *m.axes)).matrix(m.axes), m).any()
+    assert not chain.limits(
+        csv_and_parquet_tables.read(tmp_path / "plan.csv", ("frame", *m.axes)).matrix(m.axes), m
+    ).any()
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from calib.api.workspace import load_certificate
-from calib.diagnosis import platform_findings_refit
+from calib.diagnosis import findings_refit
 from calib.drift import visit_history
 from calib.experiment import investigation_folder_and_report
 from calib.files import calibration_file
@@ -24,8 +24,8 @@ from rig.cli.command_line import main
 from rig.effects.texts.effect_file_from_formula import load_suggestion
 from rig.errors import FileError
 from rig.formats.importers import import_recipe
-from rig.formats.input_files import NAMED
-from rig.formats.output_files import MANIFEST, folder_manifest
+from rig.formats.local_and_remote_files import NAMED
+from rig.formats.output_files import MANIFEST, atomic_file_and_manifest
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod
 from rig.recording import recording_folder
@@ -54,13 +54,13 @@ def looked_at(path: Path) -> None:
 def listed(path: Path) -> None:
     """What was made in a folder."""
     path.rename(path.parent / MANIFEST)
-    folder_manifest.load_manifest(path.parent)
+    atomic_file_and_manifest.load_manifest(path.parent)
 
 
 def held(path: Path) -> None:
     """A diagnosis that is to be taken into a calibration."""
     path.rename(path.parent / "diagnosis.json")
-    platform_findings_refit.load_findings(path.parent, recording_folder.load_recording(DATA / "bench" / "check"))
+    findings_refit.load_findings(path.parent, recording_folder.load_recording(DATA / "bench" / "check"))
 
 
 def suggesting(path: Path) -> None:
@@ -208,7 +208,7 @@ def test_a_diagnosis_of_before_there_were_suggestions_is_taken(tmp_path):
     written("machine-1.json", tmp_path).rename(tmp_path / "machine.json")
     assert "suggestions" not in json.loads((tmp_path / "diagnosis.json").read_text())
     (tmp_path / "rig.toml").write_bytes(gzip.decompress((DATA / "written" / "rig.toml.gz").read_bytes()))
-    found = platform_findings_refit.load_findings(tmp_path, recording_of(tmp_path))
+    found = findings_refit.load_findings(tmp_path, recording_of(tmp_path))
     assert [(effect.name, effect.place) for effect in found.effects] == [("backlash", "strut 3")]
 
 

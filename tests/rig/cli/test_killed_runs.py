@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 
-from rig.driving.run_journal import Departure, Ended, Exposed, Resumed, read_journal
+from rig.driving.run_journal_and_recording import Departure, Ended, Exposed, Resumed, read_journal
 from rig.driving.run_steps_and_progress import steps_of_plan
 from rig.formats.rig_toml import design_file
 from rig.model.design import PROTOCOLS
@@ -21,7 +21,7 @@ SAME = 2e-6  # m; the controller is told micrometres
 
 @pytest.fixture
 def emulated(tmp_path, request):
-    import calib.api.run  # noqa: F401  (so that forked runners need not)
+    import calib.api.run_and_go  # noqa: F401  (so that forked runners need not)
 
     made = EmulatedRig(tmp_path, getattr(request, "param", "grblhal"))
     yield made

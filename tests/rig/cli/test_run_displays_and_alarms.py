@@ -16,11 +16,11 @@ from calib.online.run_learning import Learner
 from calib.online.run_observation import RunObserver, RunStop
 from calib.online.run_page import RunPage, run_verdict
 from calib.online.run_preparation import compile_kernels_for_run
-from rig.cli.shared.run_terminal_display import PlainLineDisplay, TerminalBlockDisplay, view_lines
-from rig.driving.cameras.camera_interface_and_clock import Frame
+from rig.cli.shared.run_display_and_controller_status import PlainLineDisplay, TerminalBlockDisplay, view_lines
+from rig.driving.cameras.camera_interface_and_grabbing import Frame
 from rig.driving.clock import SimulatedClock
 from rig.driving.move_and_record_loop import RecordedFrame
-from rig.driving.run_journal import Departure, Ended, Exposed, Readings
+from rig.driving.run_journal_and_recording import Departure, Ended, Exposed, Readings
 from rig.driving.run_steps_and_progress import steps_of_plan
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod
@@ -30,7 +30,7 @@ from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.planning.plan import build_plan
 from tests.vision.reading.test_camera_and_marker_alarms import sight
 from vision.reading.live_measurement import Live, sight_from_measuring_limbs
-from vision.reading.run_images import render_marker_images
+from vision.reading.parallel_image_reading import render_marker_images
 
 
 class Measured:

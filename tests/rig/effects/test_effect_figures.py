@@ -18,7 +18,7 @@ from rig.effects.sketches.motion_effect_sketches import Sketch
 from rig.errors import RigError
 from rig.report.pages.page_templates_and_page_index import standalone_svg
 from tests.conftest import ROOT
-from vision.effect_sketches import effect_sketch
+from vision.frame_and_effect_pictures import effect_sketch
 
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
 WITHOUT_SIZE = {"marker_swap"}  # faces are exchanged or they are not

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from vision.pose.ambiguous_poses import (
+from vision.pose.pose_refinement_and_ambiguity import (
     choose_poses_by_neighbours,
     neighbour_rotation_scatter,
     pose_from_neighbours,

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
-from calib.diagnosis.engine.cross_validation import (
+from calib.diagnosis.engine.cross_validation_and_chance import (
     FOLDS,
     STRETCHES,
     CrossValidation,
@@ -21,7 +21,7 @@ from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.problem_interface import Progress, Wald
 from calib.diagnosis.engine.selection_inputs import ARM, SelectionPolicy, StatedTerms
 from calib.diagnosis.engine.term_selection import fit_selected_terms, remove_redundant_terms
-from calib.diagnosis.problems.arm import lack_of_fit as remainder
+from calib.diagnosis.problems.arm import lack_of_fit_and_unlisted_effects as remainder
 from calib.diagnosis.problems.arm.candidate_search import candidate_with_grid_nodes, score_column, search_candidates
 from calib.diagnosis.problems.arm.joint_candidates import JointCandidate, JointScore
 from calib.diagnosis.problems.arm.linearised_poses import Arms, Geometry
@@ -38,7 +38,7 @@ from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import (
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_poses
 from calib.diagnosis.problems.evidence_interface import HeldOutPoses
 from calib.samples.pose_samples import time_block_folds
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 
 ALIASES = 3  # other orders of a sinusoid that are looked at

@@ -7,7 +7,7 @@ from functools import lru_cache, partial
 import numpy as np
 
 from calib.certification.calibration_and_claim_sentences import Calibration
-from calib.diagnosis.engine.cross_validation import CrossValidation
+from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Progress
@@ -16,10 +16,13 @@ from calib.diagnosis.engine.term_selection import Selection
 from calib.diagnosis.problems.arm.arm_problem import COARSE_PARTS, FINE_PARTS, ArmProblem, nested_held_out_poses
 from calib.diagnosis.problems.arm.finding_parameters import finding_parameters, term_errors_by_temperature_logs
 from calib.diagnosis.problems.arm.joint_candidates import JointCandidate, joint_candidates
-from calib.diagnosis.problems.arm.lack_of_fit import excess_scatter, ranked_covariates
+from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import (
+    excess_scatter,
+    ranked_covariates,
+    suggest_joint_formulas,
+)
 from calib.diagnosis.problems.arm.linearised_poses import FEWEST, Arms, Geometry, linearise_poses
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
-from calib.diagnosis.problems.arm.unlisted_joint_effects import suggest_joint_formulas
 from calib.diagnosis.problems.evidence_interface import (
     ASSUMED_NOISE,
     LEFT,
@@ -31,15 +34,14 @@ from calib.diagnosis.problems.evidence_interface import (
     Repeats,
     Value,
 )
-from calib.diagnosis.problems.formula_suggestion import Suggestion
-from calib.diagnosis.problems.remainder_covariates import axis_speeds, time_cosines
+from calib.diagnosis.problems.remainder_covariates_and_formulas import Suggestion, axis_speeds, time_cosines
 from calib.diagnosis.problems.repeated_commands import repeatability_of_pairs, repeated_pairs
 from calib.diagnosis.problems.requested_effects import RequestedEffects, require_assumed_effects_testable
 from calib.diagnosis.problems.temperature_smoothing import smooth_temperatures
 from calib.identify.robust_fit import MIDDLE, MOST, isolated_outlier_rows, robust_fit
 from calib.models.arm.joint_effects_fit_and_held_out_scatter import UNSTATED
 from calib.samples.recording_samples import Sampled, sample_recording
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
 from rig.model.design import Design

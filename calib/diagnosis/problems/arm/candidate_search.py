@@ -19,7 +19,7 @@ from calib.diagnosis.engine.linear_model import Column
 from calib.diagnosis.engine.selection_inputs import Node
 from calib.diagnosis.problems.arm.joint_candidates import Form, JointCandidate, JointScore
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 
 CHUNK = 96  # nodes at a time
 REFINE, FINER = 4, 2  # rounds about the best order, each with a step so many times as fine

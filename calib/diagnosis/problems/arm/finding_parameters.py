@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import cho_solve
 
-from calib.diagnosis.engine.chance_probability import Z95
+from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.problems.arm.joint_candidates import SPAN, Form, JointCandidate, joint_candidate
 from calib.diagnosis.problems.arm.linearised_poses import Arms
 from calib.diagnosis.problems.arm.nonlinear_parameters import onset_time_interval, term_parameter_covariance
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
 from calib.diagnosis.problems.evidence_interface import Value, bounded_value, onset_time_value
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.model import motion_simulation
 from rig.recording.recording_folder import Sensors
 from rig.recording.time_origin import TimeOrigin

@@ -13,7 +13,7 @@ from calib.models.arm.error_model_and_observations import observation_jacobian, 
 from calib.models.chain import error_model as chains
 from calib.models.chain.identification import identify_chain
 from calib.samples.pose_samples import Samples
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_data_types import Context
 from rig.errors import NotEnoughData, RigError

@@ -16,7 +16,7 @@ from calib.diagnosis.engine.selection_inputs import Node
 from calib.diagnosis.problems.arm.candidate_search import joint_products, solved_nodes
 from calib.diagnosis.problems.arm.joint_candidates import Form, JointCandidate
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.effects.framework.effect_data_types import Parameter
 
 SEARCHED = ("size", "log", "even")  # roles of parameters that have a value between those of a grid

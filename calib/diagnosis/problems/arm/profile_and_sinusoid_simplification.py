@@ -9,7 +9,7 @@ from calib.diagnosis.problems.arm.candidate_search import search_candidates
 from calib.diagnosis.problems.arm.joint_candidates import OWN_ANGLE, SPAN, Form, JointCandidate
 from calib.diagnosis.problems.arm.nonlinear_parameters import has_continuous_parameters, optimise_nonlinear_parameters
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_poses
-from rig.array_types import Booleans
+from rig.array_and_json_types import Booleans
 from rig.effects.framework.effect_data_types import COUNT
 
 FINE = 0.3  # step between orders, of what a joint's travel resolves

@@ -18,7 +18,7 @@ from calib.diagnosis.problems.arm.joint_candidates import JointCandidate, JointS
 from calib.diagnosis.problems.arm.linearised_poses import Arms
 from calib.diagnosis.problems.arm.whitened_columns import Columns, Part
 from calib.identify.robust_fit import excess_scatter, robust_weights
-from rig.array_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats
 
 ROUNDS = 6  # of weighing anew
 SETTLED = 1e-3  # share by which the scatter may still change

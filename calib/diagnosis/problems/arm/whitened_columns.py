@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse.linalg import LinearOperator
 
-from rig.array_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)

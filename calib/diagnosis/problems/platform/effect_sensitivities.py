@@ -10,7 +10,7 @@ from calib.diagnosis.engine.selection_inputs import Node
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, affects_images_only
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
 from rig.effects.framework.effect_data_types import COUNT, Linear, Place

@@ -5,7 +5,7 @@ from typing import cast
 
 import numpy as np
 
-from calib.diagnosis.engine.cross_validation import (
+from calib.diagnosis.engine.cross_validation_and_chance import (
     FEWEST,
     FOLDS,
     CrossValidation,
@@ -20,7 +20,7 @@ from calib.diagnosis.problems.platform.linearised_corners import camera_edge_bia
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.samples.pose_samples import time_block_folds
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
 
 

@@ -7,7 +7,7 @@ from typing import cast
 import numpy as np
 import scipy
 
-from calib.diagnosis.engine.chance_probability import scan_p_value
+from calib.diagnosis.engine.cross_validation_and_chance import scan_p_value
 from calib.diagnosis.engine.frame_inner_products import FrameProducts, solve_normal_equations
 from calib.diagnosis.engine.lack_of_fit import (
     ALPHA,
@@ -41,9 +41,13 @@ from calib.diagnosis.problems.platform.smooth_functions import (
     image_warp_pixel_derivatives,
     smooth_strut_functions,
 )
-from calib.diagnosis.problems.remainder_covariates import motion_functions, separate_weights, time_and_sensor_functions
+from calib.diagnosis.problems.remainder_covariates_and_formulas import (
+    motion_functions,
+    separate_weights,
+    time_and_sensor_functions,
+)
 from calib.models.platform.identification import geometric_parameters
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import Effect

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.diagnosis.problems.platform.operating_point import EDGE_SHIFT, OperatingPoint
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect_data_types import Place
 from rig.model.design import Design
 from rig.model.marker_and_sensor_tolerances import FINDER, SEAT

@@ -24,7 +24,7 @@ from calib.models.platform.identification import (
     loop_closure_jacobian,
     strut_length_jacobian,
 )
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import thread_map
 from rig.model.marker_and_sensor_tolerances import FINDER, SEAT
 

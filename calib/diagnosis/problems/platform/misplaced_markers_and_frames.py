@@ -8,7 +8,11 @@ from scipy.spatial import cKDTree
 
 from calib.diagnosis.engine.selection_inputs import Crowd, LeftOut, Outliers
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint, group_sightings
-from calib.diagnosis.problems.remainder_covariates import axis_speeds, scaled_to_plus_minus_one, time_cosines
+from calib.diagnosis.problems.remainder_covariates_and_formulas import (
+    axis_speeds,
+    scaled_to_plus_minus_one,
+    time_cosines,
+)
 from calib.identify.robust_fit import (
     ALIKE,
     CONSISTENT,
@@ -20,7 +24,7 @@ from calib.identify.robust_fit import (
     robust_fit,
 )
 from calib.models.platform.identification import loop_closure_jacobian, strut_length_jacobian
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_data_types import Place
 from rig.model import mechanisms

@@ -10,7 +10,7 @@ from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.problems.temperature_smoothing import smooth_temperatures
 from calib.samples.recording_samples import Sampled, sample_recording
-from rig.array_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_data_types import Place
@@ -24,7 +24,7 @@ from rig.model.mechanism_kinds_and_hexapod_properties import Struts
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Recording, Sensors
 from vision.corner_observations import Observations
-from vision.hand_camera_frame_exchange import has_hand_cameras
+from vision.hand_cameras_stages_and_remounted_cubes import has_hand_cameras
 from vision.predict import Sightings, State, predict_sightings
 from vision.recording_adjustment import Measurement
 from vision.recording_measurement import measure_recording

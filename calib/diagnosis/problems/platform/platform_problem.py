@@ -6,7 +6,7 @@ from typing import Self
 
 import numpy as np
 
-from calib.diagnosis.engine.cross_validation import CrossValidation
+from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.lack_of_fit import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.problem_interface import Wald

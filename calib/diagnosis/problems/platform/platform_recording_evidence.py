@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.certification.calibration_and_claim_sentences import Calibration
-from calib.diagnosis.engine.cross_validation import CrossValidation
+from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Progress
@@ -27,7 +27,6 @@ from calib.diagnosis.problems.evidence_interface import (
     bounded_value,
     onset_time_value,
 )
-from calib.diagnosis.problems.formula_suggestion import Suggestion
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, platform_candidates
 from calib.diagnosis.problems.platform.held_out_validation import (
     cross_validate_effect_by_regions,
@@ -50,10 +49,11 @@ from calib.diagnosis.problems.platform.platform_problem import PlatformFit, Plat
 from calib.diagnosis.problems.platform.temperature_effects_as_alternatives import add_temperature_alternatives
 from calib.diagnosis.problems.platform.tolerable_findings import separate_tolerable_findings, widen_intervals
 from calib.diagnosis.problems.platform.unlisted_strut_effects import suggest_strut_formulas
+from calib.diagnosis.problems.remainder_covariates_and_formulas import Suggestion
 from calib.diagnosis.problems.repeated_commands import repeatability_of_pairs, repeated_pairs
 from calib.diagnosis.problems.requested_effects import RequestedEffects, require_assumed_effects_testable
 from calib.samples.recording_samples import Sampled
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.effect import AT_REST, Effect
 from rig.model.design import Design

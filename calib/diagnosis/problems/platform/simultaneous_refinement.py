@@ -11,7 +11,7 @@ from typing import cast
 import numpy as np
 from scipy.linalg import block_diag
 
-from calib.diagnosis.engine.chance_probability import Z95, Interval
+from calib.diagnosis.engine.cross_validation_and_chance import Z95, Interval
 from calib.diagnosis.engine.linear_model import Column, join_columns
 from calib.diagnosis.problems.platform.candidate_search import candidate_column
 from calib.diagnosis.problems.platform.effect_candidates import SIZED, PlatformScore, coefficient_bounds
@@ -25,7 +25,7 @@ from calib.diagnosis.problems.platform.linearised_residuals import LinearisedMod
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint, move_operating_point
 from calib.identify.least_squares import bounded_least_squares_step
 from calib.models.platform.identification import geometric_parameters, mechanism_with_parameters
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import (
     Coordinate,

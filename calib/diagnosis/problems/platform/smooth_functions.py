@@ -9,13 +9,13 @@ from calib.diagnosis.engine.lack_of_fit import LackOfFit
 from calib.diagnosis.problems.platform.candidate_search import camera_mount_pixel_derivatives
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel, linearise
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
-from calib.diagnosis.problems.remainder_covariates import (
+from calib.diagnosis.problems.remainder_covariates_and_formulas import (
     axis_speeds,
     scaled_powers,
     scaled_to_plus_minus_one,
     time_cosines,
 )
-from rig.array_types import Floats, Integers
+from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect_data_types import Place
 from rig.model.image_warp_and_edge_shift import warp_columns
 from rig.model.pose import pose_difference

@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 
 from calib.diagnosis.engine.candidate_score import Score
-from calib.diagnosis.engine.chance_probability import Z95
+from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.engine.finding_confirmation import Finding, is_significant
 from calib.diagnosis.engine.lack_of_fit import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, Projection, join_columns
@@ -30,7 +30,7 @@ from calib.diagnosis.problems.platform.tolerance_columns import (
     significant_tolerances,
     tolerance_model,
 )
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.model.marker_and_sensor_tolerances import STILL
 
 LASTING = ("image position", "place on the marker")  # what is left and depends on these is the same in every frame

@@ -17,8 +17,8 @@ from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.smooth_functions import SLOW
-from calib.diagnosis.problems.remainder_covariates import time_cosines
-from rig.array_types import Floats, Integers
+from calib.diagnosis.problems.remainder_covariates_and_formulas import time_cosines
+from rig.array_and_json_types import Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.effect_data_types import Linear, Place
 from rig.model import mechanisms

@@ -6,15 +6,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.certification.platform_certification import silent_progress
-from calib.diagnosis.engine.cross_validation import frame_folds, held_out_residuals, summed_gain_in_standard_errors
-from calib.diagnosis.engine.formula_library import Library
-from calib.diagnosis.engine.formula_search import Formula, Search
+from calib.diagnosis.engine.cross_validation_and_chance import (
+    frame_folds,
+    held_out_residuals,
+    summed_gain_in_standard_errors,
+)
+from calib.diagnosis.engine.formula_search import Formula, Library, Search
 from calib.diagnosis.engine.frame_inner_products import FrameProducts
 from calib.diagnosis.engine.lack_of_fit import LackOfFit
 from calib.diagnosis.engine.linear_model import LinearModel
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.engine.reduced_least_squares import Reduced
-from calib.diagnosis.problems.formula_suggestion import (
+from calib.diagnosis.problems.platform.candidate_search import axis_products
+from calib.diagnosis.problems.platform.effect_sensitivities import effect_parameter_directions
+from calib.diagnosis.problems.platform.held_out_validation import residual_change_column
+from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, LinearisedModel, linearise
+from calib.diagnosis.problems.platform.operating_point import OperatingPoint
+from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem
+from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
+from calib.diagnosis.problems.remainder_covariates_and_formulas import (
     AGREE,
     GAIN,
     NAME,
@@ -23,14 +33,7 @@ from calib.diagnosis.problems.formula_suggestion import (
     formula_text,
     library_of_quantities,
 )
-from calib.diagnosis.problems.platform.candidate_search import axis_products
-from calib.diagnosis.problems.platform.effect_sensitivities import effect_parameter_directions
-from calib.diagnosis.problems.platform.held_out_validation import residual_change_column
-from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, LinearisedModel, linearise
-from calib.diagnosis.problems.platform.operating_point import OperatingPoint
-from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem
-from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_data_types import Place
 from rig.effects.framework.formula_quantities import POSE

@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 
 from calib.diagnosis.engine.candidate_score import Score
-from calib.diagnosis.engine.chance_probability import residual_dispersion
+from calib.diagnosis.engine.cross_validation_and_chance import residual_dispersion
 from calib.diagnosis.engine.frame_inner_products import (
     FrameProducts,
     Normal,
@@ -15,7 +15,7 @@ from calib.diagnosis.engine.frame_inner_products import (
 )
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel
-from rig.array_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats
 
 FREQUENCIES = 8  # bins of the coarse spectrum for each cycle that the highest frequency makes
 ALIAS = 0.25  # of the spectral window's height from which a frequency mirrors a slow one

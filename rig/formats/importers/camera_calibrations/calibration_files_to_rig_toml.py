@@ -13,7 +13,7 @@ from rig.formats.checked_entries import LARGEST_RIG, Entries, name_problem
 from rig.formats.importers.camera_calibrations.calibration_programs import PROGRAMS
 from rig.formats.importers.camera_calibrations.foreign_camera_and_fisheye_lens import ForeignCamera
 from rig.formats.importers.import_recipe import Cameras
-from rig.formats.input_files import read_text, short_repr
+from rig.formats.local_and_remote_files import read_text, short_repr
 from rig.formats.number_parsing_and_rounding import parse_numbers
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import camera_toml, replace_cameras
 from rig.model.design import Camera

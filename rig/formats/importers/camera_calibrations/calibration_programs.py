@@ -17,7 +17,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.array_types import Floats
+from rig.array_and_json_types import Floats
 from rig.formats.checked_entries import Entries
 from rig.formats.importers.camera_calibrations.foreign_camera_and_fisheye_lens import (
     ForeignCamera,

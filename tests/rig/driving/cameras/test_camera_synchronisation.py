@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from rig.driving.cameras import CameraError, grab_and_settling
-from rig.driving.cameras.camera_interface_and_clock import Frame
-from rig.driving.cameras.grab_and_settling import (
+from rig.driving.cameras import CameraError, camera_interface_and_grabbing
+from rig.driving.cameras.camera_interface_and_grabbing import (
+    Frame,
     NotSettled,
     SynchronisedCameras,
     image_difference,
@@ -99,4 +99,4 @@ def test_rest_is_told_by_limbs_and_by_time():
     for text in ("time:-1", "time:x", "images:3", "speed:1", "limbs:inf"):
         with pytest.raises(RigError, match="settling takes"):
             parse_settling(text)
-    assert grab_and_settling.MOST < 60
+    assert camera_interface_and_grabbing.MOST < 60

@@ -13,7 +13,7 @@ import pytest
 
 from rig.errors import FileError, RigError
 from rig.formats.output_files import MANIFEST, CommandOutputs, require_complete_folder, write_text
-from rig.formats.output_files.folder_manifest import load_manifest
+from rig.formats.output_files.atomic_file_and_manifest import load_manifest
 from rig.recording import recording_folder as recording
 from tests.conftest import ROOT
 

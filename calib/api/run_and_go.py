@@ -1,0 +1,322 @@
+"""Runs at the machine: a plan's configurations driven and recorded (run), or one pose gone to (go)."""
+
+import hashlib
+from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack, nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import Thread
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.correction.correction import require_reachable
+from calib.models.wanted_pose_commands import commands_along_route
+from calib.online.run_observation import RunDisplay, RunObserver, RunStop
+from calib.online.run_preparation import RunOptions as RunOptions
+from calib.online.run_preparation import (
+    compile_kernels_for_run,
+    open_cameras,
+    open_run_equipment,
+    run_observer,
+    set_exposures,
+)
+from rig.array_and_json_types import Floats, Json
+from rig.driving import straight_move_profile
+from rig.driving.cameras.camera_interface_and_grabbing import Settling, parse_settling
+from rig.driving.clock import Clock, SystemClock
+from rig.driving.controller_status_and_operator_advice import TRUST, ControllerStatus
+from rig.driving.driver_session import open_driver, settled_status
+from rig.driving.emulators.emulator_opening import home_lengths
+from rig.driving.move_and_record_loop import RunOperator
+from rig.driving.run_journal_and_recording import Began, Journal
+from rig.driving.run_steps_and_progress import Step, check_steps, step_distances, steps_of_plan
+from rig.driving.strut_driver import Driver
+from rig.errors import PositionLost, RigError
+from rig.formats.local_and_remote_files import read_bytes
+from rig.formats.output_files import write_bytes
+from rig.model import mechanisms
+from rig.model.design import Design
+from rig.model.design_comparison_and_cube_remounting import quarter_turns_of_cubes, turning_instructions
+from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod, require_struts
+from rig.model.pose import pose_to_vector
+from rig.planning.plan import build_plan
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseMove:
+    """A move to a pose. design; calibration; wanted : T_base_platform; lengths : (axes,) m to command; uncorrected :
+    whether these are by the owner's model; status : once it has been made, else None
+    """
+
+    design: Design
+    calibration: Calibration
+    wanted: RigidTransform
+    lengths: Floats
+    uncorrected: bool = False
+    status: ControllerStatus | None = None
+
+    @property
+    def off_nominal(self) -> Floats:
+        """(axes,) m by which the lengths differ from the owner's model's."""
+        return self.lengths - self.calibration.correction.uncorrected(self.wanted)
+
+    @property
+    def remainder(self) -> RigidTransform | None:
+        """T_wanted_reached by the calibration, None before the move and where it is not corrected."""
+        if self.status is None or self.uncorrected:
+            return None
+        correction = self.calibration.correction
+        commanded = correction.inverse_without_physics(self.wanted) + self.status.lengths - self.lengths
+        return self.wanted.inv() * correction.predict(commanded)
+
+    def __str__(self) -> str:
+        return f"{'to command' if self.status is None else 'commanded'}: {self.lengths * 1e3} mm"
+
+    def tree(self) -> Json:
+        """What `rig go --json` prints."""
+        tree: Json = {
+            "schema": "gone/1",
+            "commanded": self.lengths.tolist(),
+            "off_owners_model": self.off_nominal.tolist(),
+            "moved": self.status is not None,
+        }
+        if self.status is not None:
+            tree["lengths"] = self.status.lengths.tolist()
+        return tree if self.remainder is None else tree | {"left": pose_to_vector(self.remainder).tolist()}
+
+    def carry_out(self, driver: Driver, speed: float = 1.0) -> "PoseMove":
+        """The same once made: from where the struts stand, not from home. speed : share of the greatest
+
+        Raises Unreachable for lengths out of range, MotionError where the struts do not arrive
+        """
+        lengths = self.lengths
+        if self.calibration.physics is not None and not self.uncorrected:
+            lengths = _lengths(self.calibration, self.wanted, driver.status().lengths)
+            require_reachable(lengths[None], require_hexapod(self.design.mechanism), ["the pose"])
+        driver.move(lengths, speed)
+        return replace(self, lengths=lengths, status=driver.status())
+
+
+def plan_pose_move(
+    design: Design, calibration: Calibration, wanted: RigidTransform, uncorrected: bool = False
+) -> PoseMove:
+    """PoseMove to a wanted pose T_base_platform (), checked; what nobody logs is taken as when calibrated.
+
+    Raises Unreachable for lengths out of range
+    """
+    correction = calibration.correction
+    home = mechanisms.kinematics_of(correction.nominal).home(correction.nominal)
+    lengths = correction.uncorrected(wanted) if uncorrected else _lengths(calibration, wanted, home)
+    require_reachable(np.array([lengths]), require_hexapod(design.mechanism), ["the pose"])
+    return PoseMove(design, calibration, wanted, lengths, uncorrected)
+
+
+def require_same_rig(design: Design, calibration: Calibration, design_path: Path, calibration_path: Path) -> None:
+    """Raise RigError where a calibration is of another rig than a design. The paths are for the message."""
+    nominal, mechanism = calibration.correction.nominal, require_hexapod(design.mechanism)
+    names = [name for name in mechanism.geometry_arrays if name != "strut_zeros"]
+    if nominal.kind != mechanism.kind or not all(
+        np.allclose(getattr(nominal, name), getattr(mechanism, name), rtol=0, atol=1e-6) for name in names
+    ):
+        raise RigError(
+            f"{calibration_path} is a calibration of another rig than {design_path}: their stated joints differ"
+        )
+
+
+def _lengths(calibration: Calibration, wanted: RigidTransform, start: Floats) -> Floats:
+    """(axes,) m that give a wanted pose (), the axes coming from start (axes,)."""
+    T = RigidTransform.from_matrix(wanted.as_matrix()[None])
+    return commands_along_route(calibration, T, np.asarray(start, float)).values[0]
+
+
+STANDARD = RunOptions()
+Displays = Callable[[RunObserver], AbstractContextManager[list[RunDisplay]]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedRun:
+    """A run that may begin. design; path : of its rig.toml; plan : in words; steps; settling; options"""
+
+    design: Design
+    path: Path
+    plan: str
+    steps: tuple[Step, ...]
+    settling: Settling
+    options: RunOptions
+
+    @property
+    def frames(self) -> int:
+        """How many frames are taken."""
+        return sum(step.frames for step in self.steps)
+
+    def distances(self) -> Floats:
+        """(steps,) m that the busiest strut goes from home on. Raises Unreachable where the driver would refuse one"""
+        c = self.design.driver()
+        start = c.home if c.home is not None else home_lengths(require_struts(self.design.mechanism))
+        check_steps(self.steps, start, move_checker(self.design))
+        return step_distances(self.steps, start)
+
+    def carry_out(
+        self, out: Path, displays: Displays = lambda _: nullcontext([]), notice: Notice = ignore_notice
+    ) -> int:
+        """How many frames were taken, by now, once the run is over: a recording in the folder `out`.
+
+        displays : gives, for an observer, those who show the run; notice : called with what is to be said on the way
+        Raises what ends a run early, of which the recording has the reason; RigError for a folder that is there
+            already, or for one to go on with that is of another plan
+        """
+        _require_place(out, self.options.resume)
+        options, clock = self.options, SystemClock()
+        with ExitStack() as stack:
+            journal = stack.enter_context(Journal(out / "journal.jsonl"))
+            if journal.torn:
+                notice(
+                    f"the journal's last line was cut off ({journal.torn} bytes) and is taken away: nothing of "
+                    "it was reported"
+                )
+            fresh = not journal.rows
+            if not fresh:
+                self._require_same_plan(_began(journal), out)
+            shutter = open_cameras(self.design, clock)
+            stack.callback(shutter.close)
+            listeners: list[Callable[[str], None]] = [notice]  # of what the driver reports: later the journal too
+            if options.measure:
+                Thread(target=compile_kernels_for_run, args=(self.design,), daemon=True).start()
+            driver = stack.enter_context(
+                open_driver(self.design, options.trace, lambda text: _report(listeners, text), clock)
+            )
+            homes, status = self._home(driver, settled_status(driver, clock), fresh, notice)
+            check_steps(self.steps, status.lengths, move_checker(self.design))
+            bench = open_run_equipment(self.design, driver, shutter, self.settling, clock)
+            exposure = options.exposure
+            for line in set_exposures(shutter, self.design, exposure) if not isinstance(exposure, str) else ():
+                notice(line)
+            if fresh:
+                write_bytes(out / "rig.toml", read_bytes(self.path))
+                began = clock.now(), len(self.steps), _hash(self.steps), tuple(map(float, status.lengths))
+                journal.append(Began(0.0, *began))
+            origin = _origin(journal, clock, notice)
+            stopping = RunStop(options.stop_on, driver.stop)
+            observer = run_observer(self.design, self.steps, status.lengths, clock, stopping, options, out)
+            observer.displays += stack.enter_context(displays(observer))
+            operator = RunOperator(bench, self.steps, journal, self.design.mechanism.axes, origin, observer)
+            observer.note = operator.remark
+            listeners[:] = [operator.remark, lambda text: observer.update(phase=text)]
+            try:
+                if not fresh:
+                    notice(f"going on: {operator.go_on(homed=homes)}")
+                operator.run()
+            finally:
+                observer.finish()
+        return observer.view.frames
+
+    def _home(
+        self, driver: Driver, status: ControllerStatus, fresh: bool, notice: Notice
+    ) -> tuple[bool, ControllerStatus]:
+        """(whether the struts were homed, Status from which the run begins). fresh : whether nothing was recorded yet
+
+        Raises PositionLost where nobody knows where they stand
+        """
+        trust = self.options.trust_position
+        if trust and not status.known:
+            driver.trust()
+        believed = status.known or trust
+        homes = self.design.driver().homing and not (trust if fresh else believed)
+        if not homes and not believed:
+            raise PositionLost(f"where the struts stand is not known; {TRUST}")
+        if not homes:
+            return False, status
+        notice("homing")
+        return True, driver.home()
+
+    def _require_same_plan(self, began: Began, out: Path) -> None:
+        """Raise RigError where a journal is not of this plan."""
+        if began.sha256 != _hash(self.steps):
+            raise RigError(
+                f"{out} is of another plan than --plan {self.plan} --seed {self.options.seed} on {self.path}"
+            )
+
+
+def plan_run(design: Design, path: Path, plan: str, options: RunOptions = STANDARD) -> PlannedRun:
+    """PlannedRun of a design, as `rig run` begins one. path : of its rig.toml; plan : as "sobol:40,ladder,repeat:20"
+
+    Raises RigError for a plan of a cube put back turned, and for options that do not suit the design
+    """
+    found = build_plan(design, plan, options.seed)
+    steps = steps_of_plan(found)
+    todo = turning_instructions(dict(found.turned), quarter_turns_of_cubes(design))
+    if todo:
+        raise RigError(
+            f"the plan is for a cube put back turned; {'; '.join(todo)}, and say so in {path} under [turned]"
+        )
+    settling = parse_settling(options.settle)
+    options.accepted_limbs(design)
+    options.refuse_unsuited(design)
+    return PlannedRun(design, path, plan, steps, settling, options)
+
+
+def move_checker(design: Design) -> Callable[[Floats, Floats], None]:
+    """Checker of moves: (start, goal (axes,) m) -> None, raises Unreachable where the driver would refuse the move."""
+    c, m = design.driver(), require_struts(design.mechanism)
+
+    def check(start: Floats, goal: Floats) -> None:
+        straight_move_profile.require_safe_path(
+            start, straight_move_profile.require_lengths_in_range(goal, m), m, c.margin, c.max_step
+        )
+
+    return check
+
+
+def _require_place(out: Path, resume: bool) -> None:
+    """Make the recording's folder, or see that there is one to go on with. Raises RigError otherwise."""
+    journal = out / "journal.jsonl"
+    if resume:
+        if not journal.exists():
+            raise RigError(f"{out} has no journal.jsonl, so there is no run to resume")
+        return
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise RigError(
+            f"{out} is there already" + ("; --resume goes on with it" if journal.exists() else "; name a new folder")
+        )
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RigError(f"{out} cannot be made: {error.strerror}") from None
+
+
+def _report(listeners: list[Callable[[str], None]], text: str) -> None:
+    for listener in listeners:
+        listener(text)
+
+
+def _began(journal: Journal) -> Began:
+    """A journal's first row. Raises RigError where that is not how a run begins."""
+    first = journal.rows[0]
+    if not isinstance(first, Began):
+        raise RigError(f"{journal.path} does not begin with the beginning of a run")
+    return first
+
+
+def _origin(journal: Journal, clock: Clock, notice: Notice) -> float:
+    """s, the clock's time at t = 0 of the recording; where the computer's clock was set back since, so that time still
+    goes on.
+    """
+    origin, last = _began(journal).wall, journal.rows[-1].t
+    if clock.now() - origin > last:
+        return origin
+    notice(
+        f"the computer's clock has been set back by {last - (clock.now() - origin):.1f} s or more since; the "
+        "recording's goes on"
+    )
+    return clock.now() - last - 1.0
+
+
+def _hash(planned: tuple[Step, ...]) -> str:
+    """sha256 of the places and exposures of a plan."""
+    digest = hashlib.sha256()
+    for step in planned:
+        digest.update(np.round(step.goal, 9).tobytes() + step.frames.to_bytes(4, "little"))
+    return digest.hexdigest()

@@ -1,0 +1,302 @@
+"""Findings of a diagnosis refitted with the geometry for a calibration, on platforms and arms."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from calib.certification.platform_certification import Certified, Progress, add_machine_draws, silent_progress
+from calib.correction.physics_compensation import Physics, Unknown
+from calib.diagnosis.engine.cross_validation_and_chance import Z95
+from calib.diagnosis.engine.lack_of_fit import LackOfFit
+from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform.misplaced_markers_and_frames import correct_marker_swaps
+from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording, without_distant_corners
+from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement, refine_operating_point
+from calib.diagnosis.problems.temperature_smoothing import smooth_temperatures
+from calib.diagnosis.recording_diagnosis import Diagnosis
+from calib.diagnosis.report.diagnosis_json import SCHEMA, UNKNOWN
+from calib.models.arm.certification import UNPLACED, CertifiedArm, start_arm
+from calib.models.arm.error_model_and_observations import parameter_names, sample_observations
+from calib.models.arm.joint_effects_fit_and_held_out_scatter import History, JointFit, Prior, fit_geometry_and_effects
+from calib.models.platform.identification import Loops, geometric_parameters
+from calib.samples.pose_samples import Samples
+from calib.samples.recording_samples import Sampled, samples_within_freedoms
+from rig.array_and_json_types import Floats
+from rig.effects.catalogue.effect_list import BY_NAME
+from rig.effects.framework.effect import MOTION_STAGES, Effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
+from rig.effects.framework.effect_data_types import Place
+from rig.effects.texts.effect_text_and_dict import Kinds
+from rig.errors import FileError, RigError
+from rig.formats import machine_json, structured_files
+from rig.formats.checked_entries import Entries
+from rig.formats.output_files.atomic_file_and_manifest import load_manifest as manifest
+from rig.model import mechanisms
+from rig.model.mechanism_kinds_and_hexapod_properties import require_arm, require_struts
+from rig.recording.recording_folder import Recording
+from rig.recording.recording_frames import content_hashes, frames_with_known_hashes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Findings:
+    """effects : found, with their values; sigma : (c,) standard deviation of each of their coordinates where another
+    recording told them, which then count beside what this one tells; None where they are of this very recording;
+    unknown : what has no name."""
+
+    effects: tuple[Effect, ...]
+    sigma: Floats | None
+    unknown: tuple[Unknown, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlatformRefit:
+    """samples : Samples with what the physics adds to their commands; physics : Physics, of which the geometry does not
+    know yet
+    refined : Refined that it comes from."""
+
+    samples: Samples
+    physics: Physics
+    refined: Refinement
+
+    def with_geometry(self, done: Certified) -> tuple[Physics, Floats]:
+        """(Physics, (p, p) m^2 covariance of the geometry), of a geometry certified on these samples and the physics
+        together.
+        """
+        response = self._response(done)
+        cross = response @ self.physics.own
+        unknown = tuple(replace(u, corrected=_corrected(u.place, done)) for u in self.physics.unknown)
+        covariance = done.found.covariance + cross @ response.T if done.covariance is None else done.covariance
+        return replace(self.physics, cross=cross, unknown=unknown), covariance
+
+    def drawn(self, done: Certified, rng: np.random.Generator) -> Certified:
+        """The Certified with what the physics' own errors add to its machines."""
+        if done.machines is None or not self.physics.own.any():
+            return done
+        errors = rng.multivariate_normal(
+            np.zeros(len(self.physics.own)), self.physics.own, len(done.machines.parameters), method="eigh"
+        )
+        course = np.einsum("nac,dc->dna", self._columns(), errors)
+        return add_machine_draws(done, done.machines.with_more(errors @ self._response(done).T, course))
+
+    def _response(self, done: Certified) -> Floats:
+        """(p, c) m, change of the fitted geometry with each coordinate of the physics."""
+        found, s, base = done.found, self.samples, done.correction
+        loops = Loops(s, s.effective - base.rho(s.effective), base.nominal, found.prior)
+        start, sigma = geometric_parameters(found.mechanism), np.sqrt(np.diag(self.physics.own))
+        middle = loops.fit(start, found.inliers, found.scatter).parameters
+        response = np.zeros((len(start), len(sigma)))
+        for i, column in enumerate(np.moveaxis(self._columns(), 2, 0)):
+            if sigma[i] > 0 and column.any():
+                moved = Loops(s, loops.lengths + sigma[i] * column, base.nominal, found.prior)
+                response[:, i] = (moved.fit(start, found.inliers, found.scatter).parameters - middle) / sigma[i]
+        return response
+
+    def _columns(self) -> Floats:
+        """(n, axes, c) m by which struts lengthen with each coordinate; nothing for those that only cameras see."""
+        k, effects = self.refined.point, self.physics.effects
+        out = []
+        for c in coordinates_of_effects(effects):
+            high, low = c.around(effects[c.effect])
+            ends = [
+                _motion((*effects[: c.effect], c.written(effects[c.effect], end), *effects[c.effect + 1 :]))
+                for end in (high, low)
+            ]
+            out.append((k.effective(ends[0]) - k.effective(ends[1])) / (high - low))
+        return np.stack(out, axis=2) if out else np.zeros((*self.samples.commanded.shape, 0))
+
+
+def findings_of_diagnosis(diagnosis: Diagnosis) -> Findings:
+    """Findings of a Diagnosis of the recording that is calibrated."""
+    return Findings(diagnosis.machine_effects, None, unexplained_findings(diagnosis.left))
+
+
+def unexplained_findings(lacks_of_fit: Iterable[LackOfFit]) -> tuple[Unknown, ...]:
+    """Findings that stay unexplained: what is left over and has no name."""
+    return tuple(Unknown(u.place, u.magnitude, u.unit, tuple(u.depends_on), False) for u in lacks_of_fit)
+
+
+def load_findings(folder: Path, recording: Recording, kinds: Kinds = BY_NAME) -> Findings:
+    """Findings loaded from the folder of a diagnosis. kinds : effects that there are
+
+    Raises FileError for a folder that holds none, or of another rig
+    """
+    if folder.is_dir() and not (folder / "diagnosis.json").exists():
+        raise FileError(folder, "holds no diagnosis.json; --diagnosis takes a folder that `rig diagnose` wrote")
+    tree = structured_files.load_json(folder / "diagnosis.json", "diagnosis", SCHEMA)
+    if not (folder / "machine.json").exists():
+        raise FileError(
+            folder / "machine.json",
+            "no such file; --diagnosis takes a folder that `rig diagnose` wrote from a commanded recording",
+        )
+    _, effects = machine_json.load_machine(folder / "machine.json", recording.design, kinds)
+    entries = tree.tables("findings")
+    unknown = tuple(_unknown(entry) for entry in entries if entry.text("effect") == UNKNOWN)
+    origin = manifest(folder).origin
+    known = [line.partition(" ")[2] for line in origin.data] if origin is not None else []
+    another = known and not frames_with_known_hashes(content_hashes(recording), known)
+    return Findings(effects, _sigma(effects, entries, tree) if another else None, unknown)
+
+
+def _unknown(entry: Entries) -> Unknown:
+    values = entry.table("parameters")
+    size, names = values.table("magnitude"), values.table("depends_on")
+    return Unknown(entry.text("place"), size.number("value"), size.text("unit"), names.texts("value"), False)
+
+
+def _sigma(effects: tuple[Effect, ...], entries: list[Entries], tree: Entries) -> Floats:
+    """(c,) standard deviations of effects' coordinates, by the intervals that their findings state."""
+    out, left, found = [], list(entries), {}
+    for number, effect in enumerate(effects):
+        own = next((e for e in left if (e.text("effect"), e.text("place")) == (effect.name, effect.place)), None)
+        if own is None:
+            tree.fail(
+                f"machine.json has {effect.name} at {effect.place}, which diagnosis.json does not list", "findings"
+            )
+        left.remove(own)
+        found[number] = own.table("parameters")
+    for c in coordinates_of_effects(effects):
+        value = found[c.effect].table(c.name)
+        ends = value.get("ci95")
+        if not isinstance(ends, list) or np.shape(ends)[:1] != (2,):
+            value.fail(f"{value.name('ci95')} must hold two ends, not {ends}", "ci95")
+        numbers = effects[c.effect].fitted(
+            next(p for p in effects[c.effect].parameters if p.name == c.name)
+        )  # which of a vector are listed
+        told = np.array([value.get("value"), *ends], float)
+        middle, low, high = map(c.measured, told if c.index is None else told[:, numbers.index(c.index)])
+        out.append(max(abs(low - middle), abs(high - middle)) / Z95)  # one end may be cut off at a bound
+    return np.array(out)
+
+
+@threadpool_limits.wrap(limits=1)
+def refit_platform_with_findings(
+    recording: Recording, sampled: Sampled, findings: Findings, progress: Progress | None = None
+) -> PlatformRefit:
+    """PlatformRefit of a recording's samples: cameras, geometry and the findings' parameters fitted together.
+
+    Raises RigError for a machine without struts, and what refining raises
+    """
+    nominal = require_struts(recording.design.mechanism)
+    said = progress or silent_progress
+    said("refining physics and geometry together", 0, 1)
+    point, _, _ = operating_point_of_recording(recording, progress, sampled=sampled)
+    point = without_distant_corners(correct_marker_swaps(point, [e for e in findings.effects if e.discrete]))
+    refined = refine_operating_point(
+        point.with_effects(e for e in findings.effects if not e.discrete), Sensitivities(point)
+    )
+    effects, own = _combined(refined, findings)
+    said("refining physics and geometry together", 1, 1)
+    k, samples = refined.point.with_effects(_motion(effects)), sampled.samples
+    if any(e.stage not in MOTION_STAGES for e in findings.effects):  # what cameras left out moved every pose
+        samples = samples_within_freedoms(recording, replace(samples, T_base_platform=k.T))
+    known = replace(k, T=samples.T_base_platform).effective() - samples.commanded
+    design = recording.design
+    physics = Physics(
+        effects,
+        own,
+        np.zeros((len(geometric_parameters(nominal)), len(own))),
+        design.gravity,
+        design.actuator,
+        design.platform,
+        sensor_medians_and_standard_deviations(recording, samples.t),
+        findings.unknown,
+    )
+    return PlatformRefit(replace(samples, known=known), physics, refined)
+
+
+def _combined(refined: Refinement, findings: Findings) -> tuple[tuple[Effect, ...], Floats]:
+    """(effects, (c, c) covariance of their coordinates) as refined, and where another recording told them, by both
+    together.
+    """
+    effects, own = [*refined.point.effects], refined.covariance
+    coordinates: list[Coordinate] = refined.coordinates
+    if findings.sigma is not None and refined.column is not None:
+        kept = [e for e in findings.effects if not e.discrete]
+        before = np.array([c.read(kept[c.effect]) for c in coordinates])
+        weight = np.diag(1 / np.maximum(findings.sigma, 1e-300) ** 2)
+        own = cast(Floats, np.linalg.inv(refined.model.linear.project(refined.column).gram + weight))
+        for c, value in zip(coordinates, refined.values + own @ (weight @ (before - refined.values))):
+            effects[c.effect] = c.written(effects[c.effect], value)
+    return (*(e for e in findings.effects if e.discrete), *effects), own
+
+
+def _motion(effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
+    return tuple(e for e in effects if e.stage in MOTION_STAGES)
+
+
+def sensor_medians_and_standard_deviations(recording: Recording, t: Floats) -> dict[str, tuple[float, float]]:
+    """Median and standard deviation of each sensor channel at times t (n,) s: {channel: (median, deviation)}."""
+    if recording.sensors is None:
+        return {}
+    values = {name: recording.sensors.at(t, name) for name in recording.sensors.channels}
+    return {name: (float(np.median(v)), float(np.sqrt(np.mean((v - np.median(v)) ** 2)))) for name, v in values.items()}
+
+
+def _corrected(place: str, done: Certified) -> bool:
+    """Whether a place's strut, or any for the whole rig, is corrected over the configuration space."""
+    kept = [str(Place.axis("strut", i)) for i, part in enumerate(done.correction.remainder) if part is not None]
+    return place in kept or (place == "rig" and bool(kept))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmRefit:
+    """together : JointFit of what was found; physics : Physics, of which the geometry does not know yet."""
+
+    together: JointFit
+    physics: Physics
+
+    def with_geometry(self, done: CertifiedArm) -> tuple[Physics, Floats]:
+        """(Physics, (p, p) covariance of the geometry, m and rad), of a geometry certified on these samples and the
+        physics together.
+        """
+        response = self.together.response(done.found)
+        cross, places = response @ self.physics.own, mechanisms.axis_places(done.correction.nominal)
+        kept = [place for place, part in zip(places, done.correction.remainder) if part is not None]
+        unknown = tuple(
+            replace(u, corrected=u.place in kept or (u.place == "rig" and bool(kept))) for u in self.physics.unknown
+        )
+        return replace(self.physics, cross=cross, unknown=unknown), done.found.covariance + cross @ response.T
+
+
+@threadpool_limits.wrap(limits=1)
+def refit_arm_with_findings(
+    recording: Recording, sampled: Sampled, findings: Findings, progress: Progress | None = None
+) -> ArmRefit:
+    """ArmRefit of a recording's samples: the arm's geometry and the findings' parameters fitted together.
+
+    Raises RigError where neither poses nor positions were measured, and what identifying raises
+    """
+    said, samples, design = progress or silent_progress, sampled.samples, recording.design
+    nominal = require_arm(design.mechanism)
+    if samples.measured in UNPLACED:
+        raise RigError(f"physics is taken in where poses or positions were measured: {UNPLACED[samples.measured]}")
+    commands = recording.commands
+    if commands is None:
+        raise RigError(f"{recording.folder}: nothing was commanded")
+    said("refining physics and geometry together", 0, 1)
+    before = None
+    if findings.sigma is not None:
+        before = Prior(
+            np.array([c.read(findings.effects[c.effect]) for c in coordinates_of_effects(findings.effects)]),
+            findings.sigma,
+        )
+    start = start_arm(sample_observations(samples), nominal, sampled.instrument)
+    found = fit_geometry_and_effects(
+        samples, History(design, commands, smooth_temperatures(recording.sensors)[0]), start, findings.effects, before
+    )
+    said("refining physics and geometry together", 1, 1)
+    physics = Physics(
+        found.effects,
+        found.own,
+        np.zeros((len(parameter_names(nominal)), len(found.own))),
+        design.gravity,
+        design.actuator,
+        design.platform,
+        sensor_medians_and_standard_deviations(recording, samples.t),
+        findings.unknown,
+    )
+    return ArmRefit(found, physics)

@@ -1,0 +1,320 @@
+"""Figures of a diagnosis page, of a platform and of an arm."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.diagnosis.problems.arm.arm_recording_evidence import ArmEvidence
+from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
+from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel
+from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
+from calib.diagnosis.recording_diagnosis import Diagnosis
+from calib.diagnosis.report import residual_figures_and_contributions
+from calib.diagnosis.report.diagnosis_json import FindingEntry
+from calib.diagnosis.report.machine_outline import arm_outline_figures, rig_outline_figure
+from calib.diagnosis.report.residual_figures_and_contributions import (
+    SAME_ANGLE,
+    held_out_gain_table,
+    position_error_statistics,
+    repeatability_rows,
+    residual_scatter_figure,
+    residuals_in_time_figure,
+)
+from calib.diagnosis.report.residual_plots import (
+    effect_residual_figures,
+    image_residual_figures,
+    model_residuals,
+    residuals_without_effects,
+)
+from calib.report.pose_figures_and_effect_displacements import FACTORS, effect_displacements, mechanism_scene, rig_scene
+from rig.array_and_json_types import Floats
+from rig.effects.framework.effect_data_types import Place
+from rig.model import mechanisms
+from rig.model.mechanism_geometry_classes import Arm, Chain
+from rig.recording.recording_folder import Recording
+from rig.report.pages.html_and_svg_elements import heading_html, paragraph_html, table_html
+from rig.report.pages.image_plane_and_3d_views import DrawnEffect, view_3d_html
+from rig.report.pages.image_plane_and_3d_views import DrawnEffect as Shown
+from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_panel_svg
+
+ARM_PLAYED = 4  # findings that are shown in three dimensions
+ROWS = (
+    "geometry alone",
+    "with effects",
+    "of these, every joint near angles it was fitted at",
+    "of these, a joint at angles never fitted",
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmView:
+    """diagnosis : Diagnosis of ArmEvidence; entries : its findings as reported, in the diagnosis' order"""
+
+    diagnosis: Diagnosis
+    entries: tuple[FindingEntry, ...]
+
+    @property
+    def fit(self) -> Fit:
+        """The Fit with all findings."""
+        fit: Fit = self.diagnosis.selection.fit
+        return fit
+
+    @property
+    def evidence(self) -> ArmEvidence:
+        """What was measured."""
+        assert isinstance(self.diagnosis.evidence, ArmEvidence)
+        return self.diagnosis.evidence
+
+    @property
+    def mechanism(self) -> Arm | Chain:
+        """The Arm or Chain as fitted."""
+        design = self.diagnosis.design
+        assert design is not None and isinstance(design.mechanism, (Arm, Chain))
+        return design.mechanism
+
+    def where(self, places: list[str]) -> str:
+        """The arm in outline, joints marked."""
+        fit = self.fit
+        moved: dict[int, dict[str, float]] = {}
+        for number, term in enumerate(fit.terms):
+            if term.candidate.joint is not None:
+                here = moved.setdefault(term.candidate.joint, {})
+                here[term.candidate.name] = float(np.hypot(here.get(term.candidate.name, 0.0), fit.part(number).std()))
+        return arm_outline_figures(self.mechanism, fit.arms.q, moved)
+
+    def plot(self, finding: FindingEntry) -> str | None:
+        """Residuals of all poses turned back into the joint against what gives the finding away; None where it acts on
+        the whole arm.
+        """
+        d = self.diagnosis
+        number = d.findings[next(i for i, entry in enumerate(self.entries) if entry is finding)].number
+        fit = self.fit
+        term = fit.terms[number]
+        joint = term.candidate.joint
+        if joint is None:
+            return None
+        a = (fit.W @ fit.arms.directions(joint))[..., 0]
+        rest = (a * fit.y).sum(axis=1) / np.maximum((a * a).sum(axis=1), 1e-300)
+        moved = fit.part(number) - fit.part(number)[fit.used].mean()
+        covariate = term.candidate.effect(term.node, fit.theta[fit.slices[number]]).covariate(fit.arms.context.moved())
+        x = covariate.values if covariate.values.ndim == 1 else covariate.values[:, joint]
+        both = [v[fit.used] * 1e6 for v in (rest + moved, rest)]
+        return residual_scatter_figure(
+            x[fit.used],
+            covariate.label,
+            both,
+            f"{term.candidate.place}, µ{mechanisms.axis_units(self.mechanism)[joint]}",
+        )
+
+    def in_space(self) -> list[str]:
+        """The arm's poses, with what each finding at a joint does, linear in its size."""
+        d, fit, effects = self.diagnosis, self.fit, list[DrawnEffect]()
+        J = np.zeros((len(fit.arms), 6, fit.arms.q.shape[1]))
+        J[:, : fit.arms.joints.shape[1]] = fit.arms.joints  # of positions alone, no rotation is known
+        for finding in d.findings[:ARM_PLAYED]:
+            candidate = self.fit.terms[finding.number].candidate
+            if candidate.joint is not None:
+                once = J[:, :, candidate.joint] * fit.part(finding.number)[:, None]
+                sizes = tuple(f"{factor:g} times as found" for factor in FACTORS)
+                effects.append(
+                    DrawnEffect(
+                        f"{candidate.name.replace('_', ' ')} at {candidate.place}",
+                        sizes,
+                        np.multiply.outer(FACTORS, once),
+                    )
+                )
+        return view_3d_html(mechanism_scene(self.mechanism, fit.arms.frame, fit.arms.q, tuple(effects)))
+
+    def remaining(self, unknown: list[FindingEntry]) -> list[str]:
+        """Held-out errors, before and after, pose by pose and in a table."""
+        d, rows = self.diagnosis, []
+        for h in d.held:
+            near = h.far <= SAME_ANGLE
+            for label, left in zip(ROWS, (h.before, h.after, h.after[near], h.after[~near])):
+                if len(left):
+                    f = position_error_statistics(left)
+                    rows.append(
+                        [
+                            f"{label}, {h.stretches} stretches",
+                            *(f"{f[key] * 1e6:.1f}" for key in ("mean_m", "rms_m", "p95_m", "max_m")),
+                            f"{f['mean_rad'] * 1e6:.1f}" if "mean_rad" in f else "",
+                            f["n"],
+                        ]
+                    )
+        parts: list[str] = [
+            self._errors(),
+            table_html(("held-out error", "mean, µm", "RMS", "95 %", "max", "mean, µrad", "N"), rows),
+        ]
+        if d.findings:
+            parts += [
+                heading_html("What each finding brings on poses held out", 3),
+                held_out_gain_table(d),
+                heading_html("What single poses suffer from", 3),
+                paragraph_html(
+                    "The poses that all findings together displace most, for each finding a bar, the biggest first. "
+                    "contributions.csv has them for every pose."
+                ),
+                residual_figures_and_contributions.worst_pose_contribution_figure(self.evidence, d.selection),
+            ]
+        aside = self.evidence.frames_set_aside(d.selection)
+        if len(aside):
+            parts.append(
+                paragraph_html(
+                    f"{len(aside)} poses agree with no model and count for next to nothing: frames "
+                    f"{', '.join(map(str, aside))}."
+                )
+            )
+        if d.repeats is not None and any(u.depends_on == ("configuration",) for u in d.left):
+            parts.append(
+                paragraph_html(
+                    f"The same command brings {d.repeats.recurring_share:.0%} of what remains again: that is "
+                    "no noise, and of no form that was tried."
+                )
+            )
+        return parts
+
+    def measurement(self) -> list[tuple[str, object]]:
+        """Where poses came from, and how well they repeat."""
+        d = self.diagnosis
+        again = repeatability_rows(d)
+        if self.fit.scatter[0] > 0:
+            beyond, _ = self.evidence.scatter_beyond_stated(d.selection)
+            again.append(("beyond what the instrument states, poses scatter by", f"{beyond * 1e6:.1f} µm"))
+        arms = self.fit.arms
+        return [
+            ("poses from", self.evidence.source),
+            ("poses", len(arms)),
+            ("time", f"{np.ptp(arms.t) / 60:.1f} min"),
+            ("sensors", ", ".join(arms.channels) or "none"),
+            *again,
+        ]
+
+    def _errors(self) -> str:
+        d = self.diagnosis
+        series = [
+            Series(np.arange(len(left)), np.linalg.norm(left[:, :3], axis=1) * 1e6, label, colour=colour)
+            for left, label, colour in ((d.held[0].before, "geometry alone", 1), (d.held[0].after, "with effects", 0))
+        ]
+        if d.repeats is not None:
+            ends = np.array([0.0, len(d.held[0].after) - 1.0])
+            series.append(Series(ends, np.full(2, d.repeats.mean * 1e6), "the same command again", "line", -1))
+        return plot_panel_svg("held-out errors", ("pose", "position error, µm"), series, log=True)
+
+
+FAR = 10.0  # standard deviations; a corner farther off counts for no more in the page's bars
+PICTURED = 3  # of what is unknown
+PLAYED = 4  # findings that are shown in three dimensions
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlatformView:
+    """diagnosis : Diagnosis of PlatformEvidence; entries : its findings as reported, in the diagnosis' order;
+    recording : Recording
+    """
+
+    diagnosis: Diagnosis
+    entries: tuple[FindingEntry, ...]
+    recording: Recording
+
+    @property
+    def refined(self) -> Refinement:
+        """All that is free, refined with all findings."""
+        refined: Refinement = self.diagnosis.selection.fit.refined
+        return refined
+
+    def where(self, places: list[str]) -> str:
+        """The rig in outline, places marked."""
+        return rig_outline_figure(self.refined.point, places)
+
+    def plot(self, finding: FindingEntry) -> str | None:
+        """Of an admitted effect; None for what was found before all else: faces exchanged or moved."""
+        number = next((f.number for f, e in zip(self.diagnosis.findings, self.entries) if e is finding), None)
+        return None if number is None else effect_residual_figures(self.refined, number)
+
+    def in_space(self) -> list[str]:
+        """The rig's poses, with what each finding that moves the platform does at sizes of it."""
+        k = self.refined.point
+        effects, values = tuple[Shown, ...](), None
+        if k.commands is not None and k.design.mechanism.axes:
+            tried = [
+                effect_displacements(k.design, k.commands, k.t, k.effects, which, k.sensors)
+                for which in range(min(len(k.effects), PLAYED))
+            ]
+            effects, values = tuple(one for one in tried if one is not None), k.motion(()).lengths
+        return view_3d_html(rig_scene(k.design, k.frames, k.T, values, effects=effects))
+
+    def remaining(self, unknown: list[FindingEntry]) -> list[str]:
+        """Figure of the levels, then of what is unknown."""
+        refined = self.refined
+        k = refined.point
+        struts, corners = residuals_without_effects(refined)
+        parts: list[str] = [_levels(self.diagnosis, struts)]
+        if self.diagnosis.findings and self.diagnosis.regions:
+            parts += [
+                heading_html("What each finding brings on frames held out", 3),
+                held_out_gain_table(self.diagnosis),
+            ]
+        for f in unknown[:PICTURED]:
+            place = Place.parse(f.place)
+            if place.kind == "strut":
+                parts.append(residuals_in_time_figure(f.place, k.t, struts[:, place.number - 1] * 1e6, "strut, µm"))
+            elif place.kind == "camera":
+                own = np.flatnonzero(
+                    k.observed.observations.camera == [c.name for c in k.design.cameras].index(place.name)
+                )
+                parts.append(image_residual_figures(k, own, (corners,), ("what is left",)))
+        return parts
+
+    def measurement(self) -> list[tuple[str, object]]:
+        """Where poses came from, and how much there is."""
+        k, rec = self.refined.point, self.recording
+        return [
+            ("poses from", self.diagnosis.evidence.source),
+            ("frames", f"{len(k.t)} of {len(rec.exposures.times()[0])}"),
+            ("time", f"{np.ptp(k.t) / 60:.1f} min"),
+            ("corners", len(k.observed.observations) if k.seen is not None else "none"),
+            ("sensors", ", ".join(rec.sensors.channels) if rec.sensors is not None else "none"),
+            *repeatability_rows(self.diagnosis),
+        ]
+
+
+def _levels(d: Diagnosis, struts: Floats) -> str:
+    """Figures of what is left of each strut and camera, with nothing admitted, with all, and the noise."""
+    refined, before = d.selection.fit.refined, d.selection.before.refined
+    k, rows = refined.point, []
+    if k.axes:
+        noise = np.sqrt(refined.model.strut_noise().mean(axis=0)) * 1e6
+        bare, _ = model_residuals(before.model)
+        rows.append(
+            ([str(Place.axis("strut", i)) for i in range(k.axes)], _rms(bare) * 1e6, _rms(struts) * 1e6, noise, "µm")
+        )
+    if k.seen is not None:
+        rows.append(_camera_levels(refined.model, before.model))
+    return panel_row_html(
+        *(
+            bar_chart_svg(
+                "what is left, RMS",
+                labels,
+                [
+                    ("nothing admitted", first.tolist(), 3),
+                    ("as diagnosed", last.tolist(), 0),
+                    ("noise", noise.tolist(), -1),
+                ],
+                unit,
+            )
+            for labels, first, last, noise, unit in rows
+        )
+    )
+
+
+def _camera_levels(model: LinearisedModel, before: LinearisedModel) -> tuple[list[str], Floats, Floats, Floats, str]:
+    k = model.point
+    o, sigma = k.observed.observations, model.corner_noise()
+    present = np.unique(o.camera)
+    off = [np.clip(o.uv - at.pixels(), -FAR * sigma, FAR * sigma) for at in (before.point, k)]
+    first, last = (np.array([np.sqrt(np.mean(v[o.camera == i] ** 2)) for i in present]) for v in off)
+    return [k.design.cameras[i].name for i in present], first, last, np.full(len(present), sigma), "px"
+
+
+def _rms(values: Floats) -> Floats:
+    return np.sqrt((values**2).mean(axis=0))

@@ -1,0 +1,309 @@
+"""Printed summaries of a measurement and of a calibration."""
+
+import numpy as np
+
+from calib.api.calibrate import CalibrationResult
+from calib.api.correction_extension import ExtendedCorrection
+from calib.api.learn import LearningResult
+from calib.api.limb_acceptance_and_limb_poses import MeasuredLimbPoses
+from calib.certification import platform_certification
+from calib.certification.calibration_and_claim_sentences import Calibration, claim_lines
+from calib.certification.workspace_claim import Claim
+from calib.correction.physics_compensation import Physics
+from calib.models.arm import certification as arm_certification
+from calib.models.chain import certification_and_page as chain_certification
+from calib.workspace.workspace_page import workspace_lines
+from rig.cli.shared.command_options import print_frames_without_pose, print_held_out_errors
+from rig.model import mechanisms
+from rig.model.pose import pose_to_vector, rms_uncertainty
+from vision.bundle.adjustment_validation_and_determinacy import NotHeldOut
+from vision.bundle.marker_displacements import Places
+from vision.measurement_result import MeasurementResult
+
+
+def print_measurement(result: MeasurementResult) -> None:
+    """Print what was measured, the verdict first."""
+    print(result.verdict.line)
+    _print_figures(result)
+    print_frames_without_pose(result.measurement)
+    _print_stages(result)
+    if result.suspects:
+        print(
+            f"{len(result.suspects)} marker{'s are' if len(result.suspects) > 1 else ' is'} not what rig.toml "
+            "says; what disagrees is left out of the "
+            "poses:"
+        )
+        for suspect in result.suspects:
+            print(f"  {suspect}")
+    if result.places:
+        _print_places(result.places)
+    _print_cameras(result)
+    if result.determination is not None:
+        print(result.determination.summary())
+
+
+def print_limb_pose_uncertainty(limb_measurement: MeasuredLimbPoses) -> None:
+    """Print the standard uncertainty of poses by measuring limbs, and their agreement with vision."""
+    position, rotation = rms_uncertainty(limb_measurement.poses.covariance)
+    print(
+        f"poses to {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad (standard uncertainty, RMS), of "
+        "which readings "
+        f"{rms_uncertainty(limb_measurement.poses.own)[0] * 1e3:.4f} mm, the limbs' geometry the rest; it agreed with vision "
+        f"over {limb_measurement.accepted.agreement.n} poses"
+    )
+
+
+def print_learning(result: LearningResult, verdict_first: bool = True) -> None:
+    """Print what poses taught. verdict_first : whether the verdict leads"""
+    print("\n".join([*([result.verdict.line] if verdict_first else []), *result.found.lines]))
+    print_frames_without_pose(result.sampled.measurement)
+
+
+def _print_figures(result: MeasurementResult) -> None:
+    """Print how much was measured and how well."""
+    measured, held, (position, rotation) = result.measurement, result.held, result.uncertainty
+    print(
+        f"measured: {len(measured.frames)} of {result.frame_count} frames solved, poses to {position * 1e3:.4f} "
+        f"mm and {rotation * 1e3:.4f} "
+        "mrad "
+        "(standard uncertainty, RMS)"
+    )
+    print(f"corners scatter by {measured.noise:.4f} px; {measured.inliers.sum()} of {len(measured.inliers)} used")
+    print(
+        f"held-out frames: residuals {held.ratio:.3f} +- {2 * held.scatter:.3f} of what the covariance predicts, "
+        f"{held.rms:.3f} px RMS over {held.corners} corners"
+        if not isinstance(held, NotHeldOut)
+        else f"no held-out figure: {held.reason}"
+    )
+
+
+def _print_stages(result: MeasurementResult) -> None:
+    """Print how many poses of a chain's stages there are and how well they are known."""
+    for stage, own in result.measurement.stages.items():
+        known = ""
+        if len(own.frames):
+            position, rotation = rms_uncertainty(own.covariance)
+            known = f", poses to {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad"
+        print(f"stage {stage}: {len(own.frames)} of {result.frame_count} frames solved{known}: poses_stage{stage}.csv")
+
+
+def _print_cameras(result: MeasurementResult) -> None:
+    """Print how far each camera stands from where its owner has it."""
+    for stated, camera in zip(result.recording.design.cameras, result.measurement.design.cameras):
+        step = pose_to_vector(stated.pose.inv() * camera.pose)
+        print(
+            f"camera {camera.name}: {(step[:3] ** 2).sum() ** 0.5 * 1e3:.3f} mm and "
+            f"{(step[3:] ** 2).sum() ** 0.5 * 1e3:.3f} mrad from "
+            f"where rig.toml has it, focal length {camera.matrix[0, 0] - stated.matrix[0, 0]:+.2f} px"
+        )
+
+
+def _print_places(moved: Places) -> None:
+    """Print what adjusting the markers' places did."""
+    print(
+        "places of the markers adjusted: x y z in mm, rx ry rz in mrad, along the marker's own axes, with 95 "
+        "% intervals"
+    )
+    for move in moved.moves:
+        values = [f"{by * 1e3:+8.3f} +- {half * 1e3:.3f}" for by, half in zip(move.by, move.ci95)]
+        print(f"  {str(move.place):12} {'moved' if move.moved else 'stays'} " + " ".join(values))
+    for name, value in (("as stated", moved.before), ("as adjusted", moved.after)):
+        print(
+            f"residual of the platform per frame, places {name}: median {np.median(value):.3f}, 95 % "
+            f"{np.quantile(value, 0.95):.3f}, "
+            f"max {value.max():.3f} px RMS per axis"
+        )
+    print(
+        f"squares over degrees of freedom, all corners by their scatter: {moved.weighted[0]:.2f} as stated, "
+        f"{moved.weighted[1]:.2f} as adjusted"
+    )
+    print(f"frames flipped against those before and after: {', '.join(map(str, moved.odd)) or 'none'}")
+
+
+MOST_NAMED = 10  # frames
+
+
+def print_verdict(result: CalibrationResult) -> None:
+    """Print the verdict, first of all, and what was found of one kind of machine."""
+    claim, done = result.calibration.claim, result.done
+    print(
+        "\n".join(
+            [result.verdict.line, *result.verdict.rests_on, *(claim_lines(claim)[1:] if claim is not None else [])]
+        )
+    )
+    if done.held_out:
+        print_held_out_errors(done.held_out, _held_out_title(result))
+    if result.extended is not None:
+        _print_extension(result.extended)
+    elif isinstance(done, arm_certification.CertifiedArm):
+        _print_joints(done, result.calibration.physics)
+        print("\n".join(done.found.rank.report()))
+    elif isinstance(done, chain_certification.CertifiedChain):
+        print("\n".join(done.found.report()))
+    else:
+        _print_struts(done, result.calibration.physics)
+    _print_pose_counts(result)
+
+
+def print_calibration(result: CalibrationResult, promise: float | None) -> None:
+    """Print what a calibration confounds, whether it keeps a promise (m), what becomes of the workspace, and which
+    frames have no pose.
+    """
+    calibration = result.calibration
+    if calibration.confounds is not None:
+        print(calibration.confounds.line())
+    _print_promise(promise, calibration.claim)
+    _print_workspace(calibration)
+    print_frames_without_pose(result.sampled.measurement)
+
+
+def _held_out_title(result: CalibrationResult) -> str:
+    """How poses were held out."""
+    if result.extended is not None:
+        return "held-out poses (whole levels of a grid, poses beside it, or whole stretches in turn)"
+    if isinstance(result.done, arm_certification.CertifiedArm):
+        return "held-out poses (a third at a time or less, whole stretches of configurations)"
+    return "held-out poses (whole stretches of configurations in turn)"
+
+
+def _print_struts(done: platform_certification.Certified, physics: Physics | None) -> None:
+    """Print what a platform's correction does beyond its geometry."""
+    struts = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
+    print(
+        "beyond the geometry: "
+        + (
+            f"struts {', '.join(map(str, struts))} corrected over the configuration space"
+            if struts
+            else "nothing that pays on held-out poses"
+            if done.held_out
+            else "not asked, for want of held-out poses"
+        )
+    )
+    _print_physics(physics)
+
+
+def _print_extension(found: ExtendedCorrection) -> None:
+    """Print what was tried and what was made of it."""
+    for one in found.tried:
+        words = f"not tried: {one.reason}" if one.reason else "not held out, for want of poses"
+        if one.held_out is not None:
+            turned = one.held_out.after.rotation[0]
+            words = f"held out {one.held_out.after.position[0] * 1e3:.4f} mm" + (
+                f", {turned * 1e3:.4f} mrad RMS" if turned == turned else " RMS"
+            )
+            words += f"; not taken: {one.reason}" if one.reason else ""
+        print(f"{'->' if one.chosen else '  '} {one.kind:10} {words}")
+    correction = found.done.correction
+    field = correction.extension
+    known = getattr(field, "values", None) if field is not None and field.exact else None
+    for held in correction.posed:
+        print(f"a map in pose space: {held.field.kind}")
+    print(
+        f"KSF over the whole configuration space: {'none' if field is None else field.kind}, on {found.base}"
+        + (f"; exact at its {len(known)} samples" if known is not None else "")
+    )
+    rms, most = (f"{value * 1e6:.3f} u{found.unit.replace(' or ', ' or u')}" for value in found.misses)
+    print(
+        f"the single step X + KSF(X) misses the fixed point, which `rig correct` solves for, by {rms} RMS, "
+        f"{most} at most"
+    )
+
+
+def _print_promise(promise: float | None, claim: Claim | None) -> None:
+    """Print whether a promise (m) is kept by the upper end of what is claimed; nothing where none was made."""
+    if promise is None or claim is None:
+        return
+    if claim.after is None:
+        print(f"the promise of {promise * 1e6:.4g} um cannot be said to be met: {claim.reason}")
+        return
+    middle, _, most = claim.after[0]
+    met = (
+        "is met"
+        if most <= promise
+        else "is NOT met yet; rig plan --promise --given the recording names the next best poses"
+    )
+    print(
+        f"the promise of {promise * 1e6:.4g} um {met}: {middle * 1e6:.4g} um RMS over the workspace, "
+        f"{most * 1e6:.4g} at most (97.5 %)"
+    )
+
+
+def _print_workspace(calibration: Calibration) -> None:
+    """Print what a calibration does to the workspace; nothing where that was not worked out."""
+    if calibration.workspace is not None:
+        print(workspace_lines(calibration.workspace, mechanisms.travel_unit(calibration.correction.nominal))[0])
+
+
+def _print_joints(done: arm_certification.CertifiedArm, physics: Physics | None) -> None:
+    """Print what an arm's correction does beyond its geometry, and what that is worth on the held-out poses."""
+    if done.held_out and done.geometry and done.scattered:
+        kept = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
+        beyond = [
+            *(
+                ["the physics that was found, refitted without the poses held out"]
+                if physics is not None and physics.effects
+                else []
+            ),
+            *([f"joints {', '.join(map(str, kept))} corrected over the configuration space"] if kept else []),
+        ]
+        print(
+            "beyond the geometry: "
+            + (
+                f"{' and '.join(beyond)}; the geometry alone leaves {done.geometry.after.mean[0] * 1e3:.4f} "
+                "mm mean on the "
+                "same poses"
+                if beyond
+                else "nothing that pays on held-out poses"
+            )
+        )
+        flattered = done.scattered.after
+        placed = flattered.mean[0] == flattered.mean[0]
+        mean, rms, unit = (
+            (flattered.mean[0], flattered.position[0], "mm")
+            if placed
+            else (flattered.mean[1], flattered.rotation[0], "mrad")
+        )
+        print(
+            f"the same with single rows held out at random, which flatters: {mean * 1e3:.4f} {unit} mean, "
+            f"{rms * 1e3:.4f} RMS"
+        )
+    _print_physics(physics)
+
+
+def _print_physics(physics: Physics | None) -> None:
+    """Print which of the physics that a calibration knows its commands undo; nothing where it knows none."""
+    if physics is None:
+        return
+    again, known = physics.compensable_effects(), [f"{e.label()} at {e.place}" for e in physics.compensable_effects()]
+    print("physics that is undone by commands: " + (", ".join(known) or "none"))
+    left = [f"{e.label()} at {e.place}" for e in physics.effects if e not in again]
+    if left:
+        print(f"taken out of what was measured, and not the commands' to undo: {', '.join(left)}")
+    for u in physics.unknown:
+        print(
+            f"unknown at {u.place}: "
+            + (
+                "corrected as a smooth function of the configuration"
+                if u.corrected
+                else "not corrected, as no smooth function of the configuration explains it"
+            )
+        )
+
+
+def _print_pose_counts(result: CalibrationResult) -> None:
+    """Print how many poses of how many configurations there are, how many agree with one geometry, and which frames do
+    not.
+    """
+    sampled, done = result.sampled, result.done
+    odd = [str(frame) for frame in sampled.samples.frame[~done.found.inliers]]
+    named = (
+        f"; not frame {', '.join(odd[:MOST_NAMED])}"
+        + (f" and {len(odd) - MOST_NAMED} more" if len(odd) > MOST_NAMED else "")
+        if odd
+        else ""
+    )
+    print(
+        f"{len(sampled.samples)} poses of {done.label.max() + 1} distinct configurations from "
+        f"{sampled.source}, {done.found.inliers.sum()} of "
+        f"them agree with one geometry{named}"
+    )

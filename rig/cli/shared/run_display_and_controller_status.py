@@ -1,0 +1,162 @@
+"""Terminal display of a run, and the printed status of a controller."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, TextIO
+
+import numpy as np
+
+from calib.online.run_observation import MeasuredFrame, RunDisplay, RunObserver, View
+from calib.online.run_page import RunPage
+from rig.array_and_json_types import Floats
+from rig.cli.shared.terminal_output import unescaped_stream
+from rig.driving.controller_status_and_operator_advice import ControllerStatus
+from rig.formats.output_files.atomic_file_and_manifest import escape_unprintable
+from rig.model.design import Design
+from rig.model.pose import pose_to_vector
+
+
+def lengths_text(lengths: Floats) -> str:
+    """Lengths (n,) m as text, in mm."""
+    return " ".join(f"{value * 1e3:.4f}" for value in lengths) + " mm"
+
+
+def print_status(status: ControllerStatus, design: Design) -> None:
+    """Print a Status, with the pose that its lengths give by the nominal model."""
+    from rig.driving.controller_status_and_operator_advice import operator_advice
+    from rig.errors import NotConverged
+    from rig.model import mechanisms
+    from rig.model.pose import pose_to_vector
+
+    homing = design.driver().homing
+    fault = f" ({status.fault})" if status.fault not in ("", status.activity) else ""
+    print(f"{status.activity}{fault}{operator_advice(status.activity, homing)}")
+    if not status.known:
+        print("position not known: " + ("home it" if homing else "see that it is true, then say --trust"))
+    print(f"lengths {lengths_text(status.lengths)}")
+    if design.mechanism.plates is not None and status.known:
+        try:
+            v = pose_to_vector(mechanisms.kinematics_of(design.mechanism).forward(status.lengths, design.mechanism))
+        except NotConverged:
+            print("these lengths close on no pose of the owner's model")
+            return
+        print(
+            f"pose by the owner's model {' '.join(f'{x * 1e3:.4f}' for x in v[:3])} mm, "
+            f"{' '.join(f'{x * 1e3:.4f}' for x in v[3:])} mrad"
+        )
+
+
+WIDTH = 30  # of a strut's bar
+
+
+class PlainLineDisplay:
+    """Plain lines, for pipes and logs."""
+
+    def __init__(self, out: TextIO | None = None) -> None:
+        self._out, self._phase = out or sys.stdout, ""
+        self._seen: MeasuredFrame | None = None
+        self._last: tuple[Any, ...] = ()
+
+    def show(self, view: View) -> None:
+        """A line for a new phase, a new pose, a new alarm."""
+        if view.phase != self._phase and not view.phase.startswith(("settling", "exposed")):
+            left = f", {_minutes_and_seconds(view.left)} left" if np.isfinite(view.left) and view.left > 0 else ""
+            self._print(f"[{view.frame}/{view.frames}] {view.phase}{left}")
+        self._phase = view.phase
+        if view.seen is not None and view.seen is not self._seen:
+            self._seen = view.seen
+            self._print("  " + " | ".join(_pose_lines(view.seen)))
+        fresh = [alarm for alarm in view.alarms if alarm not in self._last]
+        self._last = view.alarms
+        for alarm in fresh:
+            self._print(f"  ! {alarm.kind}: {alarm.text}")
+
+    def close(self) -> None:
+        """Nothing to take away."""
+
+    def _print(self, text: str) -> None:
+        print(text, file=self._out, flush=True)
+
+
+class TerminalBlockDisplay:
+    """A block of lines on a terminal that knows ANSI's movements."""
+
+    def __init__(self, out: TextIO | None = None) -> None:
+        self._out, self._height = unescaped_stream(out or sys.stdout), 0
+
+    def show(self, view: View) -> None:
+        """Draw the block anew over the one before."""
+        lines = [escape_unprintable(line).replace("\n", "\\n") for line in view_lines(view)]
+        up = f"\x1b[{self._height}A" if self._height else ""
+        self._out.write(up + "".join(f"\x1b[2K{line}\n" for line in lines) + "\x1b[J")
+        self._out.flush()
+        self._height = len(lines)
+
+    def close(self) -> None:
+        """Leave the block where it is."""
+
+
+def view_lines(view: View) -> list[str]:
+    """Lines of a RunView for the terminal: progress, strut bars, latest pose, alarms."""
+    left = f", {_minutes_and_seconds(view.left)} left" if np.isfinite(view.left) and view.left > 0 else ""
+    lines = [f"frame {view.frame} of {view.frames}, step {view.step} of {view.steps}{left}", view.phase]
+    for i, (length, goal, (low, high)) in enumerate(zip(view.lengths, view.goal, view.ranges), 1):
+        at, to = (int(np.clip((value - low) / (high - low), 0, 1) * (WIDTH - 1)) for value in (length, goal))
+        bar = "".join("#" if k == at else "+" if k == to else "-" for k in range(WIDTH))
+        lines.append(
+            f"strut {i} {low * 1e3:8.1f} |{bar}| {high * 1e3:8.1f} mm   {length * 1e3:9.4f} -> {goal * 1e3:9.4f}"
+        )
+    if view.seen is not None:
+        lines += _pose_lines(view.seen)
+    return lines + [f"! {alarm.kind}: {alarm.text}" for alarm in view.alarms[-4:]]
+
+
+def _pose_lines(seen: MeasuredFrame) -> list[str]:
+    """A measured frame in words: its pose, how sure that is, what each camera saw, what was expected."""
+    sight = seen.sight
+    cameras = ", ".join(
+        f"{name} {len(d.marker)}/{len(sight.expected.get(name, d.marker))}"
+        + (f" {seen.rms[name]:.3f} px" if name in seen.rms else "")
+        for name, d in sight.detections.items()
+    )
+    if sight.T_base_platform is None:
+        return [f"frame {sight.frame}: no pose: {sight.reason}", cameras]
+    v = pose_to_vector(sight.T_base_platform)
+    position = " ".join(f"{value * 1e3:.3f}" for value in v[:3])
+    turn = " ".join(f"{value * 1e3:.3f}" for value in v[3:])
+    lines = [f"frame {sight.frame}: {position} mm, {turn} mrad"]
+    if sight.covariance is not None:
+        sigma = np.sqrt(np.diag(sight.covariance))
+        lines.append(f"+- {np.linalg.norm(sigma[:3]) * 1e6:.1f} um, {np.linalg.norm(sigma[3:]) * 1e6:.1f} urad")
+    else:
+        lines.append("cameras not yet adjusted")
+    if seen.learnt is not None:
+        error = seen.learnt.error
+        lines.append(
+            f"off what was expected by {np.linalg.norm(error[:3]) * 1e6:.1f} um, "
+            f"{np.linalg.norm(error[3:]) * 1e6:.1f} urad "
+            f"({seen.learnt.innovation:.2f} of what the learner expects by now)"
+        )
+    return [*lines, cameras, f"{seen.delay:.2f} s after its exposure"]
+
+
+def _minutes_and_seconds(seconds: float) -> str:
+    """Minutes and seconds."""
+    return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"
+
+
+def terminal_display() -> PlainLineDisplay | TerminalBlockDisplay:
+    """Display for the terminal: a block redrawn in place, or plain lines where standard output is a pipe."""
+    return TerminalBlockDisplay() if sys.stdout.isatty() else PlainLineDisplay()
+
+
+@contextmanager
+def run_displays(port: int | None, observer: RunObserver) -> Iterator[list[RunDisplay]]:
+    """Displays of a run: terminal, and the page where a port is given, served while the context lasts."""
+    if port is None:
+        yield [terminal_display()]
+        return
+    with RunPage(observer, port) as page:
+        print(f"the run's page, for this computer alone: {page.url}", flush=True)
+        yield [terminal_display(), page]

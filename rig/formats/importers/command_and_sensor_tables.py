@@ -1,0 +1,317 @@
+"""Foreign tables of commands and of sensors read into a recording's commands.csv and sensors.csv."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from functools import partial
+from typing import cast
+
+import numpy as np
+
+from rig.array_and_json_types import Floats, Integers
+from rig.checks.clock_mistakes import FASTEST, SLOWEST, USUAL
+from rig.errors import FileError, RigError
+from rig.formats.checked_entries import name_problem
+from rig.formats.importers.csv_dialect import read_foreign_table
+from rig.formats.importers.foreign_table_columns import (
+    FRAME,
+    TIME,
+    Cells,
+    axis_header_names,
+    columns_for_recipe,
+    find_columns,
+)
+from rig.formats.importers.import_recipe import ForeignTable
+from rig.formats.importers.units_and_timestamps import (
+    ANGLES,
+    LENGTHS,
+    ambiguity_error,
+    fits_ranges,
+    is_likely_length_unit,
+    likely_angle_units,
+    likely_length_units,
+    split_header,
+)
+from rig.model import mechanisms
+from rig.model.design import Design
+from rig.model.mechanism_geometry_classes import Arm
+from rig.model.mechanism_kinds_and_hexapod_properties import has_links, require_arm, require_struts
+
+
+def _over(per: float, values: Floats) -> Floats:
+    return values / per
+
+
+TO_SI: dict[str, Callable[[Floats], Floats]] = {
+    "C": lambda v: v,
+    "K": lambda v: v - 273.15,
+    "F": lambda v: (v - 32) / 1.8,
+    "kg": lambda v: v,
+    "g": lambda v: v / 1000,
+    **{unit: partial(_over, per) for unit, per in LENGTHS.items()},
+}
+SI = {"C": "C", "K": "C", "F": "C", "kg": "kg", "g": "kg"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImportedSensors:
+    """t : n exact s; channels : pairs (name, (n,) values)."""
+
+    t: list[Decimal]
+    channels: tuple[tuple[str, Floats], ...]
+    table: ForeignTable
+    said: tuple[str, ...]
+
+
+def read_sensors(table: ForeignTable, are_plausible: Callable[[Floats], bool]) -> ImportedSensors:
+    """Read the sensor channels of a foreign table. Raises RigError for unusable ones.
+    are_plausible : whether times (n,) s from the first can be so. Raises RigError for what cannot be used
+    """
+    cells = read_foreign_table(table, "sensors")
+    stated = {header: ours for ours, header in table.columns if ours != "t"}
+    found = find_columns(cells, "sensors", TIME, ("t",))
+    read_times = cells.times(found["t"], "sensors", table, are_plausible)
+    kept, renamed = [("t", cells.header[found["t"]])], []
+    channels: list[tuple[str, Floats]] = []
+    for at, header in enumerate(cells.header):
+        if at == found["t"]:
+            continue
+        unit = cells.unit(at)
+        name = stated.get(header) or _name(header, unit)
+        if name_problem(name):
+            raise RigError(f"{table.file}: column {name_problem(name)}; --set 'sensors.columns.NAME={header}' names it")
+        if name in dict(channels) or name == "t":
+            raise RigError(
+                f"{table.file}: two columns would be {name}; --set 'sensors.columns.NAME={header}' names one of them"
+            )
+        channels.append(
+            (name, TO_SI.get(unit or "", cast(Callable[[Floats], Floats], lambda v: v))(np.array(cells.numbers(at))))
+        )
+        kept.append((name, header))
+        if name != header:
+            converted = unit in TO_SI and unit not in ("C", "kg", "m")
+            renamed.append(f"{header} is {name}" + (f", from {unit}" if converted else ""))
+    said = (f"{table.file.name}: {'; '.join(renamed)}",) if renamed else ()
+    return ImportedSensors(
+        read_times.seconds,
+        tuple(channels),
+        replace(cells.table, columns=tuple(kept), time_unit=read_times.unit, zone=read_times.zone),
+        (*cells.said, *read_times.said, *said),
+    )
+
+
+def _name(header: str, unit: str | None) -> str:
+    """A channel's name out of a header: words joined, its unit as a recording has it behind it."""
+    bare = split_header(header)[0] if unit else header
+    name = re.sub(r"[^A-Za-z0-9.-]+", "_", bare).strip("_.-")
+    if unit in SI:
+        known = re.fullmatch(r"(?i)(ambient|strut_?[1-6]|camera_.+)_temp(erature)?", name)
+        if known:
+            name = f"{known[1].lower() if not name.lower().startswith('camera') else known[1]}_temperature".replace(
+                "strut_", "strut"
+            )
+        elif re.fullmatch(r"(?i)payload(_mass)?", name):
+            name = "payload_mass"
+        name = f"{name}_{SI[unit]}"
+    return name
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImportedCommands:
+    """t : n exact s, or None where the table has none; values : (n, axes) m or rad; frame : (n,) int or None;
+    table : ForeignTable as found out.
+    """
+
+    t: list[Decimal] | None
+    values: Floats
+    frame: Integers | None
+    table: ForeignTable
+    said: tuple[str, ...]
+
+
+def read_commands(table: ForeignTable, design: Design) -> ImportedCommands:
+    """Read the commands of a foreign table. Raises RigError for unusable or ambiguous ones.
+    Raises RigError for what cannot be used and for what reads well in two ways.
+    """
+    axes = design.mechanism.axes
+    if not axes:
+        raise RigError(f'{table.file}: nothing can be commanded of a mechanism of kind "{design.mechanism.kind}"')
+    cells = read_foreign_table(table, "commands")
+    found = find_columns(cells, "commands", {**TIME, **FRAME, **axis_header_names(axes)}, axes)
+    values, table, told = _values(
+        cells,
+        [found[name] for name in axes],
+        replace(cells.table, columns=columns_for_recipe(table, cells, found)),
+        design,
+    )
+    frame = None if "frame" not in found else np.array(cells.numbers(found["frame"]))
+    t, said = None, (*cells.said, *told)
+    if "t" in found:
+        read_times = cells.times(found["t"], "commands", table, _pace(values, design))
+        t, said = read_times.seconds, (*said, *read_times.said)
+        table = replace(table, time_unit=read_times.unit, zone=read_times.zone)
+    return _once(ImportedCommands(t, values, frame, table, said), cells)
+
+
+def _once(commanded: ImportedCommands, cells: Cells) -> ImportedCommands:
+    """The rows without those that a log has twice. Raises FileError, with the line, where rows of one time say
+    different things.
+    """
+    t, values = commanded.t, commanded.values
+    if t is None:
+        return commanded
+    again = [k for k in range(1, len(t)) if t[k] == t[k - 1]]
+    odd = next((k for k in again if not np.array_equal(values[k], values[k - 1])), None)
+    if odd is not None:
+        raise FileError(
+            cells.path,
+            f"two rows are of one time, {t[odd]:f} s, and say different things; take one of them out",
+            cells.lines[odd],
+        )
+    if not again:
+        return commanded
+    keep = np.setdiff1d(np.arange(len(t)), again)
+    told = (
+        f"{cells.path.name}: {len(again)} rows are there twice, with their times, and are taken once; the "
+        f"first is line {cells.lines[again[0]]}",
+    )
+    return replace(
+        commanded,
+        t=[t[k] for k in keep],
+        values=values[keep],
+        said=(*commanded.said, *told),
+        frame=None if commanded.frame is None else commanded.frame[keep],
+    )
+
+
+def _values(
+    cells: Cells, at: list[int], table: ForeignTable, design: Design
+) -> tuple[Floats, ForeignTable, tuple[str, ...]]:
+    """((n, axes) m or rad, ForeignTable with the unit, sentences)."""
+    values = np.array([cells.numbers(k) for k in at]).T
+    if has_links(design.mechanism) and design.mechanism.slides.any():
+        return _sliding(values, [cells.unit(k) for k in at], table, design.mechanism)
+    stated = {table.unit or cells.unit(k) for k in at}
+    if len(stated) > 1:
+        raise RigError(
+            f"{table.file}: its columns are in different units "
+            f"({', '.join(sorted(str(u or 'none stated') for u in stated))}); "
+            "bring them to one unit, or state it: --set commands.unit=mm"
+        )
+    unit = stated.pop()
+    kind = ANGLES if design.mechanism.axis_unit == "rad" else LENGTHS
+    if unit is not None and unit not in (*kind, "steps"):
+        raise RigError(
+            f"{table.file}: {unit} is no unit of {'angles' if kind is ANGLES else 'lengths'}; "
+            f"there are {', '.join(kind)}, steps"
+        )
+    if kind is ANGLES:
+        return _angles(values, unit, table, require_arm(design.mechanism).limits)
+    if unit == "steps":
+        if table.steps_per_mm is None:
+            raise RigError(
+                f"{table.file}: lengths are in steps; how many make a millimetre? --set commands.steps_per_mm=N"
+            )
+        values = values / table.steps_per_mm
+    m = require_struts(design.mechanism)
+    return _lengths(values, unit, table, m.strut_range, mechanisms.kinematics_of(m).home(m))
+
+
+def _sliding(
+    values: Floats, stated: list[str | None], table: ForeignTable, arm: Arm
+) -> tuple[Floats, ForeignTable, tuple[str, ...]]:
+    """((n, axes) rad and m, ForeignTable, sentences) of an arm with slides: each column in the unit that its header
+    states, SI where none is.
+    """
+    q = values.copy()
+    for i, (slide, unit) in enumerate(zip(arm.slides, stated)):
+        known, si = (LENGTHS, "m") if slide else (ANGLES, "rad")
+        if unit is not None and unit not in known:
+            raise RigError(
+                f"{table.file}: {unit} is no unit of {arm.axes[i]}, which {'slides' if slide else 'turns'}; "
+                f"there are {', '.join(known)}"
+            )
+        q[:, i] /= known[unit or si]
+    if table.unit is not None or not fits_ranges(q, arm.limits):
+        raise RigError(
+            f"{table.file}: joints that turn and joints that slide have no unit in common: state each "
+            "column's in its header, as in "
+            "q1 [deg] and q3 [mm]; unstated they are rad and m, and have to lie within the limits of rig.toml"
+        )
+    return q, table, ()
+
+
+def _angles(
+    values: Floats, unit: str | None, table: ForeignTable, limits: Floats
+) -> tuple[Floats, ForeignTable, tuple[str, ...]]:
+    fit = likely_angle_units(values, limits, ("rad", "deg") if unit is None else (unit,))
+    said = f"angles run from {values.min():.6g} to {values.max():.6g}"
+    if unit is None and len(fit) > 1:
+        raise ambiguity_error(
+            f"{table.file}: the unit of its angles is not stated, {said}, and both lie within the limits of rig.toml",
+            [(f"up to {np.degrees(np.abs(values).max() / ANGLES[u]):.4g} degrees", f"commands.unit={u}") for u in fit],
+        )
+    if unit is None and not fit:
+        raise RigError(
+            f"{table.file}: {said}, which is beyond the limits in rig.toml in radians and in degrees; --set "
+            "commands.unit=deg states one"
+        )
+    told = (
+        () if unit else (f"{table.file.name}: angles are in {fit[0]}, as they are beyond the joints' limits otherwise",)
+    )
+    return values / ANGLES[unit or fit[0]], replace(table, unit=unit or fit[0]), told
+
+
+def _lengths(
+    values: Floats, unit: str | None, table: ForeignTable, ranges: Floats, home: Floats
+) -> tuple[Floats, ForeignTable, tuple[str, ...]]:
+    asked = ("mm",) if unit == "steps" else tuple(LENGTHS) if unit is None else (unit,)
+    fit = likely_length_units(
+        values, ranges, home, asked, ("zero", "home") if table.relative is None else (table.relative,)
+    )
+    better = [(u, r) for u, r in fit if is_likely_length_unit(values, ranges, u, r)]
+    fit = better if len(better) == 1 else fit
+    said = (
+        f"{table.file}: lengths run from {values.min():.6g} to {values.max():.6g}{' mm' if unit == 'steps' else ''}, "
+        f"and rig.toml's strut_range is {ranges.min():.6g} to {ranges.max():.6g} m"
+    )
+    names = {"zero": "joint to joint", "home": "from home"}
+    if len(fit) > 1 and {u for u, _ in fit} - {fit[0][0]}:
+        raise ambiguity_error(
+            f"{said}: they fit in several units", [(f"{u}, {names[r]}", f"commands.unit={u}") for u, r in fit]
+        )
+    if len(fit) > 1:
+        raise ambiguity_error(f"{said}: they fit both ways", [(names[r], f"commands.relative={r}") for _, r in fit])
+    if not fit and (unit is None or table.relative is None):
+        raise RigError(
+            f"{said}: they fit in no unit, neither joint to joint nor from home; look at strut_range and "
+            "home, or state both: "
+            "--set commands.unit=mm --set commands.relative=zero"
+        )
+    u, r = fit[0] if fit else (asked[0], table.relative or "zero")
+    q = values / LENGTHS[u] + (home if r == "home" else 0.0)
+    told = (
+        ()
+        if unit and table.relative
+        else (
+            f"{table.file.name}: lengths are in {'steps' if unit == 'steps' else u}, {names[r]}"
+            f"{'' if unit else ', as within strut_range and about its size in no other'}",
+        )
+    )
+    return q, replace(table, unit=unit or u, relative=r), told
+
+
+def _pace(values: Floats, design: Design) -> Callable[[Floats], bool]:
+    """Whether the axes can move as times t (n,) s would have it."""
+    unit = design.mechanism.axis_unit
+    top = design.actuator.max_speed if unit == "m" else None
+    low, high = (SLOWEST * top, FASTEST * top) if top else USUAL[unit]
+
+    def plausible(t: Floats) -> bool:
+        if len(t) < 2 or (np.diff(t) <= 0).any():
+            return False
+        step = np.abs(np.diff(values, axis=0)).max(axis=1) / np.diff(t)
+        return bool((step > 0).any()) and low <= float(np.quantile(step[step > 0], 0.9)) <= high
+
+    return plausible
