@@ -1,4 +1,4 @@
-"""Poses to a better rig: parameters, corrections, what is promised of them, and what physics was left out.
+"""Calibration of a rig from poses: parameters, corrections, their certified accuracy, and unmodelled effects.
 
 A verb a step, each with options and a result that shows itself: `plan` chooses configurations to visit, `check` looks
 for mistakes in a recording (rig.load), `calibrate` takes one to its calibration, `diagnose` to what its model leaves

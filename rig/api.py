@@ -55,7 +55,7 @@ def save(recording: Recording, folder: Path | str, overwrite: bool = False) -> N
     from rig.recording.recording_tables import copy_frames_commands_and_sensors, write_corners, write_poses, write_table
 
     if recording.parts:
-        raise RigError(f"{recording.name}: several recordings as one have no folder; save each by itself")
+        raise RigError(f"{recording.name}: several recordings as one have no folder; save each separately")
     with CommandOutputs("save", (str(recording.folder),), [recording.folder], overwrite) as outputs:
         out = outputs.folder(Path(folder))
         write_bytes(out / "rig.toml", read_bytes(recording.folder / "rig.toml"))
@@ -185,10 +185,10 @@ def check_files(path: Path) -> tuple[Recording | None, CheckResult]:
     try:
         recording = recording_folder.load_recording(path)
     except FileError as error:
-        first = Mistake(str(error), "Mend this first: nothing else could be looked at")
+        first = Mistake(str(error), "Correct this first: nothing else could be checked")
         return None, CheckResult((*unreadable_recording_mistakes(path, error), first))
     found = recording_file_mistakes(recording)
     if any(one.spoils and one.proof >= CERTAIN for one in found):
-        rest = Mistake("corners and poses were not looked at", "Mend what is wrong first and check again", False, 0.0)
+        rest = Mistake("corners and poses were not checked", "Correct this first and repeat the check", False, 0.0)
         return None, CheckResult(sort_mistakes([*found, rest]))
     return recording, CheckResult(found)

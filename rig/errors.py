@@ -22,7 +22,7 @@ def user_path_text(path: str | PathLike[str]) -> str:
 
 
 class RigError(Exception):
-    """Anything a rig, its files or its physics refuse; the message stands alone in front of a user."""
+    """Anything a rig, its files or its physics refuse; the message is complete for a user."""
 
     def __reduce__(self) -> tuple[object, ...]:
         """What one process hands another of it, whatever the kind's constructor takes."""
@@ -72,41 +72,41 @@ class Unreachable(RigError):
 
 
 class NotEnoughData(RigError):
-    """Too few observations to determine what was asked for; says how many there are and how many it takes."""
+    """Too few observations to determine the requested result; states how many there are and are required."""
 
 
 class MissingLibrary(RigError):
-    """A system library that is not installed; says which package brings it."""
+    """A system library that is not installed; states which package provides it."""
 
 
 class MotionError(RigError):
-    """A machine that did not do what it was told, or whose state is not known; its axes have been told to stop."""
+    """A machine that did not execute its command, or whose state is unknown; its axes were commanded to stop."""
 
 
 class LinkLost(MotionError):
-    """The connection to a controller is gone or cannot be made; says which port and why."""
+    """The connection to a controller is lost or cannot be made; states port and reason."""
 
 
 class NoAnswer(MotionError):
-    """A controller that does not answer, or not in a way that can be read; says what was asked and what came."""
+    """A controller that does not answer, or not readably; states the request and the answer."""
 
 
 class ControllerFault(MotionError):
-    """A controller that refuses, or an axis in error; says what the controller said."""
+    """A controller that refuses, or an axis in error; states what the controller reported."""
 
 
 class Stalled(MotionError):
-    """Axes that stopped before their target; says where they stand and where they should."""
+    """Axes that stopped before their target; states their actual and target positions."""
 
 
 class PositionLost(MotionError):
-    """Axes that stand elsewhere than they were left, or a controller that started anew: only homing or the operator
+    """Axes that are not where they were left, or a controller that restarted: only homing or the operator
     settles it.
     """
 
 
 class Stopped(MotionError):
-    """A motion that was stopped because somebody asked."""
+    """A motion that was stopped on request."""
 
 
 def _handed(kind: type[RigError], arguments: tuple[object, ...], attributes: Json) -> RigError:

@@ -1,4 +1,4 @@
-"""A rig that is not there: a secret machine, its recordings and pictures, blind campaigns.
+"""A simulated rig: a secret machine, its recordings and images, blind campaigns.
 
 `simulate` takes a rig.toml to a recording (`SimulationResult`), as `SimulateOptions` and `ImageOptions` have it;
 `redraw` draws a diagnosed recording anew, with and without what was found.

@@ -1,4 +1,4 @@
-"""The entry points of synthetic: a recording of a rig that is not there, and a diagnosed recording drawn anew."""
+"""The entry points of synthetic: a recording of a simulated rig, and a diagnosed recording simulated again."""
 
 from __future__ import annotations
 
@@ -49,13 +49,13 @@ class ImageOptions:
         for field in fields(changed):
             if not 0 <= getattr(changed, field.name) <= LARGEST_SETTING:
                 raise RigError(
-                    f"--{field.name.replace('_', '-')} must not be negative, nor beyond {LARGEST_SETTING:g}, "
+                    f"--{field.name.replace('_', '-')} must be at least 0 and at most {LARGEST_SETTING:g}, "
                     f"got {getattr(changed, field.name):g}"
                 )
         if changed.bits not in (8, 12):
             raise RigError(f"--bits takes 8 or 12, not {changed.bits}")
         if changed.exposure > 0 and changed.exposures < 2:
-            raise RigError("an exposure in time takes --exposures of at least 2")
+            raise RigError("an exposure over time requires --exposures of at least 2")
         return changed
 
 
@@ -120,7 +120,7 @@ class SimulationResult:
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
-        return result_html(str(self), ["simulated; its truth stays with this result"])
+        return result_html(str(self), ["simulated; this result retains its truth"])
 
     def write(self, folder: Path | str, progress: Callable[[int, int], None] | None = None) -> None:
         """Write the recording into a folder. progress : called with (done, of) pictures, or None"""
@@ -197,7 +197,7 @@ def _require_observer(design: Design, path: Path, images: bool) -> None:
     if design.instrument is None and not seen:
         raise RigError(
             f"{path} has {len(design.cameras)} cameras, {len(design.targets)} targets and no "
-            "[instrument]; simulating takes "
+            "[instrument]; simulating requires "
             "cameras and targets, or an instrument that sees poses"
         )
     if images and not seen:

@@ -90,7 +90,7 @@ def draw_arm_case(
         if (not effects or e.name in effects) and "axis" in e.places and e.stage in MOTION_STAGES and not e.moving
     ]
     if not catalogue:
-        raise RigError(f"--effects: none of {', '.join(effects)} shows in poses of an arm at rest")
+        raise RigError(f"--effects: none of {', '.join(effects)} is observable in poses of an arm at rest")
     kind, numbers, rng = schedule_effects(seed, index, kinds, len(catalogue))
     for attempt in range(TRIES):
         try:

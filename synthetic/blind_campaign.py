@@ -46,14 +46,12 @@ class CampaignOptions:
         if not 1 <= self.season <= MOST or not 0 <= self.seed < 1 << 63:
             raise RigError(f"--season takes 1 to {MOST}, --seed at least 0 and below 2^63")
         if self.arm and self.images:
-            raise RigError(
-                "--images are of hexapods; an arm's cases are poses: leave one of --images and --mechanism out"
-            )
+            raise RigError("--images are of hexapods; an arm's cases are poses: omit --images or --mechanism")
         usual = blind_image_settings.IMAGE_FRAMES if self.images else blind_cases.FRAMES
         frames = (blind_arm_cases.FRAMES if self.arm else usual) if self.frames is None else self.frames
         if not 40 <= frames <= MOST_FRAMES:
             raise RigError(
-                f"--frames must be at least 40 and at most {MOST_FRAMES}, not {frames}: a diagnosis takes some poses"
+                f"--frames must be at least 40 and at most {MOST_FRAMES}, not {frames}: a diagnosis needs enough poses"
             )
         kind = {"mechanism": "arm"} if self.arm else {"images": True} if self.images else {}
         return {"seed": self.seed, "frames": frames, **kind, **self._lists()}
@@ -76,10 +74,10 @@ class CampaignOptions:
         if not lists["hide"]:
             raise RigError(f"--hide takes some of {', '.join(able)}")
         if self.arm and lists["withhold"]:
-            raise RigError("--withhold takes covariates of a hexapod away; with --mechanism arm leave it out")
+            raise RigError("--withhold withholds covariates of a hexapod; omit it with --mechanism arm")
         unseen = [name for name in lists["effects"] if self.images and not is_renderable(BY_NAME[name])]
         if unseen:
-            raise RigError(f"--effects: pictures do not show {', '.join(unseen)}, only corners do; leave --images out")
+            raise RigError(f"--effects: images do not show {', '.join(unseen)}, only corners do; omit --images")
         return lists
 
 
@@ -164,18 +162,18 @@ class Campaign:
             return None
 
     def score(self, settings: Json) -> CampaignResult:
-        """CampaignResult of all cases drawn and diagnosed. Raises RigError where a truth is not what was hashed."""
+        """CampaignResult of all cases drawn and diagnosed. Raises RigError where a truth differs from that hashed."""
         hashed = [int(path.stem) for path in (self.folder / "hashes").glob("*.sha256") if path.stem.isdigit()]
         known = sorted(i for i in hashed if self._digest(i) is not None and self.record(i) is not None)
         return CampaignResult(settings, tuple(self._case(i) for i in known))
 
     def _case(self, index: int) -> Case:
-        """Case of one that is diagnosed. Raises RigError where the truth is not what was hashed."""
+        """Case of one that is diagnosed. Raises RigError where the truth differs from that hashed."""
         truth, record = self.folder / "truth" / f"{index:04d}.json", self.record(index)
         if record is None:
             raise RigError(f"case {index} has not been diagnosed")
         if not truth.exists() or sha256(read_bytes(truth)).hexdigest() != self._digest(index):
-            raise RigError(f"{truth} is not what was hashed before the diagnosis; take the case out of the campaign")
+            raise RigError(f"{truth} differs from that hashed before the diagnosis; remove the case from the campaign")
         seconds, failed = record
         diagnosis = None if failed else self.folder / "diagnoses" / f"{index:04d}" / "diagnosis.json"
         return score_case(index, truth, diagnosis, seconds, failed)
@@ -192,7 +190,7 @@ class Campaign:
             return None
         found = re.match(rb"[0-9a-f]{64}\b", read_bytes(path))
         if found is None:
-            self.notice(f"case {index}: {path} holds no sha256; it is drawn anew")
+            self.notice(f"case {index}: {path} contains no sha256; it is regenerated")
         return found and found[0].decode()
 
 
@@ -221,4 +219,4 @@ def _require_same(stored: Mapping[str, object], settings: Json, folder: Path) ->
     other = [name for name in {**settings, **stored} if stored.get(name) != settings.get(name)]
     if other:
         named = ", ".join(f"{n} {short_repr(stored.get(n))} (not {settings.get(n)!r})" for n in other)
-        raise RigError(f"{folder} holds another campaign, with {named}")
+        raise RigError(f"{folder} contains another campaign, with {named}")

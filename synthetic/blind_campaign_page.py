@@ -20,7 +20,7 @@ from synthetic import diagnosis_score
 if TYPE_CHECKING:
     from synthetic.diagnosis_score import Case, Figure, Hidden
 
-LOOK_AT = "Look at the answers below that were not right, each in its folder: `diagnoses/NNNN/diagnosis.html`"
+LOOK_AT = "Examine the wrong answers below, each in its folder: `diagnoses/NNNN/diagnosis.html`"
 MORE = "Draw more cases: `rig blind --season N --out DIR` with a longer season"
 LINKS = 12  # to diagnoses that were not right
 OUTCOMES = ("named and placed", "named", "allowed", "taken for another", "unknown", "nothing")
@@ -83,7 +83,7 @@ def write_campaign_page(path: Path, settings: Json, cases: list[Case]) -> None:
         paragraph_html(
             f"{len(cases)} blinded cases ({said}). Strength is an effect's signal-to-noise over all corners "
             "once cameras and geometry "
-            f"have taken what they can; an effect is strong from {diagnosis_score.STRONG:g} on. Intervals "
+            f"have absorbed what they can; an effect is strong from {diagnosis_score.STRONG:g} on. Intervals "
             "are Clopper and Pearson's, 95 %."
         ),
         table_html(
@@ -106,10 +106,10 @@ def write_campaign_page(path: Path, settings: Json, cases: list[Case]) -> None:
     if any(c.hidden for c in cases):
         parts.append(_strengths(cases))
     parts += [
-        heading_html("What was taken for what"),
+        heading_html("Confusion matrix"),
         note_html("Rows: what was hidden. Columns: the name that it was given."),
         _confusion(diagnosis_score.confusion_table(cases)),
-        heading_html("Answers that were not right"),
+        heading_html("Wrong answers"),
         _wrong(cases),
     ]
     links = [
@@ -137,22 +137,20 @@ def campaign_verdict(figures: list[Figure]) -> Verdict:
     missed = [f for f in asked if f.hits < (f.goal or 0) * f.trials]
     if not asked:
         return judge_evidence(
-            Evidence(
-                "no figure is judged", missing=(MissingEvidence("no case shows a figure that is to be reached", MORE),)
-            )
+            Evidence("no figure is judged", missing=(MissingEvidence("no case provides a required figure", MORE),))
         )
     surely = [f for f in missed if f.high < (f.goal or 0)]
     few = [
         f for f in asked if f not in missed and f.low < (f.goal or 0) < 1
     ]  # of no number of cases is all surely reached
     missing = [MissingEvidence(f"{_said(f)} falls short") for f in missed if f not in surely]
-    missing += [MissingEvidence(f"too few cases to be sure: {'; '.join(map(_said, few))}", MORE)] if few else []
-    reached = f"{len(asked) - len(missed)} of {len(asked)} figures reach what they are to reach"
+    missing += [MissingEvidence(f"too few cases to decide: {'; '.join(map(_said, few))}", MORE)] if few else []
+    reached = f"{len(asked) - len(missed)} of {len(asked)} figures reach their goals"
     return judge_evidence(
         Evidence(
             reached,
             missing=tuple(missing),
-            refuted=tuple(f"{_said(f)} falls short for sure" for f in surely),
+            refuted=tuple(f"{_said(f)} falls short significantly" for f in surely),
             look=LOOK_AT,
         )
     )
@@ -204,7 +202,7 @@ def _strengths(cases: list[Case]) -> str:
         for k, name in enumerate(OUTCOMES)
     ]
     return plot_panel_svg(
-        "what became of each hidden effect",
+        "outcome of each hidden effect",
         ("signal-to-noise, power of ten", ""),
         series,
         limits=(0.0, len(OUTCOMES) + 1.0),

@@ -122,7 +122,8 @@ def arrange_net(
         if best is not None:
             return best
     raise RigError(
-        f"a face of {edge:.4g} mm is larger than the {upright_area[0]:.0f} x {upright_area[1]:.0f} mm that can be printed on"
+        f"a face of {edge:.4g} mm is larger than the {upright_area[0]:.0f} x {upright_area[1]:.0f} mm that "
+        "can be printed on"
     )
 
 

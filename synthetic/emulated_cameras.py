@@ -31,7 +31,7 @@ from synthetic.image_simulation import Images, render_image, require_renderable
 from synthetic.recording_simulation import Simulation
 from synthetic.secret_machine import World, remount_cubes
 
-LONGEST = 24 * 3600.0  # s that the temperatures lasts; beyond it stays as it was
+LONGEST = 24 * 3600.0  # s that the temperatures lasts; beyond it remains unchanged
 SOON, LATE = (
     0.02,
     20.0,
@@ -101,7 +101,7 @@ class EmulatedCameras:
         while times[-1] < t:  # where they stand at t is not known before
             if self._clock.now() > t + LATE:
                 raise RigError(
-                    f"what the struts did is told up to {t - times[-1]:.1f} s before the exposure, and no "
+                    f"the strut motion is known up to {t - times[-1]:.1f} s before the exposure, and no "
                     f"further for {LATE:g} s"
                 )
             self._clock.sleep(SOON)
@@ -147,7 +147,7 @@ class HistoryFromFile:
                     self._rows.pop()  # struts that go on standing need no more rows
                 self._rows.append(row)
         if not self._rows:
-            raise RigError(f"{self._path} says nothing yet of where the struts stand")
+            raise RigError(f"{self._path} does not yet state the strut positions")
         rows = np.array(self._rows)
         return rows[:, 0], rows[:, 1:]
 
@@ -219,7 +219,7 @@ class CameraServer:
         except ValueError:
             exposure = np.nan
         if not 0 < exposure < 100:
-            raise RigError(f"an exposure of {words[2]} s is none")
+            raise RigError(f"an exposure of {words[2]} s is not valid")
         image = self._eyes.image(words[1], t, exposure)
         eight = image.dtype == np.uint8
         head = {

@@ -3,8 +3,8 @@
 The scene is drawn as an oversized pinhole picture, finer than the camera's, and bent through the lens by sampling it
 bilinearly at SAMPLES x SAMPLES places of each pixel; the sensor blurs that finer picture before it takes the pixels'
 means, as optics do. Markers are white paper to OpenGL: it tells which paper is seen where, with white and with black
-light, and the ink is laid exactly between the two (synthetic/marker_pattern_drawing.py), because a texture's filters move
-edges by some thousandths of a pixel, the same in every picture of one pose.
+light, and the ink is laid exactly between the two (synthetic/marker_pattern_drawing.py), because a texture's filters
+move edges by some thousandths of a pixel, the same in every picture of one pose.
 (cv2.remap would round the places to 1/32 px, which shows.) A pixel centre is at a whole number for OpenCV and half a
 pixel further for OpenGL.
 """
@@ -77,7 +77,7 @@ class Renderer:
             self.renderer = self.pyrender.OffscreenRenderer(int(width), int(height))
         except Exception as error:  # pyrender passes on whatever EGL raises
             raise MissingLibrary(
-                f"no off-screen OpenGL context could be made ({error}); as root: apt-get install -y {PACKAGES}"
+                f"no off-screen OpenGL context could be created ({error}); as root: apt-get install -y {PACKAGES}"
             ) from None
         self._without_multisampling()
         # pyrender draws in a set's order, by where nodes lie in memory; where faces meet, the first drawn is what is

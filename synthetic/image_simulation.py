@@ -273,11 +273,11 @@ def simulate_diagnosed_recording(folder: Path, kinds: Kinds = BY_NAME) -> dict[s
     path = folder / "machine.json"
     if not path.exists():
         raise FileError(
-            path, "no such file; --from takes a folder that `rig diagnose` wrote from a commanded recording"
+            path, "no such file; --from requires a folder that `rig diagnose` wrote from a commanded recording"
         )
     found = recording_folder.load_recording(folder)
     if found.commands is None:
-        raise RigError(f"{folder}: nothing was commanded, so there is no motion to simulate")
+        raise RigError(f"{folder}: there are no commands, so no motion can be simulated")
     secret = secret_machine.world_from_truth(path, found.design, kinds)
     _, t = found.exposures.times()
     sensors = found.sensors or Sensors(np.array([found.commands.t[0]]), {})

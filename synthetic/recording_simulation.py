@@ -1,4 +1,4 @@
-"""Simulation of a recording: a secret machine run under a plan, written as a folder; the truth kept apart."""
+"""Simulation of a recording: a secret machine run under a plan, written as a folder; the truth stored separately."""
 
 from __future__ import annotations
 
@@ -76,8 +76,8 @@ def simulate_world(
 ) -> Simulation:
     """Simulate a World under a plan: cubes remounted, temperatures drawn, the machine run.
 
-    known_sensors : Sensors as they truly are and as they are logged, in place of drawn temperatures and the plan's payload, or
-        None
+    known_sensors : Sensors as they truly are and as they are logged, in place of drawn temperatures and the plan's
+        payload, or None
     """
     world = remount_cubes(world, dict(plan.turned))
     if known_sensors is None:

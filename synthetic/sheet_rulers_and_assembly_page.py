@@ -49,7 +49,7 @@ def draw_rulers_and_legend(axes: Axes, paper: tuple[float, float], label: str) -
     axes.text(
         LEFT,
         MARGIN + 9.5,
-        f"Both rulers are {RULER} mm long when printed at 100 %; if not, the markers are off by as much: "
+        f"Both rulers are {RULER} mm long when printed at 100 %; if not, the markers deviate by the same factor: "
         "measure them, or rig check-print.",
         fontsize=6,
     )
@@ -69,20 +69,20 @@ BODIES = ("base", "platform")
 STEPS = (
     "1. Print all sheets at 100 %, without fitting to the page. Measure both rulers and some markers with a "
     "caliper, or photograph a sheet and "
-    "run rig check-print; write the side that is true into rig.toml.",
+    "run rig check-print; write the measured side into rig.toml.",
     "2. Cut along the full black lines, flaps (grey) included. Score the dashed lines with a blunt blade, "
     "and fold them back by "
     "90 degrees, the print outside.",
     "3. Glue flap by flap under the face that bears no flap at that edge; names on the faces meet as on this "
     "page. A cube on several sheets is "
-    "put together in the same way: its faces' names (+x, +y, -x, -y, then +z on top and -z below) say what "
-    "comes beside what.",
-    "4. Better than paper alone: wrap the net around a solid body (rig print --stl writes one for each "
+    "assembled likewise: its faces' names (+x, +y, -x, -y, then +z on top and -z below) say what "
+    "is adjacent to what.",
+    "4. More accurate than paper alone: wrap the net around a solid body (rig print --stl writes one for each "
     "cube). Faces must be flat and "
     "markers without bubbles.",
-    "5. Fix each cube where the views below have it: +x along its arrow, the face that is named up. Some "
-    "millimetres do not matter: `rig measure` "
-    "finds the true places; a face turned or exchanged does matter.",
+    "5. Fix each cube as in the views below: +x along its arrow, the named face up. Some "
+    "millimetres are uncritical: `rig measure` "
+    "estimates the true poses; a turned or exchanged face does matter.",
 )
 
 

@@ -172,7 +172,7 @@ def test_calibrate_makes_what_the_command_writes(world):
     assert states(result) == result.verdict.line
     result.write_summands(world / "own.ksf.csv")
     assert (world / "own.ksf.csv").read_bytes() == (world / "command.ksf.csv").read_bytes()
-    with pytest.raises(RigError, match="leave out --joint"):
+    with pytest.raises(RigError, match="omit --joint"):
         calib.CalibrateOptions(find=True, joint=True)
 
 
@@ -208,7 +208,7 @@ def test_diagnose_finds_what_the_command_writes(world):
         one.pop("calibrations", None), one.pop("verdict", None)
     assert own == tree
     assert states(result) == result.verdict.line
-    assert states(result.next_experiment()).startswith(("nothing is alike", "next: ", "no plan"))
+    assert states(result.next_experiment()).startswith(("nothing is ambiguous", "next: ", "no plan"))
 
 
 def test_verify_and_certify_state_what_the_commands_print(world):
@@ -233,7 +233,7 @@ def test_investigate_waits_for_somebody_by_hand(world):
     options = calib.InvestigateOptions(by_hand=True, plan="sobol:12")
     result = calib.investigate(world / "rig.toml", world / "asked", main, options)
     assert result.waiting.startswith("to do: carry out") and result.tree()["waiting"] == result.waiting
-    with pytest.raises(RigError, match="there already"):
+    with pytest.raises(RigError, match="already exists"):
         calib.investigate(world / "rig.toml", world / "asked", main, options)
     with pytest.raises(RigError, match="12 to 400"):
         calib.InvestigateOptions(verify=3)

@@ -140,8 +140,8 @@ def annotations(tree: ast.Module) -> Iterator[ast.expr]:
 
 
 def test_arrays_are_annotated_with_what_they_hold():
-    """No annotation says np.ndarray, of which a type checker knows no more than that it is an array: rig.array_and_json_types has the
-    words for them.
+    """No annotation says np.ndarray, of which a type checker knows no more than that it is an array:
+    rig.array_and_json_types has the words for them.
     """
     bare = [
         f"{path.relative_to(ROOT)}:{annotation.lineno}"

@@ -1,4 +1,4 @@
-"""Images to poses: corners, their places and covariance, cameras and targets adjusted together.
+"""Images to poses: corners, their positions and covariance, cameras and targets adjusted jointly.
 
 `measure` takes a recording (rig.load) to its `MeasurementResult`, as `MeasureOptions` have it: the platform's pose in
 every frame with covariance, cameras as adjusted.

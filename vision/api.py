@@ -29,7 +29,7 @@ HELD = ("lenses", "poses")
 
 @dataclass(frozen=True, slots=True)
 class MeasureOptions:
-    """hold : what of the cameras stays as stated, of "poses" and "lenses"; places : whether the markers' places on
+    """hold : what of the cameras remains as stated, of "poses" and "lenses"; places : whether the markers' places on
     their bodies are adjusted too: "stated", "free", or "auto", where the stated ones contradict what is seen
     detect : whether to read the images even where corners.csv is there; anyway : whether to go on though a mistake
     makes results meaningless

@@ -72,12 +72,12 @@ class CombinedRecordings:
                 if alone
                 else ""
             )
-            + "; each one's own: poses, history of moves, start of clock and warming up, log"
+            + "; separate: poses, history of moves, start of clock and warming up, log"
         )
         for m in self.moved:
             now = combined_camera_name(m.camera, self.owners[m.recording])
             how = (
-                "is stated otherwise"
+                "is stated differently"
                 if np.isnan(m.distance)
                 else f"stands elsewhere, by {m.distance * 1e3:.3g} mm and {m.angle * 1e3:.3g} mrad"
             )
@@ -88,13 +88,13 @@ class CombinedRecordings:
                     out.append(
                         f"cube {target.name} was put back {WORDS[target.turned]} for "
                         f"{parts[k].recording.name}: it is target "
-                        f"{combined_camera_name(target.name, seats)} here, its place its own"
+                        f"{combined_camera_name(target.name, seats)} here, with a separate pose"
                     )
-        return out + ([f"not asked, since not all logged them: {', '.join(self.dropped)}"] if self.dropped else [])
+        return out + ([f"not tested, since not all logged them: {', '.join(self.dropped)}"] if self.dropped else [])
 
 
 def combine_recordings(recordings: Sequence[Recording], progress: Progress | None = None) -> CombinedRecordings:
-    """CombinedRecordings of several recordings of one rig, in the order in which they were taken.
+    """CombinedRecordings of several recordings of one rig, in chronological order.
     progress : called with (label, done, of), or None
 
     Raises RigError naming what their rig.toml contradict each other in, and what measuring raises

@@ -1,4 +1,4 @@
-"""Recordings with cameras on the hand, markers on stages of a chain, or remounted cubes, as recordings with fixed cameras.
+"""Recordings with cameras on the hand, markers on stages, or remounted cubes as recordings with fixed cameras.
 
 In the platform's own frame such a camera stands still and the base's markers move. So it is measured like any rig, with
 base and platform exchanged; the stated pose of the camera in the platform holds the platform's frame, the markers'
@@ -73,9 +73,9 @@ def require_stated_marker_places(places: str) -> None:
     """Require stated places of markers on a rig with targets on stages. Raises RigError where places are free."""
     if places == "free":
         raise RigError(
-            "places of markers cannot be adjusted on a rig with targets on stages of a chain: the stated "
+            "positions of markers cannot be adjusted on a rig with targets on stages of a chain: the stated "
             "places of all a stage's markers "
-            "are what its pose is told by; measure with places as stated"
+            "determine its pose; measure with positions as stated"
         )
 
 

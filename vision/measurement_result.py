@@ -23,7 +23,7 @@ from vision.reading.recording_corners import Collected
 from vision.recording_adjustment import Measurement
 
 SOLVED = 0.5  # of the frames, below which a measurement is bad
-TWICE = 2.0  # of the squares that the covariance predicts, from which it is not to be believed
+TWICE = 2.0  # of the squares that the covariance predicts, from which it is not reliable
 NAMED = 5  # frames without a pose that a notebook shows
 
 
@@ -31,7 +31,7 @@ NAMED = 5  # frames without a pose that a notebook shows
 class MeasurementResult:
     """What there is to say of a measurement. collected : what its images gave, or None; held : of frames held out;
     places : vision Places where markers' places were adjusted, else None; statement : lines on what the recording
-    determines; suspects : markers that are not what rig.toml says; determination : the combinations of unknowns that
+    determines; suspects : markers that are not as in rig.toml; determination : the combinations of unknowns that
     the recording determines, or None"""
 
     recording: Recording
@@ -130,7 +130,7 @@ def measurement_verdict(result: MeasurementResult) -> Verdict:
     if result.suspects:
         missing.append(
             MissingEvidence(
-                f"{len(result.suspects)} marker{'s are' if len(result.suspects) > 1 else ' is'} not what rig.toml says"
+                f"{len(result.suspects)} marker{'s are' if len(result.suspects) > 1 else ' is'} not as in rig.toml"
             )
         )
     if isinstance(result.held, NotHeldOut):
@@ -138,13 +138,13 @@ def measurement_verdict(result: MeasurementResult) -> Verdict:
     elif abs(result.held.ratio - 1) > 2 * result.held.scatter:
         if result.held.ratio > AGREES**2:
             unexplained.append(
-                f"frames held out miss by {result.held.ratio:.1f} times the squares predicted: the "
-                "uncertainties are not to be believed"
+                f"held-out frames deviate by {result.held.ratio:.1f} times the squares predicted: the "
+                "uncertainties are not reliable"
             )
         elif result.held.ratio < 1 / AGREES**2:
             missing.append(
                 MissingEvidence(
-                    f"frames held out miss by {result.held.ratio:.2f} of the squares predicted: the noise of "
+                    f"held-out frames deviate by {result.held.ratio:.2f} of the squares predicted: the noise of "
                     "corners, and with it every "
                     "uncertainty, is less than stated"
                 )

@@ -43,8 +43,7 @@ def predict_pose_uncertainty(
     """
     if measured.adjustment.unknowns.local_poses or measured.places_free:
         raise RigError(
-            "poses that are not there yet are told of cameras that stand still, or sit in the hand, and of "
-            "markers where they are stated"
+            "future poses are predicted for fixed or hand-mounted cameras and markers at their stated positions"
         )
     body = T_base_platform.inv() if has_hand_cameras(design) else T_base_platform
     sightings, uv = _sightings(measured, body)

@@ -69,7 +69,7 @@ class State:
     def placed(self) -> MarkerMap:
         """Its markers. Raises ValueError for a state that has none."""
         if self.markers is None:
-            raise ValueError("expected a state that has its markers, got one that leaves them to the observations")
+            raise ValueError("expected a state that has its markers, got one whose markers belong to the observations")
         return self.markers
 
     def at(self, frames: Integers) -> State:
@@ -264,7 +264,7 @@ def _delayed(
 ) -> Floats:
     """Corners (k, 4, 3) m in the base, those on the platform where it is `late` (k, 4) s after its frame's exposure."""
     if run.rate is None or run.curvature is None:
-        raise ValueError("image rows that are exposed late take a run with its rates; it has none")
+        raise ValueError("a rolling shutter requires a run with rates; it has none")
     step = late[..., None] * run.rate[frame][:, None] + late[..., None] ** 2 / 2 * run.curvature[frame][:, None]
     moved = exp(step).as_matrix()
     body = (moved[..., :3, :3] @ markers.corners[marker][..., None])[..., 0] + moved[..., :3, 3]

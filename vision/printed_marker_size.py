@@ -37,7 +37,7 @@ class Printed:
 
 def print_scale_on_sheet(image: Pixels, design: Design, paper: tuple[float, float], tolerance: float) -> Printed:
     """The markers' scale across and along a whole sheet. image : as cv2.imread gives it; paper : (width, height) m;
-    tolerance : m, standard uncertainty of both. Raises RigError where no marker of the rig or no whole sheet is seen"""
+    tolerance : m, standard uncertainty of both. Raises RigError where no marker of the rig or no full sheet is seen"""
     seen, side = _seen(image, design)
     ends, bend = _sheet(image, seen.reshape(-1, 2))
     best = None
@@ -139,9 +139,9 @@ def _sheet(image: Pixels, inside: Floats) -> tuple[Floats, float]:
             )  # counter-clockwise as one looks at it
             return (corners[::-1] if turned else corners), max(bend for _, bend in fits)
     raise RigError(
-        "no whole sheet is seen around the markers: lay it flat on a plain ground that is darker, all four "
+        "no full sheet is seen around the markers: lay it flat on a plain, darker ground, all four "
         "corners in the photograph, "
-        "or lay a ruler beside it and give --ruler"
+        "or lay a ruler next to it and give --ruler"
     )
 
 

@@ -72,7 +72,7 @@ def _measured(
     if not design.cameras or not design.targets:
         raise NotEnoughData(
             f"{recording.folder}: rig.toml has {len(design.cameras)} cameras and {len(design.targets)} targets; "
-            "measuring takes at least one of each"
+            "measuring requires at least one of each"
         )
     if not any(target.body == "platform" for target in design.targets):
         raise NotEnoughData(f"{recording.folder}: rig.toml has no target on the platform, so its pose cannot be seen")
@@ -235,7 +235,7 @@ def _why_none(recording: Recording, found: Collected, markers: MarkerMap) -> str
     e = recording.exposures
     images = [(frame, camera) for frame, camera, name in zip(e.frame, e.camera, e.image) if name]
     if found.left_out:
-        return f"{len(images)} images that could be placed: " + "; ".join(
+        return f"{len(images)} images that could be located: " + "; ".join(
             sorted({one.reason for one in found.left_out})[:5]
         )
     read, some = (
@@ -243,4 +243,4 @@ def _why_none(recording: Recording, found: Collected, markers: MarkerMap) -> str
         {round(k) for k in np.linspace(0, len(images) - 1, min(2 * LOOKED_AT, len(images)))},
     )
     why = no_marker_reason([image for k in sorted(some) if (image := read(*images[k])) is not None], markers)
-    return f"{len(images)} images" + (f"; of {len(some)} that were looked at again, {why}" if why else "")
+    return f"{len(images)} images" + (f"; of {len(some)} that were examined again, {why}" if why else "")

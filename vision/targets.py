@@ -47,7 +47,7 @@ class MarkerMap:
 
     @property
     def key(self) -> Floats:
-        """(m,) of each row, no two alike: its identity, shifted."""
+        """(m,) of each row, no two equal: its identity, shifted."""
         return self.id + self.shift
 
     def rows(self, keys: Integers) -> Integers:

@@ -1,1 +1,1 @@
-"""The entry points of calib, a file a verb: what the commands and a notebook call alike."""
+"""The entry points of calib, one file per verb, called by the commands and by notebooks."""

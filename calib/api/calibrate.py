@@ -80,16 +80,16 @@ class CalibrateOptions:
         asked = "--find" if self.find else "--diagnosis"
         if self.with_findings and self.joint:
             raise RigError(
-                f"{asked} solves cameras, lenses, geometry and physics from all corners together; leave out --joint"
+                f"{asked} solves cameras, lenses, geometry and physics from all corners together; omit --joint"
             )
         if self.with_findings and self.limbs is not None:
-            raise RigError(f"{asked} looks at what cameras saw of every pose; leave out --limbs")
+            raise RigError(f"{asked} needs the camera images of every pose; omit --limbs")
         if self.with_findings and self.extend is not None:
-            raise RigError(f"{asked} corrects what it finds by its own models, --extend by none; give one of them")
+            raise RigError(f"{asked} corrects findings by their models, --extend by interpolation; give only one")
         if self.effects and not self.with_findings:
-            raise RigError("--effects adds to what a diagnosis is asked for: give --find or --diagnosis as well")
+            raise RigError("--effects extends a diagnosis: give --find or --diagnosis as well")
         if self.extend is not None and self.joint:
-            raise RigError("--extend is not for --joint: give one of them")
+            raise RigError("--extend cannot be combined with --joint: give only one of them")
 
     def refuse_unsuited(self, design: Design) -> None:
         """Raise RigError for what a design's machine takes none of."""
@@ -97,7 +97,7 @@ class CalibrateOptions:
         if self.with_findings and mechanism.bodies:
             raise RigError(
                 f"{'--find' if self.find else '--diagnosis'} is for platforms on struts and for arms; a chain is "
-                "corrected by its geometry"
+                "corrected by its geometry only"
             )
         if self.extend is not None:
             self.extend.refuse_unsuited(design)
@@ -189,7 +189,7 @@ def calibrate(
     progress: Progress | None = None,
     notice: Notice = ignore_notice,
 ) -> CalibrationResult:
-    """CalibrationResult of a recording, or of several of one rig together, as `rig calibrate` makes it.
+    """CalibrationResult of a recording, or of several of one rig jointly, as `rig calibrate` makes it.
 
     progress : called with (label, done, of), or None; notice : called with lines on what is unlikely in the recording
     Raises RigError without commands and for a recording whose results would mean nothing, NotEnoughData without poses,
@@ -198,7 +198,7 @@ def calibrate(
     prepared = prepare_recordings(recordings, options.anyway, notice, progress)
     recording, call = prepared.recording, progress or silent_progress
     if prepared.joined and options.limbs is not None:
-        raise RigError("--limbs takes the poses of one recording from measuring limbs; name one")
+        raise RigError("--limbs reads the poses of one recording from measuring limbs; name one")
     options.refuse_unsuited(recording.design)
     kinds = catalogue_with_files(options.effects)
     findings = None if options.diagnosis is None else load_findings(options.diagnosis, recording, kinds)
@@ -269,7 +269,7 @@ def _fitted_platform(
         require_hexapod(struts)
     done = platform_certification.certify_platform(samples, struts, rng, progress)
     if joint:
-        progress("solving cameras and geometry together", 0, 1)
+        progress("solving cameras and geometry jointly", 0, 1)
         correction, found = refine_correction_with_cameras(sampled, recording.design, done.correction, done.found)
         done = platform_certification.certified_with_refitted_correction(done, correction, found)
     if refit is not None:

@@ -129,13 +129,11 @@ def _against_claim(
 def _held_out_recordings(
     calibration: Calibration, recordings: Sequence[Recording], name: str, progress: Progress | None
 ) -> list[tuple[Recording, Sampled]]:
-    """[(Recording, Sampled)], none of whose data took part in fitting a calibration or is there twice. Raises RigError
+    """[(Recording, Sampled)], none of whose data took part in fitting a calibration or occurs twice. Raises RigError
     naming what did
     """
     if not calibration.provenance.get("data"):
-        raise RigError(
-            f"{name} does not say which data it was made from, so nothing can be shown to be held out; calibrate again"
-        )
+        raise RigError(f"{name} does not state its source data, so no data can be shown to be held out; recalibrate")
     known: set[str] = set()
     for recording in recordings:
         path, frames = recording.folder, len(recording.exposures.times()[0])
@@ -143,9 +141,9 @@ def _held_out_recordings(
         if same:
             raise RigError(
                 f"{path}: {len(same)} of {frames} frames (the first: {same[0]}) took part in fitting {name}, "
-                "themselves or what was measured from them; a certificate takes poses that did not. Of a "
-                "recording alone, --mask keeps "
-                "some frames from rig calibrate, and then the others from rig certify"
+                "directly or as poses measured from them; a certificate requires poses that did not. For a "
+                "single recording, --mask excludes "
+                "some frames from rig calibrate, then the others from rig certify"
             )
         calibration.refuse_kind(recording.design.mechanism.kind, str(path))
         of = content_hashes(recording)

@@ -119,7 +119,7 @@ class LoopClosureResult:
 
 
 def close_loops(recording: Recording, options: LoopClosureOptions = LoopClosureOptions()) -> LoopClosureResult:
-    """LoopClosureResult of a recording with measuring limbs beside its struts, as `rig closure` makes it.
+    """LoopClosureResult of a recording with measuring limbs next to its struts, as `rig closure` makes it.
 
     Raises RigError for a recording without limbs' readings, and for other legs than it has
     """

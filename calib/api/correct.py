@@ -30,8 +30,8 @@ class CorrectOptions:
     stand at first, None for home; approach : one of APPROACHES, whether to come to a pose from one side, past what an
     axis remembers: "auto" where that makes it surer
     skip_unreachable : whether poses out of reach are left out, not refused
-    uncorrected : whether to command what the owner's model says; single_step : whether to command X + KSF(X), the
-    method's first step, not the fixed point that is exact
+    uncorrected : whether to command what the nominal model says; single_step : whether to command X + KSF(X), the
+    method's first step, not the exact fixed point
     """
 
     sensors: Sensors | None = None
@@ -50,7 +50,7 @@ class CorrectOptions:
 class CorrectionResult:
     """Commands for wanted poses. calibration; wanted : Wanted; index : (n,) which of them are commanded; commanded :
     Commanded of these; out_of_reach : (frame, why) of the others; single_step : whether these are the method's first
-    step; uncorrected : whether they are by the owner's model
+    step; uncorrected : whether they are by the nominal model
     """
 
     calibration: Calibration
@@ -110,7 +110,7 @@ class CorrectionResult:
         done = f"{len(self.index)} of {len(self.wanted.poses.frame)} poses"
         covariance = self.covariance
         if covariance is None:
-            return f"{done}, not corrected" if self.uncorrected else f"{done}, by the single step"
+            return f"{done}, not corrected" if self.uncorrected else f"{done}, by a single step"
         position, rotation = covariance_sizes(covariance)[0]
         return f"{done}, standard uncertainty {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad RMS"
 
@@ -162,7 +162,7 @@ class CorrectionResult:
 def correct(
     calibration: Calibration, wanted: WantedPoses | RigidTransform, options: CorrectOptions = CorrectOptions()
 ) -> CorrectionResult:
-    """CorrectionResult for wanted poses T_base_platform in their order, all that the calibration knows undone.
+    """CorrectionResult for wanted poses T_base_platform in their order, all known effects compensated.
 
     wanted : RigidTransform (n,) or (), each held until all has come to rest; or Wanted, with frames and with times
     Raises Unreachable listing the poses that leave the axes' ranges or come too soon, NotConverged where no commands
@@ -173,7 +173,7 @@ def correct(
         wanted = WantedPoses(Poses(np.arange(len(T)), T, None))
     if options.single_step and calibration.physics is not None and not options.uncorrected:
         raise RigError(
-            "--single-step is of corrections that depend on the configuration alone; this calibration knows "
+            "--single-step is for corrections that depend on the configuration only; this calibration includes "
             "physics besides"
         )
     _require_log(options.sensors, wanted)
@@ -237,9 +237,9 @@ def _require_log(sensors: Sensors | None, wanted: WantedPoses) -> None:
         require_sensor_coverage(sensors, wanted.t, wanted.origin.shown)
     elif len(sensors.t) > 1:
         raise RigError(
-            f"the sensors' log has {len(sensors.t)} rows, and the wanted poses have no times: say in a column t when "
+            f"the sensors' log has {len(sensors.t)} rows, and the wanted poses have no times: state in a column t when "
             "each is to be held, or give "
-            "one row that holds for all"
+            "one row that applies to all"
         )
 
 
@@ -251,9 +251,11 @@ def _start(values: Floats | None, calibration: Calibration) -> Floats:
     values = np.asarray(values, float)
     if values.shape != (len(nominal.axes),) or not np.isfinite(values).all():
         shown = ",".join(f"{value:g}" for value in values.ravel())
-        raise RigError(f"--start takes home or {len(nominal.axes)} values joined by commas, m or rad, got {shown!r}")
+        raise RigError(
+            f"--start must be home or {len(nominal.axes)} values separated by commas, m or rad, got {shown!r}"
+        )
     try:
         require_reachable(values[None], nominal, ["the start"])
     except Unreachable as error:
-        raise RigError(f"--start cannot be: {error.violations[0]}") from None
+        raise RigError(f"--start is invalid: {error.violations[0]}") from None
     return values

@@ -207,7 +207,7 @@ SPACES = ("configuration", "pose", "both")
 @dataclass(frozen=True, slots=True, eq=False)
 class ExtendOptions:
     """way : how, of "linear", "simplex", "delaunay", "axes", "radial", "polynomial" or, by held-out error, "auto"
-    alone : whether to correct the owner's model itself, with no geometry fitted first; onto : Calibration on which this
+    alone : whether to correct the nominal model itself, with no geometry fitted first; onto : Calibration on which this
     is one more pass, or None; name : of that, in words
     space : of a pass, where it maps what is left, one of SPACES, None for configurations
     within : of a pass, the part in which it holds, as "l1=0.40:0.46,z=0.41:" (m, rad), None for all of it
@@ -222,9 +222,9 @@ class ExtendOptions:
 
     def __post_init__(self) -> None:
         if self.alone and self.onto is not None:
-            raise RigError("--alone and --onto each say on what --extend stands; it takes one of them")
+            raise RigError("--alone and --onto each state the base of --extend; use one of them")
         if (self.space or self.within) and self.onto is None:
-            raise RigError("--space and --within are of a pass; name with --onto what it stands on")
+            raise RigError("--space and --within apply to a pass; name with --onto its base")
 
     def refuse_unsuited(self, design: Design) -> None:
         """Raise RigError where a pass cannot be of a design's machine, or stand on its calibration."""
@@ -232,15 +232,15 @@ class ExtendOptions:
             return
         if design.mechanism.link_rows is not None:
             raise RigError(
-                "--onto is a pass on top of a calibration of struts; an arm's is extended in one go, by all of "
+                "--onto adds a pass to a calibration of struts; an arm's is extended in one step, by all of "
                 "its recordings"
             )
         struts = require_struts(design.mechanism)
         if mechanism_dict(self.onto.correction.nominal) != mechanism_dict(struts):
-            raise RigError(f"{self.name} is a calibration of another machine than this recording's rig.toml states")
+            raise RigError(f"{self.name} is for another machine than this recording's rig.toml")
         if self.onto.physics is not None:
             raise RigError(
-                f"{self.name} knows physics besides the configuration; a pass goes on top of corrections by "
+                f"{self.name} models physics besides the configuration; a pass extends corrections by "
                 "configuration alone"
             )
 
@@ -266,7 +266,7 @@ def certify_correction_extension(
 ) -> ExtendedCorrection:
     """Extended, of a machine on struts or an arm. Raises RigError for a chain, and for a part that bounds nothing"""
     samples, ask = sampled.samples, ExtensionRequest(options.way, options.alone)
-    base = "the owner's model alone" if options.alone else "the fitted geometry"
+    base = "the nominal model alone" if options.alone else "the fitted geometry"
     if has_links(design.mechanism):
         arm = require_arm(design.mechanism)
         of_arm, tried = arm_extension.certify_extended_arm(samples, arm, sampled.instrument, ask, rng, progress)
@@ -294,7 +294,7 @@ def _certify_pass(
     if configurations is not None and space == POSE or poses is not None and space == CONFIGURATION:
         raise RigError(
             f"--within {options.within}: a pass over {'poses' if space == POSE else 'configurations'} is bounded by "
-            f"{'x y z rx ry rz' if space == POSE else 'the axes'}; --space both takes either"
+            f"{'x y z rx ry rz' if space == POSE else 'the axes'}; --space both accepts either"
         )
     done, tried, count = certify_additional_pass(
         samples, before, CorrectionPass(options.way, space, configurations, poses), rng, progress
@@ -331,8 +331,8 @@ def _parts(text: str | None, mechanism: Struts) -> tuple[SpacePart | None, Space
         at = [(k, names.index(name)) for k, names in enumerate(spaces) if name in names]
         if not at or not colon or not pair[0] < pair[1] or pair == (-np.inf, np.inf):
             raise RigError(
-                f"--within takes NAME=LOW:HIGH joined by commas, names {' '.join(spaces[0] + spaces[1])}, "
-                "low below high and either left "
+                f"--within takes NAME=LOW:HIGH separated by commas, names {' '.join(spaces[0] + spaces[1])}, "
+                "low below high and either omitted "
                 f"out where free, not {word.strip()!r}"
             )
         bounds[at[0][0]][at[0][1]] = pair

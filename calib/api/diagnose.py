@@ -93,7 +93,7 @@ class DiagnoseOptions:
                 name, place = finding.text("effect"), finding.text("place")
                 if name not in (*kinds, UNKNOWN):
                     raise RigError(
-                        f"{path} found {name}, and there is no such effect; of your own, name its file with --effects"
+                        f"{path} found {name}, an unknown effect; if user-defined, name its file with --effects"
                     )
                 if name in kinds and not kinds[name].discrete:
                     try:
@@ -139,7 +139,7 @@ class DiagnosisResult:
     def next_experiment(
         self, options: ExperimentOptions = AN_HOUR, progress: Progress = silent_progress
     ) -> NextExperiment:
-        """NextExperiment that would best tell apart what is still alike."""
+        """NextExperiment that best resolves what is still ambiguous."""
         return next_experiment(diagnosis_questions(self.found), self.recording.design, options, progress)
 
 
@@ -149,7 +149,7 @@ def diagnose(
     progress: Progress | None = None,
     notice: Notice = ignore_notice,
 ) -> DiagnosisResult:
-    """DiagnosisResult of a recording, or of several of one rig together, as `rig diagnose` makes it.
+    """DiagnosisResult of a recording, or of several of one rig jointly, as `rig diagnose` makes it.
 
     progress : called with (label, done, of), or None; notice : called with lines on what is unlikely in the recording
     Raises RigError for a name that there is not and for a recording whose results would mean nothing, NotEnoughData

@@ -141,7 +141,7 @@ def _correction_tables(path: Path, kind: str, options: ExportOptions) -> ExportR
             *grid_correction_table(correction, parts), mechanism.axes, mechanisms.kinematics_of(mechanism).UNIT
         )
         rows = (parts + 1) ** len(mechanism.axes)
-        return ExportResult({"": text}, f"{rows} rows; command = x + k, x as the owner's model has it")
+        return ExportResult({"": text}, f"{rows} rows; command = x + k, x as the nominal model has it")
     found = axis_correction_tables(correction, parts + 1)
     files = {
         f"joint_{i}.comp": geometry_and_camera_files.linuxcnc_compensation_file(
@@ -191,13 +191,13 @@ def _machine(path: Path) -> tuple[Mechanism, list[str], float | None]:
     correction, left_out = calibration.correction, []
     if calibration.physics is not None and calibration.physics.compensable_effects():
         names = ", ".join(f"{e.label()} at {e.place}" for e in calibration.physics.compensable_effects())
-        left_out.append(f"the calibration undoes {names} beside the geometry, which no export holds")
+        left_out.append(f"the calibration compensates {names} besides the geometry, which no export contains")
     if correction.posed:
         left_out.append(f"maps in pose space ({len(correction.posed)}) are in no export")
     every = correction.extension is not None
     axes = [str(i + 1) for i, part in enumerate(correction.remainder) if part is not None or every]
     if axes:
-        left_out.append(f"the calibration corrects axes {', '.join(axes)} beyond the geometry, which no geometry holds")
+        left_out.append(f"the calibration corrects axes {', '.join(axes)} beyond any geometry")
     return correction.fitted, left_out, None
 
 

@@ -138,7 +138,7 @@ class InvestigationResult:
     def __str__(self) -> str:
         if self.waiting is not None:
             return self.waiting
-        return self.verdict.line if self.verdict is not None else "check: nothing was recorded yet"
+        return self.verdict.line if self.verdict is not None else "check: nothing has been recorded"
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
@@ -196,13 +196,13 @@ def _require_observed(design: Design) -> None:
     """Raise RigError for a machine that cannot be investigated."""
     if len(design.mechanism.stages) != 1:
         raise RigError(
-            "an investigation is of a platform on struts or of an arm, not of a mechanism of kind "
+            "an investigation requires a platform on struts or an arm, not a mechanism of kind "
             f"{design.mechanism.kind!r}"
         )
     if design.mechanism.link_rows is not None and design.instrument is None and not (design.cameras and design.targets):
         raise RigError(
-            "an investigation of an arm takes an [instrument] that measures its poses, or cameras and "
-            "targets that show them"
+            "an investigation of an arm requires an [instrument] that measures its poses, or cameras and "
+            "targets that determine them"
         )
 
 
@@ -218,15 +218,15 @@ def _begin(out: Path, rig: InvestigatedRig) -> None:
         return
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise RigError(
-            f"{out} is there already"
-            + ("; --resume goes on with it" if (out / STATE).exists() else "; name a new folder")
+            f"{out} already exists"
+            + ("; --resume continues with it" if (out / STATE).exists() else "; name a new folder")
         )
     plan = build_plan(rig.design, options.plan or _first(rig), options.seed)
     rig.refuse(plan)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise RigError(f"{out} cannot be made: {error.strerror}") from None
+        raise RigError(f"{out} cannot be created: {error.strerror}") from None
     write_bytes(out / "rig.toml", rig.path.read_bytes())
     write_plan_table(plan_path(out, 1), plan, rig.design.mechanism.axes)
     write_text(out / STATE, json.dumps(own, indent=1) + "\n")
@@ -271,18 +271,18 @@ def _ended(options: InvestigateOptions, so_far: Sequence[InvestigationRound]) ->
     last = so_far[-1]
     if not last.questions:
         return (
-            "nothing is alike any more"
+            "nothing is ambiguous any more"
             if last.findings
-            else ("what is there has no name" if last.unknown else "nothing is left out")
+            else ("the remaining effect is in no catalogue" if last.unknown else "nothing is unmodelled")
         )
     if not last.proposed:
         late = recording_minutes_spent(so_far) > options.budget / 2
         return (
-            f"the budget of {options.budget:.0f} min leaves no time for an experiment that would tell more"
+            f"the budget of {options.budget:.0f} min leaves no time for a more informative experiment"
             if late
-            else "no plan that is allowed tells what is left apart"
+            else "no plan that is allowed distinguishes the rest"
         )
-    return f"{MOST} recordings did not tell it apart" if last.number >= MOST else ""
+    return f"{MOST} recordings did not distinguish them" if last.number >= MOST else ""
 
 
 def _write_notebook(

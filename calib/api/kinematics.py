@@ -96,10 +96,7 @@ def load_arm_kinematics(text: str) -> ArmKinematics:
     correction, left_out = calibration.correction, None
     if calibration.physics is not None and calibration.physics.compensable_effects():
         names = ", ".join(f"{e.label()} at {e.place}" for e in calibration.physics.compensable_effects())
-        left_out = (
-            f"{text} undoes {names} besides, by what went before a pose: that is not in what follows; rig "
-            "correct does it"
-        )
+        left_out = f"{text} undoes {names} as well, by the preceding motion: not included below; rig correct does it"
     if not isinstance(correction, ArmCorrection):
         raise RigError(f"{text} is the calibration of a {correction.nominal.kind}; this takes an arm's")
     return ArmKinematics(correction.nominal, correction, left_out)
@@ -132,7 +129,7 @@ def _numeric(T: RigidTransform, arm: Arm, steps: bool) -> tuple[str, list[Json]]
     """
     found = closed_form_and_numerical_arm_inverse.numerical_inverse_solutions(T, arm)
     if not len(found.q):
-        return f"out of reach: the arm comes no nearer than {found.missed[0]:.3g} m and {found.missed[1]:.3g} rad", []
+        return f"unreachable: the arm comes no nearer than {found.missed[0]:.3g} m and {found.missed[1]:.3g} rad", []
     entries = [
         {
             "q": q.tolist(),
@@ -161,7 +158,7 @@ def _beyond(q: list[float], arm: Arm) -> list[str]:
 
 
 def _finished(T: RigidTransform, q: list[float], correction: ArmCorrection) -> list[float] | None:
-    """Commands of the calibrated arm for a pose (1,), sought from a solution of its owner's model; None where none is
+    """Commands of the calibrated arm for a pose (1,), sought from a solution of its nominal model; None where none is
     near.
     """
     commands = correction.near(T, np.array([q]))[0]

@@ -1,4 +1,4 @@
-"""Parameters learnt from a recording's poses, one at a time: what the machine is by now, and what jumped."""
+"""Parameters learnt from a recording's poses, one at a time: the current estimate, and sudden changes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -232,7 +232,7 @@ BEYOND = 0.05  # of an axis' range, by which a reading may lie beyond it
 @dataclass(frozen=True, slots=True, eq=False)
 class PosesOfReadings:
     """Poses that a measuring machine's readings stand for. poses : Poses, corrected, with covariance; moved : m, RMS
-    from what the owner's model reads; physics : whether the calibration knows physics, which is not taken off readings
+    from what the nominal model reads; physics : whether the calibration knows physics, which is not taken off readings
     """
 
     poses: Poses
@@ -246,7 +246,7 @@ class PosesOfReadings:
             for part in (slice(0, 3), slice(3, 6))
         )
         return (
-            f"{self.moved * 1e3:.4f} mm RMS from what the owner's model reads; "
+            f"{self.moved * 1e3:.4f} mm RMS from what the nominal model reads; "
             f"standard uncertainty {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad RMS"
         )
 

@@ -64,7 +64,7 @@ class ExperimentOptions:
         return tuple(out)
 
 
-PARTS = ("sobol:12", "ladder:1", "axes:3", "repeat:12", "sobol:30", "sobol:90")  # at whose exposures the struts stand
+PARTS = ("sobol:12", "ladder:1", "axes:3", "repeat:12", "sobol:30", "sobol:90")  # at whose exposures the struts rest
 CHOSEN = (8, 16, 32, 64)  # configurations where the likeliest names come apart, see `discriminating_configurations`
 MOVING = ("moving:16", "zigzag:16", "zigzag:40")
 WAITING = ("dwell:20", "sobol:8,wait:20,sobol:8", "sobol:8,wait:60,sobol:8")  # where waiting is allowed
@@ -250,9 +250,9 @@ class NextExperiment:
     def lines(self) -> list[str]:
         """What is alike with odds, and the best plan with its chance."""
         if not self.questions:
-            return ["nothing is alike that an experiment could tell apart"]
+            return ["nothing is ambiguous that an experiment could resolve"]
         none = [
-            "no plan that is allowed tells these apart",
+            "no plan that is allowed distinguishes these",
             *(f"  {text}: {why}" for text, why in self.refused.items()),
         ]
         return [
@@ -299,7 +299,7 @@ class NextExperiment:
 def next_experiment(
     questions: Sequence[Question[object]], design: Design, options: ExperimentOptions, progress: Progress
 ) -> NextExperiment:
-    """NextExperiment that tells best what a diagnosis leaves alike; progress : called with (label, done, of)."""
+    """NextExperiment that best resolves what a diagnosis leaves ambiguous; progress : called with (label, done, of)."""
     if not questions:
         return NextExperiment((), (), {}, {}, design.mechanism.axes)
     texts = available_plans(options.interventions(design), options.standing, tuple(quarter_turns_of_cubes(design)))
@@ -309,7 +309,7 @@ def next_experiment(
         texts,
         options.seed,
         options.minutes,
-        lambda done, of: progress("foretelling experiments", done, of),
+        lambda done, of: progress("predicting experiments", done, of),
     )
     experiments = [e for e in experiments if e.bits >= TELLING]
     seen = camera_information_shares(questions, experiments[0].plan) if experiments else {}
@@ -318,8 +318,8 @@ def next_experiment(
 
 def _odds_lines(questions: Sequence[Question[object]]) -> list[str]:
     """What is alike, with odds."""
-    out = ["alike: " + ", ".join(f"{h.title} {h.odds:.2f}" for h in question.hypotheses) for question in questions]
-    return out + [f"cannot be foretold: {text}" for question in questions for text in question.not_asked]
+    out = ["ambiguous: " + ", ".join(f"{h.title} {h.odds:.2f}" for h in question.hypotheses) for question in questions]
+    return out + [f"cannot be predicted: {text}" for question in questions for text in question.not_asked]
 
 
 def _experiment_lines(experiments: Sequence[Experiment], seen: dict[str, float]) -> list[str]:
@@ -330,7 +330,7 @@ def _experiment_lines(experiments: Sequence[Experiment], seen: dict[str, float])
     out = [
         f"next: {best.text} (seed {best.seed}), {len(best.plan.t)} exposures, {best.minutes:.1f} min; it "
         "settles this with a chance of "
-        f"{best.settles:.0%} and tells {best.bits:.2f} bits"
+        f"{best.settles:.0%} and yields {best.bits:.2f} bits"
     ]
     out += [f"  operator, {text}" for text in best.asks]
     out += ["  seen by " + ", ".join(f"{name} {share:.0%}" for name, share in seen.items())] if seen else []

@@ -96,19 +96,19 @@ def informative_configurations(
     size = asked.size
     if not seen.any():
         raise RigError(
-            f"in none of {len(values)} configurations all over the limits {FEWEST} markers are seen whole: "
+            f"in none of {len(values)} configurations within the limits {FEWEST} markers are fully visible: "
             "turn the cameras"
         )
     rows = asked.jacobian(values[seen]) / np.repeat(sigmas, 3)[:, None] * size
     told = int(rows.any(axis=2).any(axis=0).sum())  # numbers of a pose that the parameters move at all
     if told * count <= len(size):
         raise RigError(
-            f"{count} configurations cannot determine {len(size)} parameters; it takes {len(size) // told + 1}, better "
+            f"{count} configurations cannot determine {len(size)} parameters; minimum {len(size) // told + 1}, better "
             f"{3 * len(size) // told}"
         )
     if seen.sum() < 2 * count:
         raise RigError(
-            f"in {seen.sum()} of {len(values)} configurations all over the limits {FEWEST} markers are seen "
+            f"in {seen.sum()} of {len(values)} configurations within the limits {FEWEST} markers are seen "
             f"whole; choosing {count} takes "
             "more: narrow the limits, or turn the cameras"
         )
@@ -144,9 +144,7 @@ def plan_for_parameters(design: Design, options: PlanOptions, progress: Progress
     """
     mechanism = design.mechanism
     if not has_axes(mechanism):
-        raise RigError(
-            f"plans for parameters are for what is commanded, not for a mechanism of kind {mechanism.kind!r}"
-        )
+        raise RigError(f"plans for parameters require a commanded mechanism, not one of kind {mechanism.kind!r}")
     if not has_plates(mechanism):
         return _plan_of_any(design, mechanism, options, progress)
     mechanism, avoided = geometry_and_excluded_configurations(options, mechanism)
@@ -165,9 +163,9 @@ def plan_for_parameters(design: Design, options: PlanOptions, progress: Progress
     )
     visited = 0 if options.given is None else len(options.given)
     said = [
-        f"{options.count} configurations beside {visited} given: condition number of the 42 parameters "
+        f"{options.count} configurations besides {visited} given: condition number of the 42 parameters "
         f"{seen.condition:.0f}, "
-        f"with as many evenly spread {even.condition:.0f}",
+        f"with the same number evenly spread {even.condition:.0f}",
         f"worst determined combination {after[0].sigma * 1e6:.2f} um, evenly spread "
         f"{PLAUSIBLE / even.singular[-1] * 1e6:.2f} um; "
         f"all 42 together {(seen.singular.prod() / even.singular.prod()) ** (1 / 42):.2f} times as precise "
@@ -175,10 +173,10 @@ def plan_for_parameters(design: Design, options: PlanOptions, progress: Progress
     ]
     hidden = [part for part in before if not part.determined]
     if visited and not hidden:
-        said.append("what was given determines all 42 already; the worst, before and after:")
+        said.append("the given configurations already determine all 42; the worst, before and after:")
     elif visited:
         said.append(
-            f"{len(hidden)} combinations that what was given does not tell from {PLAUSIBLE * 1e3:g} mm "
+            f"{len(hidden)} combinations that the given configurations do not determine to {PLAUSIBLE * 1e3:g} mm "
             "become visible; the worst:"
         )
     else:
@@ -190,7 +188,7 @@ def plan_for_parameters(design: Design, options: PlanOptions, progress: Progress
         for part in (before if visited else after)[:SHOWN]
     ]
     unseen = sum(not part.determined for part in after)
-    why = said[0] + (f"; {unseen} combinations stay unseen" if unseen else "")
+    why = said[0] + (f"; {unseen} combinations remain undetermined" if unseen else "")
     return PlanResult(design, chosen.commands, not unseen, why, said)
 
 
@@ -216,7 +214,7 @@ def _plan_of_any(
         )
     if found.undetermined:
         said.append(
-            f"{found.undetermined} combinations of them no pose tells: they stay as stated, and are left aside here"
+            f"{found.undetermined} combinations are determined by no pose: they remain as stated and are not considered"
         )
     said.append(
         f"{options.count} configurations for {len(found.names)} parameters; standard errors, and by as "
@@ -264,7 +262,7 @@ def plan(design: Design, options: PlanOptions = FOR_PARAMETERS, progress: Progre
 def _keeping_promise(design: Design, promise: float, options: PlanOptions, progress: Progress) -> PlanResult:
     """PlanResult of the fewest configurations that keep a promise (m); of none where it is met without any."""
     if not has_plates(design.mechanism):
-        raise RigError(f"plans for a promise are for hexapods, not for a mechanism of kind {design.mechanism.kind!r}")
+        raise RigError(f"plans for a promise require a hexapod, not a mechanism of kind {design.mechanism.kind!r}")
     mechanism, avoided = geometry_and_excluded_configurations(options, design.mechanism)
     found = fewest_configurations(
         mechanism, promise, options.sigma, options.given, SEED, lambda done, of: progress("choosing", done, of), avoided
@@ -274,20 +272,20 @@ def _keeping_promise(design: Design, promise: float, options: PlanOptions, progr
         met = (
             f"by the {visited} configurations given"
             if visited
-            else "by the geometry as it is stated, with no configuration visited"
+            else "by the stated geometry, with no configuration visited"
         )
         said = [
             f"the promise of {quantity_text(promise, 'm')} is met {met}: "
-            f"{quantity_text(found.left[0], 'm')} left; there is nothing to "
+            f"{quantity_text(found.left[0], 'm')} remaining; there is nothing to "
             f"visit"
         ]
     else:
         said = [
-            f"{count} configurations beside {visited} given keep {promise * 1e6:.4g} um: "
+            f"{count} configurations besides {visited} given meet {promise * 1e6:.4g} um: "
             f"{found.left[0] * 1e6:.4g} -> "
-            f"{found.left[-1] * 1e6:.4g} um RMS over the workspace, which 97.5 % of machines keep to; errors "
-            "that all poses share come on top",
-            "left after each: " + " ".join(f"{value * 1e6:.3g}" for value in found.left[1:]) + " um",
+            f"{found.left[-1] * 1e6:.4g} um RMS over the workspace, which 97.5 % of machines meet; errors "
+            "that all poses share are additional",
+            "remaining after each: " + " ".join(f"{value * 1e6:.3g}" for value in found.left[1:]) + " um",
         ]
     return PlanResult(design, found.commands, True, said[0], said)
 
@@ -298,18 +296,17 @@ def _separating(design: Design, texts: tuple[str, str], options: PlanOptions) ->
     seen = [effect.name for effect in effects if effect.stage in ("targets", "view")]
     if seen:
         raise RigError(
-            f"{', '.join(seen)} changes what is seen, not how the platform moves: no plan of moves tells it; "
+            f"{', '.join(seen)} changes the images, not the platform's motion: no plan of moves determines it; "
             "see its own experiment in "
             "rig diagnose's page"
         )
     if not design.mechanism.axes:
         raise RigError(
-            "plans to separate effects are for what is commanded, not for a mechanism of kind "
-            f"{design.mechanism.kind!r}"
+            f"plans to separate effects require a commanded mechanism, not one of kind {design.mechanism.kind!r}"
         )
     trials = _separations(design, effects, options)
     trials.sort(key=lambda trial: -trial[0].misfit / np.sqrt(trial[0].frames))
-    said = ["misfit, in standard deviations, of the wrong model at its best (and for 100 exposures):"]
+    said = ["misfit of the best-fitting wrong model, in standard deviations (and for 100 exposures):"]
     said += [
         f"  {found.misfit:9.1f} {found.misfit * 10 / np.sqrt(found.frames):9.1f}   cosine "
         f"{found.cosine:6.3f}   {found.plan}"
@@ -317,9 +314,9 @@ def _separating(design: Design, texts: tuple[str, str], options: PlanOptions) ->
     ]
     best, chosen = trials[0]
     if best.misfit < LEAST:
-        said.append("no plan tried tells them apart at that size")
-    said.append(f"best: {best.plan} (rig simulate --plan {best.plan} tries it)")
-    why = f"{' and '.join(texts)} are told apart by {best.misfit:.1f} standard deviations with {best.plan}"
+        said.append("no plan tried distinguishes them at that size")
+    said.append(f"best: {best.plan} (rig simulate --plan {best.plan} simulates it)")
+    why = f"{' and '.join(texts)} are distinguished by {best.misfit:.1f} standard deviations with {best.plan}"
     return PlanResult(design, chosen.commands.values, best.misfit >= LEAST, why, said, t=chosen.commands.t)
 
 

@@ -64,14 +64,14 @@ class PlanOptions:
         if self.criterion not in CRITERIA:
             raise ValueError(f"criterion takes {CRITERIA}, got {self.criterion!r}")
         if self.parts is not None and (self.calibration is not None or self.given is not None):
-            raise RigError("--parts are visited as they are; --calibration and --given are for plans that are chosen")
+            raise RigError("--parts are visited as given; --calibration and --given apply to optimised plans")
         if self.separate is not None and self.calibration is not None:
             raise RigError(
-                "--calibration is for plans of --for and --promise; effects are told apart by RIG.toml's own geometry"
+                "--calibration applies to --for and --promise; effects are distinguished by the geometry of RIG.toml"
             )
         if self.count < 1 or min(self.sigma) <= 0:
             raise RigError(
-                f"--count and --sigma take positive numbers, got {self.count} and {self.sigma[0]:g} {self.sigma[1]:g}"
+                f"--count and --sigma must be positive, got {self.count} and {self.sigma[0]:g} {self.sigma[1]:g}"
             )
 
 
@@ -96,7 +96,7 @@ class PlanResult:
     @property
     def verdict(self) -> Verdict:
         """The verdict on it."""
-        unseen = () if self.seen else (MissingEvidence("not all that is asked becomes visible"),)
+        unseen = () if self.seen else (MissingEvidence("not everything requested becomes visible"),)
         return judge_evidence(Evidence(self.why, missing=unseen, confounds=confound_sentences(self.confounds)))
 
     def __str__(self) -> str:

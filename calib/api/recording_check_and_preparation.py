@@ -65,8 +65,8 @@ class Place:
         """In words; name : of the recording."""
         far, turned = np.linalg.norm(self.motion[:3]), np.linalg.norm(self.motion[3:])
         return (
-            f"the instrument stands elsewhere, by {far * 1e3:.3g} mm and {turned * 1e3:.3g} mrad, in {name}: its "
-            "poses are brought to the first's"
+            f"the instrument has moved, by {far * 1e3:.3g} mm and {turned * 1e3:.3g} mrad, in {name}: its "
+            "poses are transformed to the first recording"
         )
 
 
@@ -202,9 +202,9 @@ def prepare_recordings(
             for place in places:
                 notice(place.line(every[place.recording].name))
             if not places:
-                notice("the instrument stands where it stood")
+                notice("the instrument has not moved")
         else:
-            notice("the instrument is taken to stand where it stood: of an arm that is not looked at")
+            notice("the instrument is assumed not to have moved: this is not checked for an arm")
     return PreparedRecording(recording, lambda corners: None, True)
 
 
@@ -244,7 +244,7 @@ def pose_mistakes(recording: Recording) -> tuple[Mistake, ...]:
 def check(path: Path | str, detect: bool = False) -> CheckResult:
     """CheckResult of a recording's folder, as `rig check` states it.
 
-    detect : whether to read some images even where corners.csv is there, and hold both against each other
+    detect : whether to read some images even where corners.csv is there, and compare both
 
     >>> import calib
     >>> print(calib.check("tests/data/bench/check"))

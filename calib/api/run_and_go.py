@@ -48,7 +48,7 @@ from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, igno
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseMove:
     """A move to a pose. design; calibration; wanted : T_base_platform; lengths : (axes,) m to command; uncorrected :
-    whether these are by the owner's model; status : once it has been made, else None
+    whether these are by the nominal model; status : once it has been made, else None
     """
 
     design: Design
@@ -60,7 +60,7 @@ class PoseMove:
 
     @property
     def off_nominal(self) -> Floats:
-        """(axes,) m by which the lengths differ from the owner's model's."""
+        """(axes,) m by which the lengths differ from the nominal model's."""
         return self.lengths - self.calibration.correction.uncorrected(self.wanted)
 
     @property
@@ -174,7 +174,7 @@ class PlannedRun:
             journal = stack.enter_context(Journal(out / "journal.jsonl"))
             if journal.torn:
                 notice(
-                    f"the journal's last line was cut off ({journal.torn} bytes) and is taken away: nothing of "
+                    f"the journal's last line was cut off ({journal.torn} bytes) and is removed: nothing of "
                     "it was reported"
                 )
             fresh = not journal.rows
@@ -226,7 +226,7 @@ class PlannedRun:
         believed = status.known or trust
         homes = self.design.driver().homing and not (trust if fresh else believed)
         if not homes and not believed:
-            raise PositionLost(f"where the struts stand is not known; {TRUST}")
+            raise PositionLost(f"the position of the struts is not known; {TRUST}")
         if not homes:
             return False, status
         notice("homing")
@@ -250,7 +250,7 @@ def plan_run(design: Design, path: Path, plan: str, options: RunOptions = STANDA
     todo = turning_instructions(dict(found.turned), quarter_turns_of_cubes(design))
     if todo:
         raise RigError(
-            f"the plan is for a cube put back turned; {'; '.join(todo)}, and say so in {path} under [turned]"
+            f"the plan is for a cube put back turned; {'; '.join(todo)}, and state so in {path} under [turned]"
         )
     settling = parse_settling(options.settle)
     options.accepted_limbs(design)
@@ -279,12 +279,12 @@ def _require_place(out: Path, resume: bool) -> None:
         return
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise RigError(
-            f"{out} is there already" + ("; --resume goes on with it" if journal.exists() else "; name a new folder")
+            f"{out} already exists" + ("; --resume continues with it" if journal.exists() else "; name a new folder")
         )
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise RigError(f"{out} cannot be made: {error.strerror}") from None
+        raise RigError(f"{out} cannot be created: {error.strerror}") from None
 
 
 def _report(listeners: list[Callable[[str], None]], text: str) -> None:
@@ -296,7 +296,7 @@ def _began(journal: Journal) -> Began:
     """A journal's first row. Raises RigError where that is not how a run begins."""
     first = journal.rows[0]
     if not isinstance(first, Began):
-        raise RigError(f"{journal.path} does not begin with the beginning of a run")
+        raise RigError(f"{journal.path} does not begin with the start of a run")
     return first
 
 

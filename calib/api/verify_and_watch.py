@@ -63,7 +63,7 @@ class VerificationResult:
 
     @property
     def refutation(self) -> str | None:
-        """What refutes the calibration's claim, a sentence without its full stop; None where nothing does."""
+        """Sentence that refutes the calibration's claim, without its full stop; None where nothing does."""
         found = self.figures.found
         return refutation_sentence(found) if found is not None and refutes_claim(self.figures) else None
 
@@ -75,7 +75,7 @@ class VerificationResult:
         held = self.figures.held
         rows = [
             (name, *(f"{x * 1e3:.4f}" for x in figures.position), f"{figures.rotation[0] * 1e3:.4f}")
-            for name, figures in (("owner's model", held.before), ("corrected", held.after))
+            for name, figures in (("nominal model", held.before), ("corrected", held.after))
         ]
         head = (f"{held.after.n} poses", "position RMS, mm", "95 %, mm", "max, mm", "rotation RMS, mrad")
         return result_html(str(self), self.verdict.rests_on, [head, *rows])
@@ -129,7 +129,7 @@ def verify(
 ) -> VerificationResult:
     """VerificationResult of a calibration by a recording, as `rig verify` makes it.
 
-    wanted : poses that the recording's frames, in order, were meant to take, or None; refutations : what later
+    wanted : poses that the recording's frames, in order, were intended to take, or None; refutations : what later
     recordings found against the calibration; progress : called with (label, done, of), or None
     Raises RigError for a recording of another kind of machine and for other poses than frames
     """
@@ -243,7 +243,7 @@ def watch(
     Raises ValueError without visits, and what measuring raises
     """
     if not visits:
-        raise ValueError("watching takes one visit at least")
+        raise ValueError("watching requires at least one visit")
     seen: list[Visit] = []
     entries: list[Json] = []
     of_each: list[Confounds | None] = []

@@ -96,9 +96,9 @@ def analyse_workspace(path: Path, certificate: Path | None = None, notice: Notic
     """
     calibration = calibration_file.load(path)
     if calibration.correction.nominal.bodies:
-        raise RigError(f"{path} is of a chain, which comes to most poses in many ways: it has no map of its workspace")
+        raise RigError(f"{path} is of a chain, which reaches most poses in many ways: it has no map of its workspace")
     if calibration.workspace is None:
-        notice(f"{path} was made before a calibration held its workspace: worked out now")
+        notice(f"{path} was made before calibrations contained their workspace: computed now")
         calibration = calibration_with_workspace(calibration)
     workspace = calibration.workspace
     assert workspace is not None

@@ -147,7 +147,7 @@ def _judged(poses: HeldPoses, asked: CertifyOptions, rng: np.random.Generator) -
     if not asked.tolerances:
         return ()
     if not poses.rotations and any(quantity == "rotation" for quantity, _ in asked.tolerances):
-        raise NotEnoughData("no rotation was measured, so none can be held against a tolerance")
+        raise NotEnoughData("no rotation was measured, so none can be compared with a tolerance")
     units = tuple(Unit(POSITION if quantity == "position" else ROTATION, size) for quantity, size in asked.tolerances)
     enough = len(poses.first) >= noise_free_errors_and_tolerance_limits.least_sample_size(
         asked.coverage, pose_error_promise_and_conformity.GUARD
@@ -171,11 +171,11 @@ def _judged(poses: HeldPoses, asked: CertifyOptions, rng: np.random.Generator) -
 
 
 SCALE = MissingEvidence(
-    "nobody certified the scale of the lengths",
-    "Have the base targets' scale certified and state it: `--scale-uncertainty 20e-6 --scale-source TEXT`",
+    "the scale of the lengths is not certified",
+    "Obtain a certified scale of the base targets and state it: `--scale-uncertainty 20e-6 --scale-source TEXT`",
 )
-TWICE = "Visit some configurations twice, `--plan sobol:40,repeat:20`: then the floor, repeatability, is known"
-AGAIN = "Determine now and then whether it still holds: `rig watch calibration.json VISIT`"
+TWICE = "Visit some configurations twice, `--plan sobol:40,repeat:20`: this determines the repeatability"
+AGAIN = "Check periodically whether it is still valid: `rig watch calibration.json VISIT`"
 
 
 def certificate_verdict(certificate: Certificate) -> Verdict:
@@ -192,7 +192,7 @@ def certificate_verdict(certificate: Certificate) -> Verdict:
     )
     missing = [*known.missing, *([SCALE] if certificate.asked.scale is None else [])]
     if verdicts - {CONFORMS, FAILS}:
-        missing.append(MissingEvidence("whether all tolerances are kept cannot be said from these poses"))
+        missing.append(MissingEvidence("these poses do not determine whether all tolerances are met"))
     confounds = (
         [f"these recordings: {text}" for text in confound_sentences(certificate.confounds)]
         if certificate.known is None

@@ -35,7 +35,7 @@ class Volume:
 class Conditions:
     """recordings : ((name, source of its poses), ..); poses : at rest; configurations : of these, each of which counts
     once
-    moving : exposures left out since the machine moved; rest : s nothing moved before each
+    moving : exposures excluded because the machine moved; rest : s nothing moved before each
     channels : ((name, least, greatest), ..) logged at the exposures; payload : (least, greatest) kg, None where not
         logged
     approach : in words; warm_up : s from the first command to the first exposure, the least over the recordings;
@@ -119,7 +119,7 @@ def _approach(poses: HeldPoses) -> str:
     signs = poses.before[poses.first]
     moved = signs[(signs != 0).any(axis=1)]
     if not len(moved):
-        return "not told by the commands"
+        return "not determined by the commands"
     sides = [set(column[column != 0].tolist()) for column in moved.T]
     if all(len(side) < 2 for side in sides):
         return "every axis from one side"
@@ -146,7 +146,7 @@ class CertifyOptions:
 class Contents:
     """What is certified. machine : its kind; calibrated_from : recording, in words; asked : CertifyOptions; promise,
     cells : whole volume and boxes of it
-    errors : (n, 6) m and rad of the poses that count, for drawing; before, after : Figures by the owner's model and
+    errors : (n, 6) m and rad of the poses that count, for drawing; before, after : Figures by the nominal model and
         calibrated, of those
     provenance : {what: value} of inputs' hashes, versions, seed and arguments; confounds : of the held-out recordings
     known : Evidence of the calibration, what these recordings say of its claim included; claims : AgainstClaim of each

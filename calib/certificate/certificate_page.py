@@ -59,7 +59,7 @@ def _error_distribution_figure(certificate: Certificate) -> str:
             f'<path class="mark" d="M{x(value):.1f},{4 + 16 * row}V{bottom}"/>',
             svg_text(x(value) + aside, 14 + 16 * row, f"{name} {value:.1f}", anchor),
         ]
-    parts.append(svg_text((left + right) / 2, bottom + 34, "position error as measured, um", "middle"))
+    parts.append(svg_text((left + right) / 2, bottom + 34, "measured position error, um", "middle"))
     return svg_figure(
         int(bottom) + 40, f"{len(lengths)} poses: share nearer than a length; promise {upper:.1f} um", parts
     )
@@ -95,7 +95,7 @@ def _cell_bound_figures(certificate: Certificate) -> str:
             svg_text(left, base + 16, f"{'xyz'[a]} to the right, {low[0] * 1e3:.0f} to {high[0] * 1e3:.0f} mm"),
         ]
         height = base + 26
-    return svg_figure(int(height) + 6, "bounds in um, cell by cell, from above and from the side", parts)
+    return svg_figure(int(height) + 6, "bounds per cell in um, from above and from the side", parts)
 
 
 def visible_rectangles(boxes: Floats, values: Floats) -> list[tuple[tuple[float, ...], float]]:
@@ -134,7 +134,7 @@ def _budget_figure(certificate: Certificate) -> str:
             f"{svg_tooltip(f'{row.name}, {row.of}: {size}')}</rect>",
             svg_text(102 + wide, 16 + 22 * k, size),
         ]
-    return svg_figure(10 + 22 * len(rows), "contributions to a position's uncertainty, coverage 95 %", parts)
+    return svg_figure(10 + 22 * len(rows), "contributions to the uncertainty of a position, coverage 95 %", parts)
 
 
 NOT_KNOWN = "not known"
@@ -183,7 +183,7 @@ def _against(c: Certificate) -> list[str]:
         heading_html("Against the tolerance"),
         *map(paragraph_html, certificate_sentences.conformity_lines(c)),
         note_html(
-            "One decision is made of all tolerances, from limits of 97.5 % confidence (guard bands, JCGM "
+            "All tolerances are decided jointly, from limits of 97.5 % confidence (guard bands, JCGM "
             "106): it is wrong in 2.5 % of "
             "cases at the most. A position is accepted only where the scale is certified."
         ),
@@ -203,10 +203,10 @@ def _cells(c: Certificate) -> list[str]:
         for cell in c.cells
     ]
     return [
-        heading_html("Part by part"),
+        heading_html("By part of the volume"),
         _cell_bound_figures(c),
         note_html(
-            "The same promise for boxes of the volume, each by its own poses and with the stated confidence by itself."
+            "The same promise for boxes of the volume, each from its own poses, with the stated confidence for each."
         ),
         table_html(("x, mm", "y, mm", "z, mm", "position, um", "rotation, urad", "N"), rows),
     ]
@@ -221,7 +221,7 @@ def _floor(c: Certificate) -> list[str]:
             f"{f.position[2] * 1e6:.1f}",
             *(f"{value * 1e6:.1f}" if value == value else "" for value in f.rotation),
         )
-        for name, f in (("owner's model", c.before), ("calibrated", c.after))
+        for name, f in (("nominal model", c.before), ("calibrated", c.after))
     ]
     return [
         heading_html("Before and after"),
@@ -266,14 +266,14 @@ def _standards(c: Certificate) -> list[str]:
         )
         parts.append(
             note_html(
-                f"Poses visited {FEWEST} times or more; where they were come to from several sides, reversal is in RP."
+                f"Poses visited {FEWEST} times or more; where approached from several sides, RP includes reversal."
             )
         )
-    parts.append(heading_html("ISO 230-2: each axis by itself"))
+    parts.append(heading_html("ISO 230-2: individual axes"))
     if not c.iso230:
         return [
             *parts,
-            paragraph_html("No axis was moved alone to one position from both sides: a plan with ladder does that."),
+            paragraph_html("No axis was moved alone to one position from both sides: use a plan with ladder."),
         ]
     unit = "um" if c.iso230[0].unit == "m" else "urad"
     rows = [
@@ -294,12 +294,12 @@ def _standards(c: Certificate) -> list[str]:
     return [
         *parts,
         table_html(
-            ("axis", *names, "u of one reading", "positions", "cycles", "as many as the standard requires"), rows
+            ("axis", *names, "u of one reading", "positions", "cycles", "number required by the standard"), rows
         ),
         note_html(
             f"In {unit}. B reversal, M range of the mean deviations, E systematic deviation, R "
             "repeatability, A accuracy; with an arrow, of "
-            "positions come to in that direction alone."
+            "positions approached in that direction only."
         ),
     ]
 
@@ -318,12 +318,12 @@ def _budget(c: Certificate) -> list[str]:
         for row in c.budget.rows
     ]
     said = [
-        f"A commanded pose: {certificate_sentences.expanded_uncertainty_text(c.budget.machine)}",
+        f"Commanded pose: {certificate_sentences.expanded_uncertainty_text(c.budget.machine)}",
         f"a measured one: {certificate_sentences.expanded_uncertainty_text(c.budget.measuring)}",
     ]
     return [
-        heading_html("Where it comes from (U, coverage 95 %)"),
-        paragraph_html("; ".join(said) + ". What is not known is in neither."),
+        heading_html("Uncertainty contributions (U, coverage 95 %)"),
+        paragraph_html("; ".join(said) + ". Unknown contributions are in neither."),
         _budget_figure(c),
         table_html(("contribution", "to", "position, um", "rotation, urad", "k", "kind", "how"), rows),
         note_html(
@@ -344,7 +344,7 @@ def _conditions(c: Certificate) -> list[str]:
         *((f"recording {name}", source) for name, source in k.recordings),
         ("poses at rest", k.poses),
         ("configurations, each counted once", k.configurations),
-        ("exposures left out, the machine moving", k.moving),
+        ("exposures excluded, machine moving", k.moving),
         ("at rest before each exposure", f"{k.rest:g} s at least"),
         ("approach", k.approach),
         ("payload", "not logged" if k.payload is None else f"{k.payload[0]:g} to {k.payload[1]:g} kg"),
@@ -361,7 +361,7 @@ def _conditions(c: Certificate) -> list[str]:
 
 def _origin(c: Certificate) -> list[str]:
     return [
-        heading_html("Where this came from"),
+        heading_html("Provenance"),
         folding_section_html(
             "Hashes, versions, arguments", table_html(("what", "value"), flattened_rows(c.provenance))
         ),

@@ -115,10 +115,10 @@ def _promise(paper: _Paper, c: Certificate, title: str) -> None:
     for k in c.conformity:
         if k.quantity == "position":
             axes.axvline(k.tolerance * 1e6, color="grey", ls=":", label="tolerance")
-    axes.set(xlabel="position error as measured, um", ylabel="share of poses nearer", xlim=(0, None))
+    axes.set(xlabel="measured position error, um", ylabel="share of poses nearer", xlim=(0, None))
     axes.legend(fontsize=8)
     if c.cells:
-        paper.head("Part by part")
+        paper.head("By part of the volume")
         paper.table(
             ("x, mm", "y, mm", "z, mm", "position, um", "rotation, urad", "N"),
             [
@@ -177,7 +177,7 @@ def _standards(paper: _Paper, c: Certificate) -> None:
 
 
 def _rest(paper: _Paper, c: Certificate) -> None:
-    paper.head("Where it comes from (U, coverage 95 %)")
+    paper.head("Uncertainty contributions (U, coverage 95 %)")
     paper.table(
         ("contribution", "to", "position, um", "rotation, urad", "k", "kind"),
         [
@@ -199,7 +199,7 @@ def _rest(paper: _Paper, c: Certificate) -> None:
     load = "not logged" if k.payload is None else f"{k.payload[0]:g} to {k.payload[1]:g} kg"
     paper.line(
         f"Recordings: {', '.join(name for name, _ in k.recordings)}. {k.poses} poses at rest, {k.moving} "
-        "exposures left out since the "
+        "exposures excluded because the "
         f"machine moved; approach {k.approach}; payload {load}; warm-up "
         f"{k.warm_up / 60:.1f} min; duration {k.duration / 60:.1f} min; measured by {k.instrument}; frame "
         f"and scale held by {k.frame}."
@@ -207,6 +207,6 @@ def _rest(paper: _Paper, c: Certificate) -> None:
     paper.table(
         ("logged", "least", "greatest"), [(name, f"{low:.2f}", f"{high:.2f}") for name, low, high in k.channels]
     )
-    paper.head("Where this came from")
+    paper.head("Provenance")
     for name, value in flattened_rows(c.provenance):
         paper.line(f"{name}: {value}", 6.5)

@@ -28,14 +28,14 @@ def length_scale_line(certificate: Contents) -> str:
     holder = certificate.conditions.frame
     if certificate.asked.scale is None:
         return (
-            f"Nobody certified the scale: lengths are in units of {holder}, and an error of theirs is in "
+            f"The scale is not certified: lengths are in units of {holder}, whose error is in "
             "every figure here "
             f"({_far(certificate) * 1e-4 * 1e6:.0f} um at the volume's far end for each 0.1 mm/m)."
         )
     by = (
         f", by {certificate.asked.scale_source}"
         if certificate.asked.scale_source
-        else ", as stated; by whom is not said"
+        else ", as stated; its source is not stated"
     )
     return (
         f"Scale held by {holder}, standard uncertainty {certificate.asked.scale * 1e6:.3g} um/m{by}; it is part "
@@ -56,7 +56,7 @@ def promise_line(certificate: Contents) -> str:
         else f"both {micrometre_text(p.position.upper)} and {_microradian_text(p.rotation.upper)}"
     )
     how_sure = f"With {_percentage_text(p.confidence)} confidence, {_percentage_text(p.coverage)} of poses"
-    return f"{how_sure} in this volume lie within {both} of where they should be."
+    return f"{how_sure} in this volume lie within {both} of their nominal places."
 
 
 def measured_volume_line(certificate: Contents) -> str:
@@ -73,11 +73,11 @@ def basis_lines(certificate: Contents) -> list[str]:
     """Lines on the basis of a certificate's promise: poses, conditions and recordings."""
     p, r = certificate.promise, certificate.repeatability
     lines = [
-        f"From {p.n} distinct configurations, none of which took part in fitting; as measured, noise and "
-        "all, the limit is "
+        f"From {p.n} distinct configurations, none of which was used in fitting; as measured, noise "
+        "included, the limit is "
         f"{micrometre_text(p.position.measured)}"
         + ("" if p.rotation is None else f" and {_microradian_text(p.rotation.measured)}")
-        + f"; half of the poses lie nearer than {micrometre_text(_median(certificate))}."
+        + f"; half of the poses lie within {micrometre_text(_median(certificate))}."
     ]
     lines += [_claim_line(one) for one in certificate.claims]
     if p.position.shared or p.position.scale:
@@ -98,13 +98,13 @@ def basis_lines(certificate: Contents) -> list[str]:
         )
     else:
         lines.append(
-            "Repeatability is not known: no configuration was visited twice. A measured pose is uncertain "
+            "Repeatability is unknown: no configuration was visited twice. A measured pose is uncertain "
             f"by {micrometre_text(r.noise[0])}."
         )
     if certificate.confounds is not None:
         lines.append(_sentence(certificate.confounds.line()))
     if not certificate.cells:
-        lines.append("No bound for parts of the volume: that takes as many configurations in each as for the whole.")
+        lines.append("No bound for parts of the volume: each part requires as many configurations as the whole.")
     return lines
 
 
@@ -144,14 +144,14 @@ def conformity_lines(certificate: Contents) -> list[str]:
         k.quantity: (micrometre_text if k.quantity == "position" else _microradian_text) for k in certificate.conformity
     }
     if first.estimate != first.estimate:
-        why = "too few configurations for a decision that is wrong in 2.5 % of cases at the most"
+        why = "too few configurations for a decision that is wrong in at most 2.5 % of cases"
     elif first.verdict == CONFORMS:
         why = f"even the upper limit, {_each(certificate, 'upper')}, is within it"
     elif first.verdict == FAILS:
         why = f"even the lower limit, {_each(certificate, 'lower')}, is beyond it"
     elif first.given_scale == CONFORMS:
         why = (
-            f"nobody certified the scale; if {certificate.conditions.frame} hold, it conforms, as even the "
+            f"the scale is not certified; if {certificate.conditions.frame} are correct, it conforms, as even the "
             "upper limit, "
             f"{_each(certificate, 'upper')}, is within it"
         )
@@ -179,11 +179,11 @@ def iso9283_line(certificate: Contents) -> str:
     t = certificate.iso9283
     n, mean, most = t.random
     random = (
-        f"Over all {n} poses, one visit each, AP is {micrometre_text(mean)} in the mean and "
+        f"Over all {n} poses, one visit each, AP is {micrometre_text(mean)} on average and "
         f"{micrometre_text(most)} at the most."
     )
     if not t.repeated:
-        return f"ISO 9283 asks for {POSES} poses of {VISITS} visits; no pose was visited often enough for RP. {random}"
+        return f"ISO 9283 requires {POSES} poses of {VISITS} visits; no pose was visited often enough for RP. {random}"
     least = min(row.visits for row in t.repeated)
     formal = "as the standard requires" if t.formal else f"not formal: {'; '.join(t.not_met)}"
     return f"{len(t.repeated)} poses of {least} visits and more, {formal}. Five poses say little of a volume. {random}"

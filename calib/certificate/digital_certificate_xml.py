@@ -40,7 +40,7 @@ NOWHERE = "ZZ"  # ISO 3166-1 leaves it to its users
 
 @dataclass(frozen=True, slots=True)
 class Issuer:
-    """Who calibrated, who answers for it, for whom, the country's two letters (ISO 3166-1), and who made the
+    """Who calibrated, who is responsible for it, for whom, the country's two letters (ISO 3166-1), and who made the
     machine.
     """
 
@@ -149,7 +149,7 @@ def _result(part: ET.Element, c: Certificate) -> None:
     )
     methods = _sub(part, "usedMethods")
     for name, norm in (
-        ("one-sided tolerance limits of held-out poses, without a distribution", None),
+        ("distribution-free one-sided tolerance limits of held-out poses", None),
         ("pose accuracy and repeatability", "ISO 9283"),
         ("positioning of single axes", "ISO 230-2"),
     ):
@@ -205,7 +205,7 @@ def _result(part: ET.Element, c: Certificate) -> None:
     _quantities(
         results,
         "expanded uncertainty",
-        ("contributions to the error of a pose: its length lies within, with the coverage stated",),
+        ("contributions to the pose error: its length lies within the value, with the stated coverage",),
         [
             (f"{name}, {what}", None if U is None else 0.0, unit, None if U is None else Expanded(U, factor, COVERAGE))
             for name, position, rotation, k in [*known, *totals]
@@ -230,7 +230,7 @@ def _bounds(c: Certificate, p: Promise) -> list[Row]:
     ):
         if bound is None:
             continue
-        both = f"no distribution assumed; confidence {p.confidence:g} of this and all others of the promise at once"
+        both = f"distribution-free; confidence {p.confidence:g} of this and all other bounds of the promise jointly"
         spread = (bound.upper - bound.lower) / (2 * ndtri(p.confidence))
         rows += [
             (f"bound of the {what} error", bound.upper, unit, Interval(0.0, bound.upper, rms, p.coverage, both)),
@@ -238,7 +238,7 @@ def _bounds(c: Certificate, p: Promise) -> list[Row]:
                 f"quantile of the {what} error",
                 bound.estimate,
                 unit,
-                Interval(bound.lower, bound.upper, spread, 2 * p.confidence - 1, "no distribution assumed"),
+                Interval(bound.lower, bound.upper, spread, 2 * p.confidence - 1, "distribution-free"),
             ),
         ]
     return rows

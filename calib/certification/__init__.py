@@ -1,1 +1,1 @@
-"""What a calibration, and a second instrument, is worth: from poses that nothing was fitted to."""
+"""Accuracy of a calibration, and of a second instrument, from poses not used for fitting."""

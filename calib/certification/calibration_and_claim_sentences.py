@@ -26,13 +26,13 @@ def claim_lines(claim: Claim) -> list[str]:
     rest = claim.unknowns - claim.determined
     told = (
         (
-            f"{claim.determined} of {claim.unknowns} combinations of the parameters are told by these poses"
+            f"{claim.determined} of {claim.unknowns} combinations of the parameters are determined by these poses"
             + (
-                f", {claim.better} of them better than the owner's figures are"
+                f", {claim.better} of them better than the stated figures are"
                 if claim.better < claim.determined
                 else ""
             )
-            + (f"; {rest} rest on the owner's figures" if rest else "")
+            + (f"; {rest} rest on the stated figures" if rest else "")
             + f" ({claim.tolerance})"
         )
         if claim.unknowns
@@ -40,7 +40,7 @@ def claim_lines(claim: Claim) -> list[str]:
     )
     if claim.ratio is None or claim.before is None or claim.after is None or claim.measured is None:
         few = [
-            "no held-out figure either: what is left at the recorded configurations would only say how well "
+            "no held-out figure either: residuals at the recorded configurations would only show how well "
             "these are known"
         ]
         return [f"no factor is claimed: {claim.reason}", told, *(few if claim.distinct < LEAST else [])]
@@ -51,12 +51,12 @@ def claim_lines(claim: Claim) -> list[str]:
         else ""
     )
     return [
-        f"{ratio_interval_text(claim.ratio)} all over the workspace: position error {before[0] * 1e3:.3f} -> "
+        f"{ratio_interval_text(claim.ratio)} over the whole workspace: position error {before[0] * 1e3:.3f} -> "
         f"{after[0] * 1e3:.4f} mm RMS ("
         f"{after[1] * 1e3:.4f} to {after[2] * 1e3:.4f}){turned}; "
         f"from {configurations}",
         told,
-        f"the workspace is {claim.workspace}; seen there by an instrument like this one, its own errors "
+        f"the workspace is {claim.workspace}; measured there by a similar instrument, its own errors "
         f"included: {ratio_interval_text(claim.measured)}",
     ]
 
@@ -107,7 +107,7 @@ def claim_status_text(verification: Verification) -> str:
         and not verification.refutes
         and (verification.offset is None or not verification.offset.kept)
     )
-    return "exceeded by no more than what it names as unexplained may" if within else "NOT kept"
+    return "exceeded by no more than its stated unexplained part permits" if within else "NOT kept"
 
 
 def _claim_comparison_text(verification: Verification) -> str:
@@ -138,7 +138,7 @@ def explaining_rigid_motion_text(verification: Verification) -> str:
         return ""
     o = verification.offset
     return (
-        f"; the {WHERE[o.of]} stands elsewhere than when it was calibrated: by {o.position * 1e3:.4f} mm, "
+        f"; the {WHERE[o.of]} has moved since it was calibrated: by {o.position * 1e3:.4f} mm, "
         f"{o.rotation * 1e3:.4f} mrad; without "
         f"that motion the claim is {'kept' if o.kept else 'NOT kept either'}"
     )
@@ -151,7 +151,8 @@ def _size(value: float, name: str) -> str:
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
     """correction : Correction, of an arm an ArmCorrection; covariance : (42, 42) m^2 of the fitted parameters, of an
-    arm (12 + 5 n, 12 + 5 n) in the order of calib.models.arm.error_model_and_observations; scatter : (6,) m of each strut beyond the
+    arm (12 + 5 n, 12 + 5 n) in the order of calib.models.arm.error_model_and_observations; scatter : (6,) m of each
+    strut beyond the
     poses' noise, of an arm (6,) m and rad of the pose; frames : numbers of the frames fitted; left_out : of those that
     did not agree
     held_out : HeldOut, or None where too few configurations were recorded to hold any out
@@ -190,11 +191,11 @@ class Calibration:
                 ("held-out poses", "position RMS, mm", "95 %, mm", "max, mm", "rotation RMS, mrad"),
                 *(
                     (name, *(f"{x * 1e3:.4f}" for x in figures.position), f"{figures.rotation[0] * 1e3:.4f}")
-                    for name, figures in (("owner's model", held.before), ("corrected", held.after))
+                    for name, figures in (("nominal model", held.before), ("corrected", held.after))
                 ),
             ]
         )
-        first, *rest = ["a calibration of before claims were made"] if self.claim is None else claim_lines(self.claim)
+        first, *rest = ["a calibration from before claims existed"] if self.claim is None else claim_lines(self.claim)
         return result_html(first, rest, rows)
 
     def with_physics(self, recording: Recording, samples: Samples) -> Samples:
@@ -218,6 +219,6 @@ class Calibration:
         sentence's beginning) does not follow."""
         if self.physics is not None and self.physics.compensable_effects():
             raise RigError(
-                f"{what} takes commands as they are, and this calibration knows physics that changes them "
-                f"({', '.join(self.correction.physics)}); give one made without --diagnosis and --find"
+                f"{what} requires unmodified commands, and this calibration includes physics that changes them "
+                f"({', '.join(self.correction.physics)}); use one made without --diagnosis and --find"
             )

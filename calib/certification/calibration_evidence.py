@@ -29,13 +29,12 @@ MORE = (
     "tell most"
 )
 ONWARD = (
-    "Take another recording and hold the calibration against it: `rig certify calibration.json OTHER-REC "
+    "Take another recording and certify the calibration with it: `rig certify calibration.json OTHER-REC "
     "--out certificate.html`",
-    "Compute commands that bring the poses you want: `rig correct calibration.json --poses wanted.csv --out "
-    "commands.csv`",
+    "Compute commands for the wanted poses: `rig correct calibration.json --poses wanted.csv --out commands.csv`",
 )
 TAKE_IN = (
-    "Determine what is left out: `rig diagnose REC --out found`; take it in: `rig calibrate REC --diagnosis "
+    "Determine the unmodelled effects: `rig diagnose REC --out found`; include: `rig calibrate REC --diagnosis "
     "found --out calibration.json`"
 )
 
@@ -67,17 +66,17 @@ def calibration_evidence(
     steps : where it is good
     """
     claim = calibration.claim
-    said = "this calibration claims nothing" if claim is None else claim_lines(claim)[0]
+    said = "this calibration makes no claim" if claim is None else claim_lines(claim)[0]
     missing, refuted = list(_missing(calibration)), [one.line for one in refutations if one.state == State.BAD]
     if claim is not None and claim.ratio is not None:
         if claim.ratio[2] < 1:
-            refuted.append("the owner's own model does better")
+            refuted.append("the nominal model does better")
         elif claim.ratio[1] <= 1:
-            missing.append(MissingEvidence("it is not shown to be better than the owner's own model", MORE))
+            missing.append(MissingEvidence("it is not shown to be better than the nominal model", MORE))
     unexplained = () if claim is None else claim.unexplained
     if calibration.physics is not None:
         nameless = [u.place for u in calibration.physics.unknown if not u.corrected]
-        unexplained = (*unexplained, *(f"nothing in the catalogue explains what is at {place}" for place in nameless))
+        unexplained = (*unexplained, *(f"no catalogued effect explains the residual at {place}" for place in nameless))
     doubted = tuple(one.line for one in refutations if one.state != State.BAD)
     return Evidence(
         said if statement is None else statement,
@@ -105,7 +104,7 @@ def evidence_with_verification(
     if verification.offset is not None and verification.offset.kept:
         moved = MissingEvidence(
             f"the {WHERE[verification.offset.of]} stands elsewhere",
-            "Seat targets and instrument anew, or state where they stand in rig.toml",
+            "Reseat the targets and instrument, or state their poses in rig.toml",
         )
         return replace(evidence, missing=(*evidence.missing, moved))
     if verification.refutes:
@@ -175,7 +174,7 @@ def _missing(calibration: Calibration) -> list[MissingEvidence]:
     if claim is None:
         return [MissingEvidence("nothing is claimed", MORE)]
     if claim.ratio is None:
-        return [MissingEvidence("it is not known how the correction does at other configurations", MORE)]
+        return [MissingEvidence("the accuracy of the correction at other configurations is not known", MORE)]
     return []
 
 

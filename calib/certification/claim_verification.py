@@ -1,4 +1,4 @@
-"""Verification of a calibration's claim: whether the errors of a recording's poses lie within what is claimed.
+"""Verification of a calibration's claim: whether the pose errors of a recording lie within the claim.
 
 Of n poses the machine's error may be as large as the claim's upper end, the instrument's own errors are drawn anew in
 every pose and so average out, its shared errors are drawn once. The squares are whitened by all three together, so that
@@ -113,7 +113,7 @@ def verify_claim(
     Raises ValueError for a Claim without a factor
     """
     if claim.after is None:
-        raise ValueError("no factor is claimed, so there is nothing to verify")
+        raise ValueError("no factor is claimed, so nothing can be verified")
     found = replace(
         _verified(pose_errors(predicted, samples), samples, label, claim, rng), unexplained=bool(claim.unexplained)
     )

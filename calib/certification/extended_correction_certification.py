@@ -70,12 +70,12 @@ from rig.model.pose import pose_difference
 from rig.planning.configuration_sets import FILL, sobol_configurations
 
 AUTO = "auto"
-ELSE = "direction, order, temperature or noise explain what is left as well as the place does"
-NONE = "none"  # of the ways: the geometry, or the owner's model, as it is
+ELSE = "direction, order, temperature or noise explain the residuals as well as the configuration does"
+NONE = "none"  # of the ways: the geometry, or the nominal model, as it is
 
 
 class ExtensionRequest(NamedTuple):
-    """kind : one of `interpolation_methods.ALL`, or AUTO; alone : whether on the owner's model instead of on top of a
+    """kind : one of `interpolation_methods.ALL`, or AUTO; alone : whether on the nominal model instead of on top of a
     fitted geometry.
     """
 
@@ -114,7 +114,7 @@ def certify_extended_correction(
     """(Certified, methods tried) of a correction extended over the space, judged at held-out configurations.
 
     Of samples on a grid whole levels are held out in turn, so that what remains is a grid, and where there are LEAST
-    configurations beside it, these; else whole stretches. AUTO takes what leaves least there, weighed by the poses'
+    configurations besides it, these; else whole stretches. AUTO takes what leaves least there, weighed by the poses'
     covariance, if that is a significant gain against doing without. Raises RigError where the way asked for does not
     take these samples
     """
@@ -279,7 +279,7 @@ def _held_out(
 ) -> _Outcome:
     rows, before, after = [], [], {name: list[Floats]() for name in fields}
     squares = dict.fromkeys(fields, 0.0)
-    said("holding configurations out", 0, len(splits))
+    said("cross-validating configurations", 0, len(splits))
     for k, (fitted, out) in enumerate(splits):
         rest = samples.take(out)
         known, correct, said_of = stand(samples.take(fitted))
@@ -290,7 +290,7 @@ def _held_out(
             own = None if field is None else fit_correction_summand_field(known, name, field)
             after[name].append(pose_errors(correct(own).predict(rest.commanded), rest))
             squares[name] += 0.0 if own is None else len(rest) * said_of(own, rest)
-        said("holding configurations out", k + 1, len(splits))
+        said("cross-validating configurations", k + 1, len(splits))
     at = np.concatenate(rows)
     dense = all(fitted.sum() >= len(samples) * (1 - 1 / FOLDS) - 1 for fitted, _ in splits) or len(splits) == 1
     means = {name: total / len(at) for name, total in squares.items()}
@@ -336,9 +336,9 @@ def claim_without_geometry(samples: Samples, certified: Certified, rng: np.rando
     ]
     way = " and ".join(ways) or "nothing at all"
     told = ConfigurationInformation(
-        len(each), 0, 0, 0, f"no parameters were sought: the summands are extended by {way}"
+        len(each), 0, 0, 0, f"no parameters were fitted: the summands are extended by {way}"
     )
-    middle = f"the middle {FILL * 100:.0f} % of every stroke, all axes free of each other"
+    middle = f"the middle {FILL * 100:.0f} % of every stroke, all axes independent"
     if len(each) < LEAST:
         return empty_claim_of_too_few_configurations(told, middle)
     if certified.left is None:
@@ -366,6 +366,6 @@ def empty_claim_without_held_out_data(information: ConfigurationInformation, wor
     """Empty claim, with its reason, where no configuration could be held out."""
     return replace(
         empty_claim_of_too_few_configurations(information, workspace),
-        reason="no configuration could be held out, so nothing says what is left between those recorded; record "
+        reason="no configuration could be held out, so the error between those recorded is unknown; record "
         f"{LEAST} beside the grid, as the plan `division:2,sobol:{2 * LEAST}` does",
     )

@@ -39,7 +39,7 @@ class Figures:
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """before : with the owner's model; after : corrected; both against the measured poses, which were not used in
+    """before : with the nominal model; after : corrected; both against the measured poses, which were not used in
     fitting
 
     floor : (m, rad) RMS standard uncertainty of the measured poses themselves

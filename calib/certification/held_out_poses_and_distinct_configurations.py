@@ -98,7 +98,7 @@ class HeldPoses:
     before : (n, axes) sign of each axis' last move, 0 where it never moved; step : (n, axes) bool, which axes the
         machine's last move moved
     T_base_platform : RigidTransform (n,) measured; errors : (n, 6) of them against the calibrated machine's, NaN where
-    a rotation was not measured, m and rad; plain : the same against the owner's model; own : (n, 6, 6) noise of each;
+    a rotation was not measured, m and rad; plain : the same against the nominal model; own : (n, 6, 6) noise of each;
         common : of each
     recording the (n, 6, k) factor of what it shares, 0 for the others' poses
     label : (n,) configuration; moving : how many exposures were left out since the machine moved
@@ -180,7 +180,7 @@ def held_out_poses(
     moving = sum(len(samples) - len(k) for k, (samples, *_) in zip(kept, recordings))
     if not sum(map(len, kept)):
         raise NotEnoughData(
-            f"none of {moving} exposures is of a machine at rest for {REST:g} s; a certificate speaks for "
+            f"none of {moving} exposures is of a machine at rest for {REST:g} s; a certificate describes "
             "poses that are held"
         )
     each = [

@@ -6,7 +6,7 @@ has short of that is reported with its counts.
 docs/mathematics.md (29); ISO 230-2:2014, clause 3, whose symbols these are, up standing for an arrow up (the axis had
 lengthened).
 
-Of each pose that was visited k times from commands alike: AP, the barycentre's distance from where the pose should be;
+Of each pose that was visited k times from equal commands: AP, the barycentre's distance from where the pose should be;
 l_j, the visits' distances from the barycentre; RP = mean of l + 3 s_l; for rotations AP and RP = 3 s axis by axis. They
 are the standard's where the test is: five poses on a diagonal plane of a cube, one after the other in one order, thirty
 times, each come to from one side, at full load and full speed. What of that is not met is named. docs/mathematics.md
@@ -253,10 +253,10 @@ def _unmet_requirements(poses: HeldPoses, duty: Duty) -> tuple[str, ...]:
     if not np.isin(run, often).all():
         out.append("other poses were visited between them")
     elif len(np.unique(run[:POSES])) < POSES or (run[POSES:] != run[:-POSES]).any():
-        out.append("they were not visited in one order throughout")
+        out.append("they were not visited in a consistent order")
     sides = [len(np.unique(poses.before[tested[poses.label[tested] == one]], axis=0)) for one in often]
     if max(sides) > 1:
-        out.append(f"{sum(side > 1 for side in sides)} of them were come to from more than one side")
+        out.append(f"{sum(side > 1 for side in sides)} of them were approached from more than one side")
     return (*out, *_duty(duty))
 
 
@@ -292,7 +292,7 @@ def _duty(duty: Duty) -> list[str]:
         reached = (
             "commands do not show the speed"
             if duty.speed is None
-            else f"some poses were come to at {duty.speed / duty.rated_speed:.0%} of it"
+            else f"some poses were approached at {duty.speed / duty.rated_speed:.0%} of it"
         )
         out.append(f"the rated speed was not reached: {reached}")
     return out

@@ -78,12 +78,10 @@ def limb_hexapod(design: Design, limb_numbers: Integers | None = None) -> Hexapo
     """Hexapod of six of the limbs as rig.toml has them. limb_numbers : (6,) their numbers, from 0, the first six by
     default
 
-    Raises RigError for a rig without [insitu], with fewer than six limbs, or that is no hexapod
+    Raises RigError for a rig without [insitu], with fewer than six limbs, or that is not a hexapod
     """
     limbs = stated_limbs(design)
-    hexapod = require_hexapod(
-        design.mechanism, "measuring limbs are for hexapods, not for a mechanism of kind {kind!r}"
-    )
+    hexapod = require_hexapod(design.mechanism, "measuring limbs require a hexapod, not a mechanism of kind {kind!r}")
     return redundant_measuring_limb_checks.stated_limb_legs(limbs, hexapod.home).six(
         np.arange(6) if limb_numbers is None else limb_numbers
     )
@@ -149,7 +147,7 @@ def held_out_limb_poses(samples: Samples, nominal: Hexapod, sigma: float) -> tup
     go into the limbs, so that they do not show in the difference. Raises NotEnoughData for fewer than FEWEST poses
     """
     if len(samples) < FEWEST:
-        raise NotEnoughData(f"{len(samples)} poses by vision with readings; limits of agreement take at least {FEWEST}")
+        raise NotEnoughData(f"{len(samples)} poses by vision with readings; limits of agreement need at least {FEWEST}")
     fold = time_block_folds(len(samples), FOLDS)
     matrices, expected = np.empty((len(samples), 4, 4)), np.empty((len(samples), 6, 6))
     alone = replace(samples, common=samples.common[:, :, :0])
@@ -215,7 +213,7 @@ LEAST = 3  # poses on either side of a step
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """limb : 1..6, of the six that tell the pose
+    """limb : 1..6, of the six that give the pose
     frame : number of the first one after it; size, sigma : m by which the limb is longer than it reads since."""
 
     limb: int

@@ -49,14 +49,14 @@ def require_sample_size(n: int, coverage: float, confidence: float, what: str = 
     if n < least:
         sure, share = _reachable_confidence_and_coverage(n, coverage, confidence)
         can = (
-            f"they can speak for {share:.1%} of poses with {confidence:.1%} confidence, or for "
-            f"{coverage:.0%} with {sure:.1%}: ask with "
+            f"they support a statement on {share:.1%} of poses with {confidence:.1%} confidence, or for "
+            f"{coverage:.0%} with {sure:.1%}: request it with "
             "--coverage or --confidence, or"
             if n
             else ""
         )
         raise NotEnoughData(
-            f"{n} {what} held out and settled; that {coverage:.0%} of poses lie within a bound takes {least} with "
+            f"{n} {what} held out and at rest; that {coverage:.0%} of poses lie within a bound requires {least} with "
             f"{confidence:.0%} confidence. {can} record {least - n} more".replace(". record", ". Record")
         )
 

@@ -157,9 +157,9 @@ def held_out_errors_by_fold(
         return [each[0][0], *(after for _, after in each)]
 
     names = np.unique(fold).tolist()
-    progress("holding configurations out", 0, len(names))
+    progress("cross-validating configurations", 0, len(names))
     found = parallel_map(
-        errors, names, lambda done, of: progress("holding configurations out", done, of), items_per_process=1
+        errors, names, lambda done, of: progress("cross-validating configurations", done, of), items_per_process=1
     )
     out = [np.empty((len(samples), 6)) for _ in found[0]]
     for k, parts in zip(names, found):

@@ -3,7 +3,8 @@
 The promise is one statement of position and rotation. Each pose has a depth, the greater of its position error and
 its rotation error, each in a unit that was fixed before the held-out poses were measured; the limit of depth, times
 the units, bounds both. So the 59 configurations of one limit suffice, and nothing is divided between two. Each
-configuration counts once. The limit is that of the poses' own errors (calib.certification.noise_free_errors_and_tolerance_limits), to whose
+configuration counts once. The limit is that of the poses' own errors
+(calib.certification.noise_free_errors_and_tolerance_limits), to whose
 margin is added, in squares, what one draw of the errors that all poses of a recording share could hide, and what the
 scale of the targets is uncertain by. docs/mathematics.md (24) and (26)
 
@@ -255,8 +256,8 @@ def tolerance_conformity(
 ) -> tuple[Conformity, ...]:
     """Conformity with each tolerance, of position (m) or rotation (rad), by the bound of the scaled error.
 
-    scaled_error_bound : Bound of the depth in units of the tolerances, its limits of the confidence GUARD; None where there are too
-        few poses for one
+    scaled_error_bound : Bound of the depth in units of the tolerances, its limits of the confidence GUARD; None where
+        there are too few poses for one
     counts_beyond : of each tolerance
     """
     if scaled_error_bound is None:

@@ -1,7 +1,7 @@
 """Redundant measuring limbs as checks: six limbs give the platform's pose, each other limb checks it.
 
 A check's own joints and zero are fitted to the poses that the six told while vision held them, so that what it does
-not close by later is no matter of vision's frame: some limb reads otherwise than it did. Source: Merlet, Parallel
+not close by later is no matter of vision's frame: the reading of some limb has changed. Source: Merlet, Parallel
 Robots, 2nd ed., ch. 9 (redundant sensors).
 """
 
@@ -66,7 +66,7 @@ STEPS, SETTLED = 20, 1e-11  # of fitting a leg; m at which it ends
 FOLDS = 4  # stretches of poses, each told by what was fitted to the others
 RARE = 1e-6  # share of honest poses at which the checks do not close
 IN_A_ROW = 3  # poses that do not close, from which it is no single wrong reading
-WHO = "The measuring limbs no longer agree with each other"
+WHO = "The measuring limbs no longer agree with one another"
 CLEAR = 0.5  # share of the squares that one limb must explain to be named
 
 
@@ -81,10 +81,10 @@ class UnclosedLimb:
 
     def __str__(self) -> str:
         if self.limb is None:
-            return f"{IN_A_ROW} poses in a row do not close, and no limb alone explains it"
+            return f"{IN_A_ROW} consecutive poses do not close, and no single limb explains it"
         return (
             f"the limbs do not close: limb {self.limb} is longer by {self.size * 1e6:+.1f} um than it reads, or "
-            "reads otherwise than it did"
+            "its reading has changed"
         )
 
 
@@ -112,7 +112,7 @@ def _require_six_limbs(stated: MeasuringLimbs) -> None:
         raise RigError(
             f"rig.toml has {n} measuring limb{'s' * (n > 1)} in [insitu], and a platform has six freedoms: "
             "fewer than six lengths tell no "
-            "pose. `rig closure` uses them as checks beside the struts"
+            "pose. `rig closure` uses them as checks in addition to the struts"
         )
 
 

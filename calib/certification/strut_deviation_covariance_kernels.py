@@ -173,7 +173,7 @@ def _scatter(n: int) -> Component:
 
 
 def _repeated(label: Integers) -> list[Component]:
-    """What comes again at a configuration and tells nothing of others: known apart from scatter only where some are
+    """What comes again at a configuration and yields nothing of others: known apart from scatter only where some are
     visited again.
     """
     seen = (label[:, None] == np.unique(label)).astype(float)

@@ -263,7 +263,7 @@ class Machines:
             return (
                 f"the {axis}s together leave {_size(np.sum(rest, axis=0)) * 1e6:.2g} um beyond what the "
                 "poses' stated noise explains, "
-                "of which no single one or cause stands out",
+                "which is attributable to no single one or cause",
             )
         return tuple(_sentence(over, word, sizes, axis) for (over, word), sizes in found.items())
 
@@ -280,12 +280,10 @@ def _sentence(over: str, word: str, sizes: dict[int, float], axis: str) -> str:
     struts = f"{axis}{'' if len(sizes) == 1 else 's'} {', '.join(str(i + 1) for i in sizes)}"
     size = f"{max(sizes.values()) * 1e6:.2g} um" + ("" if len(sizes) == 1 else " at most")
     what = {
-        SAMPLE: f"scatter by {size} beyond what the poses' stated noise explains",
+        SAMPLE: f"scatter by {size} beyond what the stated pose noise explains",
         CONFIGURATION: f"differ from configuration to configuration by {size}, with no pattern "
         "that these poses resolve",
-        ANY: f"are {size} beyond what the poses' stated noise explains, of a cause that these poses do not single out",
+        ANY: f"are {size} beyond what the stated pose noise explains, of a cause that these poses do not identify",
         PLACE: f"depend on the configuration, {size}, which no remainder corrects",
     }
-    return (
-        f"{struts}: residuals {what.get(over, f'depend on {word}, {size}, which nothing in this calibration corrects')}"
-    )
+    return f"{struts}: residuals {what.get(over, f'depend on {word}, {size}, which this calibration does not correct')}"

@@ -151,7 +151,7 @@ def uncertainty_budget(
     datum = None if scale is None else scale**2 * place[:, :, None] * place[:, None, :]
     parts = camera_and_lens_covariance(measured)
     cameras, lenses = (shared if shared.any() else None, None) if parts is None else parts
-    whole = "images" if parts else "poses' stated covariance, which does not tell cameras from lenses"
+    whole = "images" if parts else "stated covariance of the poses, which does not separate cameras from lenses"
     rows = [
         _row(
             "finder",
@@ -173,7 +173,7 @@ def uncertainty_budget(
             "measuring",
             datum,
             "B",
-            "nobody states how good the targets' scale is"
+            "the uncertainty of the targets' scale is not stated"
             if scale is None
             else "scale of the targets, as stated, at the poses' distance",
         ),
@@ -182,18 +182,12 @@ def uncertainty_budget(
             "machine",
             thermometer_covariances,
             "A",
-            "noise of the logged temperatures, through what is corrected by them"
+            "noise of the logged temperatures, through the corrections that use them"
             if thermometer_covariances is not None
-            else "nothing is corrected by a logged temperature, so no thermometer adds to a pose",
+            else "no correction uses a logged temperature, so thermometers contribute nothing",
         ),
         _row("geometry", "machine", model, "A", "covariance of the fitted parameters, at the held-out poses"),
-        _row(
-            "physics",
-            "machine",
-            physics,
-            "A",
-            "what held-out errors show beyond all else: effects that the calibration leaves",
-        ),
+        _row("physics", "machine", physics, "A", "held-out errors beyond all other contributions: unmodelled effects"),
         _row(
             "repeatability",
             "machine",

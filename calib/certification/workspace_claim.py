@@ -2,7 +2,7 @@
 
 Machines are drawn that are as the poses have them, where the poses tell, and as the owner's tolerance has them, where
 these do not: so what is promised away from the recorded configurations holds how far it is extrapolated. Each drawn
-machine is driven all over the middle of the strokes, once by the owner's model and once by the calibrated one; the
+machine is driven all over the middle of the strokes, once by the nominal model and once by the calibrated one; the
 ratio of the two RMS errors, from draw to draw, is the claim, docs/mathematics.md (21) in draws. How much noise and
 misfit there is, is drawn as well (chi-square: few configurations tell it badly).
 """
@@ -49,7 +49,7 @@ class Claim:
     hexapod: to 5 mm);
     better : those that they tell better than the owner's figures are good; tolerance : how good these are, in words
     workspace : what is meant, in words
-    before, after : RMS pose error all over it by the owner's model and corrected, (position m, rotation rad), each
+    before, after : RMS pose error all over it by the nominal model and corrected, (position m, rotation rad), each
     (median, low, high) with 95 % between; ratio : before / after in position; measured : the same as the recording's
     own instrument would see it; each (median, low, high), None where no factor is claimed; reason : why none is, or
     None
@@ -82,7 +82,7 @@ class Claim:
 @dataclass(frozen=True, slots=True, eq=False)
 class Workspace:
     """At m places: jacobian (m, 6, k) of the pose's tangent with the parameters; offset (m, 6) pose error of the
-    owner's model against the corrected one; own (2,) or (d, 2) m^2 and rad^2, mean square of what no model corrects, or
+    nominal model against the corrected one; own (2,) or (d, 2) m^2 and rad^2, mean square of what no model corrects, or
     draws of it; words : what is meant by it."""
 
     jacobian: Floats
@@ -178,7 +178,7 @@ def empty_claim_of_too_few_configurations(information: ConfigurationInformation,
         None,
         None,
         None,
-        f"{_counted(information.distinct)} cannot say how the model does at others; a factor takes {LEAST}",
+        f"{_counted(information.distinct)} do not determine the accuracy at others; a factor takes {LEAST}",
     )
 
 
@@ -216,7 +216,7 @@ def workspace_claim(
         int((np.linalg.svd(identified.root * width, compute_uv=False) > 1).sum()) for width in (PRIOR, tolerance.prior)
     )
     nominal, fitted = correction.nominal, correction.fitted
-    middle = f"the middle {FILL * 100:.0f} % of every stroke, all struts free of each other"
+    middle = f"the middle {FILL * 100:.0f} % of every stroke, all struts independent"
     told = ConfigurationInformation(distinct, determined, better, len(identified.prior), _tolerance_in_words(tolerance))
     if distinct < LEAST:
         return empty_claim_of_too_few_configurations(told, middle)
@@ -293,5 +293,5 @@ def _scatters(found: Identified, rng: np.random.Generator) -> Floats:
 def _tolerance_in_words(tolerance: Tolerance) -> str:
     joints, zeros = tolerance.prior[0], tolerance.prior[-1]
     return (
-        f"joints good to {joints * 1e3:.2g} mm and zeros to {zeros * 1e3:.2g} mm a coordinate, as these poses have it"
+        f"joints good to {joints * 1e3:.2g} mm and zeros to {zeros * 1e3:.2g} mm a coordinate, as these poses indicate"
     )

@@ -103,7 +103,7 @@ class Correction(Generic[M, R]):
         return T_base_platform
 
     def summand(self, commands: Floats) -> Floats:
-        """KSF (..., axes) m at commands (..., axes), docs/mathematics.md (19): commanded less what the owner's model
+        """KSF (..., axes) m at commands (..., axes), docs/mathematics.md (19): commanded less what the nominal model
         says for the pose it gives.
         """
         return commands - mechanisms.kinematics_of(self.nominal).inverse(self.predict(commands), self.nominal)
@@ -126,7 +126,7 @@ class Correction(Generic[M, R]):
         return commands - self.inverse_without_physics(T_base_platform)
 
     def corrected_forward(self, configurations: Floats) -> RigidTransform:
-        """KDK(x) = DK(x + KSF(x)), RigidTransform (...): what the owner's model says that a corrected configuration x
+        """KDK(x) = DK(x + KSF(x)), RigidTransform (...): what the nominal model says that a corrected configuration x
         (..., axes) gives.
 
         Source: configuration-space patent, [0133] to [0135]
@@ -150,7 +150,7 @@ class Correction(Generic[M, R]):
         return out
 
     def uncorrected(self, T_base_platform: RigidTransform) -> Floats:
-        """Commands (..., axes) m that the owner's model gives for wanted poses (...), for comparison."""
+        """Commands (..., axes) m that the nominal model gives for wanted poses (...), for comparison."""
         return mechanisms.kinematics_of(self.nominal).inverse(T_base_platform, self.nominal)
 
     def reached_poses(self, T_base_platform: RigidTransform, commands: Floats) -> RigidTransform:
@@ -202,10 +202,10 @@ class Correction(Generic[M, R]):
         """Raise RigError where commands by the configuration alone would leave known physics out."""
         if self.physics:
             raise RigError(
-                f"this calibration knows physics that commands have to undo ({', '.join(self.physics)}), and "
+                f"this calibration includes physics that commands must compensate ({', '.join(self.physics)}), and "
                 "a correction by "
-                "configuration alone leaves it out: take calib.correct(calibration, wanted), which gives "
-                "what `rig correct` does"
+                "configuration alone omits it: use calib.correct(calibration, wanted), which gives "
+                "the same as `rig correct`"
             )
 
     def near(self, T_base_platform: RigidTransform, guess: Floats) -> Floats:

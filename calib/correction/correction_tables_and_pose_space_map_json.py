@@ -39,7 +39,7 @@ class CorrectionSummands(NamedTuple):
 
 
 def strut_correction_summands(samples: Samples, nominal: Struts) -> CorrectionSummands:
-    """Correction summands of struts at samples: commands less IK of the measured poses by the owner's model."""
+    """Correction summands of struts at samples: commands less IK of the measured poses by the nominal model."""
     A = strut_length_jacobian(samples.T_base_platform, nominal)
     return CorrectionSummands(
         samples.commanded - mechanisms.kinematics_of(nominal).inverse(samples.T_base_platform, nominal),
@@ -98,8 +98,7 @@ def grid_correction_table(correction: AnyCorrection, divisions: int, fill: float
         return x, correction.inverse(wanted) - x
     except NotConverged as error:
         raise RigError(
-            f"{len(error.index)} of the grid's {len(x)} vertices close on no pose; a smaller share of the "
-            "strokes may do"
+            f"{len(error.index)} of the grid's {len(x)} vertices close on no pose; use a smaller share of the strokes"
         ) from None
 
 

@@ -1,7 +1,7 @@
 """Interpolation methods by name, and extension of correction summands over the space by them.
 
 KSF_PM(x) = x - IK(GDK(x)) at each sample x; KSF_KR is its Field over all of the configuration space. It stands alone,
-with the owner's model as IK, or on top of the fitted geometry, where it extends what that leaves.
+with the nominal model as IK, or on top of the fitted geometry, where it extends what that leaves.
 Source: configuration-space patent, [0026] to [0030], [0126] to [0137]
 """
 
@@ -62,7 +62,7 @@ METHODS = {one.kind: one for one in (Linear, Simplex, Delaunay, AxisFunctions, R
 def fit_field(kind: str, samples: FieldSamples) -> Field:
     """Field of a kind fitted to samples. Raises RigError for an unknown kind, and what the kind raises."""
     if kind not in METHODS:
-        raise RigError(f"there is no way {kind!r} to extend corrections; there are {', '.join(METHODS)}")
+        raise RigError(f"there is no method {kind!r} to extend corrections; available: {', '.join(METHODS)}")
     return METHODS[kind].fit(samples)
 
 

@@ -65,9 +65,9 @@ def fit_cameras_and_geometry(
     Raises RigError for moving cameras or base targets that are not there.
     """
     if state.moving:
-        raise RigError("a joint solve takes fixed cameras; moving ones are located frame by frame")
+        raise RigError("a joint solve requires fixed cameras; moving ones are located frame by frame")
     if observations.on_platform.all():
-        raise RigError("a joint solve takes targets on the base: without them nothing holds the base frame")
+        raise RigError("a joint solve requires targets on the base: without them the base frame is undefined")
     whitener = np.linalg.inv(np.linalg.cholesky(observations.covariance))
     sizes = [6 + len(stated_lens_sigmas(camera)) for camera in stated]
     starts = 42 + np.r_[0, np.cumsum(sizes)]
@@ -158,15 +158,15 @@ def refine_correction_with_cameras(
     """(Correction, Identified) refined with cameras, by the joint fit of a recording's corners.
 
     sampled : pipeline.Sampled; design : Design as stated; correction, found : as `calibrate` gives them
-    Raises RigError for a machine that is no hexapod, for poses that no camera saw, or where struts
+    Raises RigError for a machine that is not a hexapod, for poses that no camera saw, or where struts
     scatter, so that a command does not give a frame's pose
     """
     if sampled.measurement is None:
-        raise RigError(f"a joint solve takes corners or images; these poses came from {sampled.source}")
+        raise RigError(f"a joint solve requires corners or images; these poses came from {sampled.source}")
     if identified.scatter.any():
         i = int(np.argmax(identified.scatter))
         raise RigError(
-            f"a joint solve takes struts that do as commanded; strut {i + 1} scatters by "
+            f"a joint solve requires struts that follow their commands; strut {i + 1} scatters by "
             f"{identified.scatter[i] * 1e6:.1f} um beyond the poses"
         )
     corners, commanded, state = joint_fit_inputs(sampled.measurement, sampled.samples.take(identified.inliers))

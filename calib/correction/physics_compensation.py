@@ -1,4 +1,4 @@
-"""Compensation of known physics: effects kept with a calibration, and commands that undo them.
+"""Compensation of known physics: effects stored with a calibration, and commands that compensate them.
 
 The one forward model of motion (rig.model.motion_simulation) says what commands become, by their whole history, the
 sensors and the pose. Sought are commands that become what the geometry asks for at every wanted pose: a fixed point
@@ -31,7 +31,7 @@ ANOTHER_DAY = 2.0  # K, standard deviation by which a room and its struts differ
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """What nothing in the catalogue explains. place; magnitude, in unit; depends_on : covariates; corrected : whether a
+    """What no catalogued effect explains. place; magnitude, in unit; depends_on : covariates; corrected : whether a
     smooth function over the configuration space takes it out."""
 
     place: str
@@ -43,7 +43,8 @@ class Unknown:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Physics:
-    """effects : Effects found; own : (c, c) covariance of their coordinates (rig.effects.framework.effect_checks_and_fit_coordinates), in
+    """effects : Effects found; own : (c, c) covariance of their coordinates
+    (rig.effects.framework.effect_checks_and_fit_coordinates), in
     order; cross : (p, c) of the geometry's p parameters with these; gravity, actuator, platform : of the machine as its
     owner states them, which effects look at
     channels : {sensor channel: (median, standard deviation)} while all this was learnt; unknown : what has no name."""
@@ -248,5 +249,5 @@ def require_sensor_coverage(sensors: Sensors | None, t: Floats, display_time: Ca
         raise RigError(
             f"the sensors' log runs from t = {display_time(sensors.t[0]):g} to {display_time(sensors.t[-1]):g} s, and "
             f"{len(outside)} poses are to be held "
-            f"outside it, the first at {display_time(outside[0]):g} s; log on, or leave the sensors out"
+            f"outside it, the first at {display_time(outside[0]):g} s; extend the log, or omit the sensors"
         )

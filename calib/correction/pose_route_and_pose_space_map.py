@@ -59,7 +59,7 @@ class PoseMap:
                 return found
         failed = np.flatnonzero(~(np.ravel(change) < TOLERANCE))
         raise NotConverged(
-            f"where to stand for {len(failed)} poses was not found by a map in pose space",
+            f"the commanded pose for {len(failed)} poses was not found by a map in pose space",
             failed,
             pose_coordinates(T, self.home).reshape(-1, 6)[failed],
             np.ravel(change)[failed],
@@ -160,7 +160,7 @@ def timed_route(pace: Pace, commands: Floats, start: Floats, approach_offsets: F
             + (f", at most {pace.fastest:.4g} /s" if pace.fastest else "")
             for i in late.tolist()
         ]
-        raise Unreachable(f"{len(late)} of {len(t)} wanted poses come too soon after the one before:", late, lines)
+        raise Unreachable(f"{len(late)} of {len(t)} wanted poses follow the previous one too soon:", late, lines)
     arrive = leave + np.maximum(least, BRIEF)
     turn = leave + np.where(back > 0, out / np.maximum(way, 1e-300), 1.0) * (arrive - leave)
     n, numbers = len(t), np.arange(len(t))

@@ -1,1 +1,1 @@
-"""What physics the model leaves out: where, which, how large, proved on stretches that were held out."""
+"""Unmodelled effects: where, which, how large, confirmed on held-out stretches."""

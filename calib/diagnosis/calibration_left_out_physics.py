@@ -1,4 +1,4 @@
-"""Physics that a calibration leaves out, found by diagnosing its recording, stated in its claim.
+"""Effects that a calibration omits, found by diagnosing its recording, stated in its claim.
 
 Good needs that nothing is unexplained, which is known where somebody has looked for it: a calibration looks as `rig
 diagnose` does.
@@ -37,7 +37,7 @@ from rig.recording.recording_frames import Marks, frames_with_known_hashes
 from rig.report.verdict_and_refutations_of_results import State, refutations_of_file
 
 LARGEST = 50_000_000  # bytes of a file that is looked into
-NOT_SEARCHED = "nobody looked for what it leaves out"
+NOT_SEARCHED = "it was not searched for unmodelled effects"
 EDGES = (0.025, 0.975)
 BEYOND = ("physics", "extension", "pose_maps")  # of a calibration that is more than a geometry and its remainder
 
@@ -55,7 +55,7 @@ class Refutation(NamedTuple):
 def search_left_out_physics(
     calibration: Calibration, recording: Recording, sampled: Sampled, progress: Progress | None = None
 ) -> Calibration:
-    """The Calibration with the physics it leaves out, found by diagnosing its recording, stated in its claim.
+    """The Calibration with the effects it omits, found by diagnosing its recording, stated in its claim.
 
     sampled : Sampled that it was made from; progress : called with (label, done, of), or None
     """
@@ -64,7 +64,7 @@ def search_left_out_physics(
     try:
         report = diagnosis_report(diagnose(recording, DiagnosisOptions(sampled=sampled), progress))
     except NotEnoughData as error:
-        return _with(calibration, (f"what it leaves out could not be looked for: {error}",))
+        return _with(calibration, (f"the search for unmodelled effects failed: {error}",))
     return _add_left_out_physics(calibration, report, sampled.samples)
 
 
@@ -149,13 +149,13 @@ def refuted_calibrations(
             continue
         found = (
             [
-                "it leaves out "
+                "it omits "
                 f"{'; '.join(report_sentences.finding_title(f) + report_sentences.finding_size_text(f) for f in left)}"
             ]
             if left
             else []
         )
-        found += [f"nothing in the catalogue explains what is at {', '.join(nameless)}"] if nameless else []
+        found += [f"no catalogued effect explains the residual at {', '.join(nameless)}"] if nameless else []
         after = (tree.get("claim") or {}).get("after")
         claimed = f", where {float(after[0][2]) * 1e6:.3g} um is claimed" if after else ""
         refuted = (

@@ -96,7 +96,7 @@ def platform_effect_signal_to_noise(
     """
     frames, t = recording.exposures.times()
     if recording.corners is None or recording.commands is None:
-        raise RigError(f"{recording.folder}: this takes corners and commands")
+        raise RigError(f"{recording.folder}: this requires corners and commands")
     commands = recording.commands
     stated = recording.design
     observations = observations_from_corners(recording.corners, frames, stated, marker_map(stated))
@@ -133,7 +133,7 @@ def arm_effect_signal_to_noise(
     whole = motion_simulation.simulate_machine_run(true_design, commands, t, effects, sensors).T_base_platform
     arm, k = true_design.mechanism, 3 * len(sigma)
     if not isinstance(arm, Arm):
-        raise RigError(f"this takes an arm, not a mechanism of kind {arm.kind!r}")
+        raise RigError(f"this requires an arm, not a mechanism of kind {arm.kind!r}")
     q = motion_simulation.motion_of_commands(true_design, commands, t, effects, sensors).lengths
     free = independent_arm_parameters(arm, "pose" if k == 6 else "position")
     J = error_model_and_observations.parameter_jacobian(q, arm)[:, :k][..., free] / np.repeat(sigma, 3)[:, None]

@@ -125,12 +125,12 @@ def load_findings(folder: Path, recording: Recording, kinds: Kinds = BY_NAME) ->
     Raises FileError for a folder that holds none, or of another rig
     """
     if folder.is_dir() and not (folder / "diagnosis.json").exists():
-        raise FileError(folder, "holds no diagnosis.json; --diagnosis takes a folder that `rig diagnose` wrote")
+        raise FileError(folder, "holds no diagnosis.json; --diagnosis requires a folder that `rig diagnose` wrote")
     tree = structured_files.load_json(folder / "diagnosis.json", "diagnosis", SCHEMA)
     if not (folder / "machine.json").exists():
         raise FileError(
             folder / "machine.json",
-            "no such file; --diagnosis takes a folder that `rig diagnose` wrote from a commanded recording",
+            "no such file; --diagnosis requires a folder that `rig diagnose` wrote from a commanded recording",
         )
     _, effects = machine_json.load_machine(folder / "machine.json", recording.design, kinds)
     entries = tree.tables("findings")
@@ -182,14 +182,14 @@ def refit_platform_with_findings(
     """
     nominal = require_struts(recording.design.mechanism)
     said = progress or silent_progress
-    said("refining physics and geometry together", 0, 1)
+    said("refining physics and geometry jointly", 0, 1)
     point, _, _ = operating_point_of_recording(recording, progress, sampled=sampled)
     point = without_distant_corners(correct_marker_swaps(point, [e for e in findings.effects if e.discrete]))
     refined = refine_operating_point(
         point.with_effects(e for e in findings.effects if not e.discrete), Sensitivities(point)
     )
     effects, own = _combined(refined, findings)
-    said("refining physics and geometry together", 1, 1)
+    said("refining physics and geometry jointly", 1, 1)
     k, samples = refined.point.with_effects(_motion(effects)), sampled.samples
     if any(e.stage not in MOTION_STAGES for e in findings.effects):  # what cameras left out moved every pose
         samples = samples_within_freedoms(recording, replace(samples, T_base_platform=k.T))
@@ -273,11 +273,11 @@ def refit_arm_with_findings(
     said, samples, design = progress or silent_progress, sampled.samples, recording.design
     nominal = require_arm(design.mechanism)
     if samples.measured in UNPLACED:
-        raise RigError(f"physics is taken in where poses or positions were measured: {UNPLACED[samples.measured]}")
+        raise RigError(f"physics is included where poses or positions were measured: {UNPLACED[samples.measured]}")
     commands = recording.commands
     if commands is None:
         raise RigError(f"{recording.folder}: nothing was commanded")
-    said("refining physics and geometry together", 0, 1)
+    said("refining physics and geometry jointly", 0, 1)
     before = None
     if findings.sigma is not None:
         before = Prior(
@@ -288,7 +288,7 @@ def refit_arm_with_findings(
     found = fit_geometry_and_effects(
         samples, History(design, commands, smooth_temperatures(recording.sensors)[0]), start, findings.effects, before
     )
-    said("refining physics and geometry together", 1, 1)
+    said("refining physics and geometry jointly", 1, 1)
     physics = Physics(
         found.effects,
         found.own,

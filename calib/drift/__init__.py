@@ -1,1 +1,1 @@
-"""A calibration watched from day to day: small visits, what changed since and how sure that is."""
+"""A calibration monitored from day to day: small visits, what changed since and how certain that is."""

@@ -11,31 +11,31 @@ SHOWN = 3  # suspects that are listed
 LEAST = 0.01  # odds below which none but the first is
 STEEL = 1.15e-5  # 1/K, to give growth a temperature
 REMEASURE = {
-    "camera": "clamp the mount. The calibration itself stands: cameras are found anew in every recording that shows "
+    "camera": "clamp the mount. The calibration remains valid: cameras are located again in every recording that shows "
     "the base targets. "
-    "Begin a new history once it is fast",
-    "instrument": "seat the instrument anew, or state its frame; the calibration itself stands",
-    "base": "seat that target anew, or state its true place in rig.toml; poses measured since are told in a frame "
+    "Begin a new history once it is fixed",
+    "instrument": "reseat the instrument, or state its frame; the calibration remains valid",
+    "base": "reseat that target, or state its true place in rig.toml; poses measured since are in a frame "
     "that moved with it. "
-    "Nothing of the machine is to be remeasured",
-    "platform": "seat that target anew, or state its true place in rig.toml; poses measured "
-    "since are told by a platform "
+    "No part of the machine needs remeasuring",
+    "platform": "reseat that target, or state its true place in rig.toml; poses measured "
+    "since are of a platform "
     "frame that moved "
-    "with it. Nothing of the machine is to be remeasured",
-    "zero": "home the machine and visit again; if it stays, record 20 poses (rig plan RIG.toml --for parameters "
+    "with it. No part of the machine needs remeasuring",
+    "zero": "home the machine and visit again; if it persists, record 20 poses (rig plan RIG.toml --for parameters "
     "--count 20 --calibration CAL) "
-    "and calibrate anew",
-    "nut": "look at nut and bearings of that strut; record a ladder (rig run RIG.toml --plan ladder) and diagnose "
+    "and recalibrate",
+    "nut": "inspect the nut and bearings of that strut; record a ladder (rig run RIG.toml --plan ladder) and diagnose "
     "it; until then approach "
     "every pose from the same side",
-    "temperature": "let the machine reach the temperature that it was calibrated at, or log its "
+    "temperature": "bring the machine to its calibration temperature, or log its "
     "struts' temperatures and "
     "record the standard "
     "plan warm and cold",
-    "payload": "say what the platform carries (payload_mass_kg in sensors.csv); record a plan with payload steps "
+    "payload": "state the load on the platform (payload_mass_kg in sensors.csv); record a plan with payload steps "
     "(--plan payload) and "
     "calibrate with the diagnosis",
-    SOMETHING: "record the standard plan (rig run RIG.toml --plan standard) and ask rig diagnose",
+    SOMETHING: "record the standard plan (rig run RIG.toml --plan standard) and run rig diagnose",
 }
 
 
@@ -47,14 +47,14 @@ def change_verdict_lines(
     """
     agree = np.sqrt(verdict.square / verdict.count / scale)
     against = "the visits before" if verdict.chance is None else "the calibration"
-    out = [f"{name}: agrees with {against} to {agree:.3f} of what measuring repeats to (1 where nothing changed)"]
+    out = [f"{name}: agrees with {against} to {agree:.3f} of the measurement repeatability (1 where nothing changed)"]
     if not verdict.alarm and verdict.chance is not None:
-        return [*out, "  the calibration holds; later visits are held against this one and it"]
+        return [*out, "  the calibration is valid; later visits are compared with it and this one"]
     if not verdict.alarm:
         return [
             *out,
             f"  nothing has changed (sum of likelihood ratios {_power(verdict.log_sum)}; the alarm is at "
-            f"{ALARM:g}, which quiet visits "
+            f"{ALARM:g}, which unchanged visits "
             f"reach once in {ALARM:g} visits or more, on average)",
         ]
     first, named = verdict.suspects[0], verdict.named
@@ -62,23 +62,23 @@ def change_verdict_lines(
     if within_claim:
         what = "without a name" if named is None else f"likeliest {_said(named, reference)}"
         out.append(
-            f"  THE CALIBRATION LEAVES SOMETHING OUT, there from the beginning or since, {what}; its claim "
+            f"  THE CALIBRATION OMITS AN EFFECT, present from the beginning or since, {what}; its claim "
             "is not refuted by this visit"
         )
     elif named is None:
         nearest = next((one for one in verdict.suspects if one.kind != SOMETHING), None)
         out.append(
-            f"  THE CALIBRATION NO LONGER DESCRIBES WHAT IS SEEN, {since}: something changed, we cannot say what"
+            f"  THE CALIBRATION NO LONGER DESCRIBES THE MEASUREMENTS, {since}: an unidentified change"
             + (
-                f" (the nearest name, {_said(nearest, reference)}, leaves more than noise)"
+                f" (the nearest explanation, {_said(nearest, reference)}, leaves more than noise)"
                 if nearest is not None
                 else ""
             )
         )
     elif named.kind in ("camera", "target"):
-        out.append(f"  WHAT MEASURES HAS CHANGED, {since}: {_said(named, reference)}")
+        out.append(f"  THE MEASURING SYSTEM HAS CHANGED, {since}: {_said(named, reference)}")
     else:
-        out.append(f"  THE CALIBRATION NO LONGER HOLDS, {since}: {_said(named, reference)}")
+        out.append(f"  THE CALIBRATION IS NO LONGER VALID, {since}: {_said(named, reference)}")
     kept = [one for k, one in enumerate(verdict.suspects[:SHOWN]) if k == 0 or one.odds >= LEAST]
     out.append("  odds: " + ", ".join(f"{one.name} {one.odds:.3f}" for one in kept))
     out.append(f"  to do: {REMEASURE[_key(named, reference)]}")
@@ -118,7 +118,7 @@ def _said(one: Suspect, reference: Reference) -> str:
     grown = (
         "play grew by"
         if one.since
-        else "play that the calibration does not hold, there from the beginning or grown since,"
+        else "play that the calibration does not model, present from the beginning or grown since,"
     )
     word = {"zero": "the zero moved by", "nut": grown}[one.kind]
     return f"{one.name}: {word} {value * 1e3:+.4f} +- {2 * sigma * 1e3:.4f} mm (k=2)"

@@ -55,7 +55,7 @@ class Reference:
         cameras = measured.design.cameras
         moving = [camera.name for camera in cameras if camera.mount == "moving"]
         if moving:
-            raise RigError(f"camera {moving[0]} has a moving mount; watching takes cameras that stand still")
+            raise RigError(f"camera {moving[0]} has a moving mount; watching requires fixed cameras")
         places = (
             *(f"camera {camera.name}" for camera in cameras),
             *(f"target {target.name}" for target in design.targets),
@@ -93,7 +93,7 @@ class Reference:
         ]
         if other:
             raise RigError(
-                f"{recording.folder}: camera {other[0]} has another kind of lens or mount than at the first "
+                f"{recording.folder}: camera {other[0]} has a different kind of lens or mount than at the first "
                 "visit; begin a new history"
             )
         if self.cameras and _mark(design) != self.targets:
@@ -122,7 +122,7 @@ AT_ORIGIN = Platform(
 def fitted_hexapod(calibration: Calibration) -> Hexapod:
     """The fitted hexapod. Raises RigError for a calibration of another mechanism."""
     return require_hexapod(
-        calibration.correction.fitted, "watching is for hexapods, not for a mechanism of kind {kind!r}"
+        calibration.correction.fitted, "watching requires a hexapod, not a mechanism of kind {kind!r}"
     )
 
 

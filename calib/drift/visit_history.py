@@ -77,15 +77,15 @@ def add_visit(history: History, recording: Recording, calibration: Calibration) 
     """
     of = content_hashes(recording)
     for known, what in (
-        (history.data, "are in the history already"),
-        (calibration.provenance.get("data", ()), "made the calibration"),
+        (history.data, "are already in the history"),
+        (calibration.provenance.get("data", ()), "were used for the calibration"),
     ):
         same = frames_with_known_hashes(of, known)
         if same:
             raise RigError(
                 f"{recording.folder}: {len(same)} of {len(recording.exposures.times()[0])} frames (the "
                 f"first: {same[0]}) {what}; a visit "
-                "is what was recorded anew"
+                "is a new recording"
             )
     equations, reference = visit_equations(recording, calibration, history.reference)
     before, constants = (
@@ -235,7 +235,7 @@ def _visit(table: Entries, unknowns: int) -> Visit:
     information.T[upper] = values
     least, *_, most = np.linalg.eigvalsh(information)
     if least < -1e-6 * abs(most):
-        table.fail(f"{table.name('information')} is no information", "information")
+        table.fail(f"{table.name('information')} is not a valid information matrix", "information")
     equations = Equations(
         information, table.array("right", (unknowns,)), table.number("own_square"), table.whole("count", 1)
     )

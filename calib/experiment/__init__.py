@@ -1,1 +1,1 @@
-"""The next experiment: what would tell hypotheses that are still alike apart, at what cost, and with what chance."""
+"""The next experiment: what distinguishes the remaining hypotheses, at what cost, and with what chance."""

@@ -94,8 +94,8 @@ def arm_questions(diagnosis: Diagnosis) -> list[ArmQuestion]:
         return []
     if not isinstance(geometry.mechanism, Arm):
         raise RigError(
-            "an experiment is foretold for platforms on struts and for arms; what is alike in a chain is "
-            "told apart by its stages alone"
+            "experiments are predicted for platforms on struts and for arms; what is ambiguous in a chain is "
+            "distinguished by its stages alone"
         )
     out = []
     for finding in open_ones:
@@ -128,7 +128,7 @@ def _seen(
     term of a number does, (n,) which of its exposures are measured). Raises RigError as `linearise_planned_poses`, and
     for a cube that is to be turned"""
     if plan.turned:
-        raise RigError("what a cube that is put back turned would show is foretold for platforms")
+        raise RigError("the effect of a remounted, turned cube is predicted for platforms only")
     first, geometry = fits[0].fit, fits[0].geometry
     there = linearise_planned_poses(
         first.arms, geometry, plan.commands, plan.t, predicted_sensor_log(first.arms.context.sensors, plan, warmer)

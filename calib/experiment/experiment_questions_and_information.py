@@ -96,7 +96,7 @@ class Question(ABC, Generic[F_co]):
         """The two likeliest names. Raises ValueError for a question of one name"""
         found = tuple(sorted(self.named, key=lambda h: -h.odds)[:2])
         if len(found) < 2:
-            raise ValueError("a question of one name has nothing to tell apart")
+            raise ValueError("a question with one hypothesis has nothing to distinguish")
         return found
 
     @property
@@ -184,7 +184,7 @@ def discriminating_configurations(
     """
     open_ones = [q for q in open_questions if len(q.named) > 1]
     if not open_ones:
-        raise RigError("one name alone is thought of, so there are no two that come apart anywhere")
+        raise RigError("only one hypothesis is considered, so there are no two to distinguish")
     strokes = axis_strokes(design)
     pool = np.concatenate([sobol_configurations(strokes, POOL, seed=seed), grid_configurations(strokes, 2)])
     plan = build_plan(design, "pool", additional_parts={"pool": pool})
@@ -197,7 +197,7 @@ def choose_exposures(questions: Sequence[PerFrame], count: int) -> Floats:
     Raises ValueError for more than there are, or no question
     """
     if not questions or count > len(questions[0].of):
-        raise ValueError(f"{count} exposures are to be chosen of {len(questions[0].of) if questions else 0}")
+        raise ValueError(f"{count} exposures are to be chosen from {len(questions[0].of) if questions else 0}")
     sums = [(0.0, np.zeros(q.onto.shape[1]), np.eye(q.onto.shape[1])) for q in questions]
     free, out = np.ones(len(questions[0].of), bool), []
     for _ in range(count):

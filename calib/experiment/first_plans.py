@@ -1,4 +1,4 @@
-"""The first plans of an investigation, where nobody states one."""
+"""The first plans of an investigation, where none is stated."""
 
 FIRST = "moving:24,sobol:60"  # the first plan of a rig that may be exposed on the way
 LOADED = (

@@ -163,7 +163,7 @@ def _title(finding: Entries) -> str:
 def _of(finding: Entries) -> str:
     """On what something without a name depends, in words."""
     names = finding.table("parameters").table("depends_on").texts("value")
-    return f", going with {' and '.join(names)}" if names else ""
+    return f", correlated with {' and '.join(names)}" if names else ""
 
 
 def notebook_text(
@@ -171,9 +171,10 @@ def notebook_text(
 ) -> str:
     """Laboratory notebook of an investigation, as Markdown. rig : its name; budget : min"""
     out = [
-        f"# What is the matter with {rig}",
+        f"# Investigation of {rig}",
         "",
-        f"A budget of {budget:.0f} min of the rig's time; {recording_minutes_spent(rounds):.1f} min were taken so far.",
+        f"A budget of {budget:.0f} min of the rig's time; "
+        f"{recording_minutes_spent(rounds):.1f} min have been used so far.",
         "",
     ]
     for before, look in zip((None, *rounds), rounds):
@@ -197,34 +198,34 @@ def _tried(before: InvestigationRound | None, look: InvestigationRound) -> list[
     out = [f"## {look.number}. {look.recording}, {look.minutes:.1f} min", ""]
     experiment = _next_experiment(before) if before is not None else None
     if experiment is None:
-        return [*out, "Tried: the first plan, to see what there is.", ""]
+        return [*out, "Tried: the initial plan, without a hypothesis.", ""]
     out += [
-        f"Tried: {experiment.plan}, {experiment.exposures} exposures; it was to settle the question with a "
+        f"Tried: {experiment.plan}, {experiment.exposures} exposures; expected to settle the question with a "
         f"chance of {experiment.settles:.0%} "
-        f"and to tell {experiment.bits:.2f} bits.",
+        f"and to yield {experiment.bits:.2f} bits.",
         "",
     ]
-    return out + [f"- the operator was asked, {text}" for text in experiment.asks] + ([""] if experiment.asks else [])
+    return out + [f"- request to the operator: {text}" for text in experiment.asks] + ([""] if experiment.asks else [])
 
 
 def _seen(before: InvestigationRound | None, look: InvestigationRound) -> list[str]:
     out = [f"- alone: {title}" for title in look.alone]
     for question in look.questions:
-        out.append("- alike: " + "; ".join(f"{h.title} {h.odds:.2f}" for h in question))
-    out += [f"- cannot be foretold: {text}" for text in look.unasked]
+        out.append("- ambiguous: " + "; ".join(f"{h.title} {h.odds:.2f}" for h in question))
+    out += [f"- cannot be predicted: {text}" for text in look.unasked]
     out += [f"- {text}, in no catalogue" for text in look.unknown]
     if not out:
-        out = ["- nothing is left out: recordings and model agree within the noise"]
+        out = ["- nothing is unmodelled: recordings and model agree within the noise"]
     if before is not None:
         dropped = [title for title, odds in before.odds.items() if title not in look.odds and odds > 0]
         out += [
             f"- dropped: {title} (odds before {before.odds[title]:.2f}); with {look.recording} it explains "
-            "less than 1 in 20 of what is left, "
+            "less than 1 in 20 of the residual, "
             "or nothing"
             for title in dropped
         ]
         out += [f"- settled: {'no' if look.questions else 'yes'}"] if before.questions else []
-    return ["Seen, of all recordings together:", "", *out]
+    return ["Result from all recordings combined:", "", *out]
 
 
 def write_investigation_page(
@@ -243,33 +244,33 @@ def write_investigation_page(
         heading_html("Odds"),
         _odds_figure(rounds),
         note_html(
-            "Shares of what is thought of after each recording, of all recordings so far together; a name "
-            "that nothing else explains as well "
-            "stands at 1, one that was told apart at 0."
+            "Odds of the hypotheses considered after each recording, from all recordings so far; a hypothesis "
+            "with no equally good alternative "
+            "is at 1, one that was excluded at 0."
         ),
-        heading_html("What was tried"),
+        heading_html("Experiments"),
         table_html(
-            ("recording", "plan", "exposures", "min", "chance to settle, as stated", "settled"),
+            ("recording", "plan", "exposures", "min", "predicted chance to settle", "settled"),
             [_row(before, look) for before, look in zip((None, *rounds), rounds)],
         ),
     ]
     if final_action:
         parts += [heading_html("And then"), list_html(final_action)]
     verdict = investigation_verdict(rounds, end_reason)
-    write_page(path, Page("investigate", f"What is the matter with {rig}", verdict, parts, verdict.next))
+    write_page(path, Page("investigate", f"Investigation of {rig}", verdict, parts, verdict.next))
 
 
 def investigation_verdict(rounds: Sequence[InvestigationRound], end_reason: str) -> Verdict:
-    """Verdict of an investigation: good where nothing is left out, to be examined otherwise."""
+    """Verdict of an investigation: good where nothing is unmodelled, to be examined otherwise."""
     last = rounds[-1]
-    named = ", ".join(last.findings) or "; ".join(last.unknown) or "nothing is left out"
+    named = ", ".join(last.findings) or "; ".join(last.unknown) or "nothing is unmodelled"
     left = list(last.doubts) or [
-        *(f"the geometry alone leaves out {name}" for name in last.findings),
-        *(f"nothing in the catalogue explains {text}" for text in last.unknown),
+        *(f"the geometry alone omits {name}" for name in last.findings),
+        *(f"no catalogued effect explains {text}" for text in last.unknown),
     ]
     missing = [
         *([] if end_reason else [MissingEvidence("it goes on")]),
-        *([MissingEvidence("several explanations are alike")] if last.questions else []),
+        *([MissingEvidence("the explanation is ambiguous")] if last.questions else []),
     ]
     steps = _recommended_actions(rounds, end_reason)
     return judge_evidence(
@@ -286,17 +287,17 @@ def investigation_verdict(rounds: Sequence[InvestigationRound], end_reason: str)
 def _recommended_actions(looks: Sequence[InvestigationRound], ended: str) -> list[str]:
     """What an owner does next."""
     if not ended:
-        return ["Go on with the same command and `--resume`"]
+        return ["Continue with the same command and `--resume`"]
     if looks[-1].unasked:
-        return [f"Make it possible to ask: {text}" for text in looks[-1].unasked]
+        return [f"Make it testable: {text}" for text in looks[-1].unasked]
     if looks[-1].questions:
         return [
             'Allow more: a longer `--budget`, or `[experiment] may = ["payload", "wait", "turn cube NAME"]` '
-            "in rig.toml; then again with "
+            "in rig.toml; then repeat with "
             "`--resume`"
         ]
     return (
-        [f"Look at what each finding says to do: `diagnosis{looks[-1].number}/diagnosis.html`"]
+        [f"See the actions listed for each finding: `diagnosis{looks[-1].number}/diagnosis.html`"]
         if looks[-1].findings
         else []
     )
@@ -325,5 +326,5 @@ def _odds_figure(looks: Sequence[InvestigationRound]) -> str:
         odds = np.array([look.odds.get(title, 0.0) for look in looks])
         series += [Series(at, odds, title, "line", n % COLOURS), Series(at, odds, "", "dots", n % COLOURS)]
     if not series:
-        return paragraph_html("Nothing was ever thought of: recordings and model agree within the noise.")
+        return paragraph_html("No hypothesis was considered: recordings and model agree within the noise.")
     return plot_panel_svg("odds of each hypothesis", ("recording", "share"), series, limits=(0.0, 1.0))

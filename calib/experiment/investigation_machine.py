@@ -45,7 +45,7 @@ class InvestigateOptions:
 
     def __post_init__(self) -> None:
         if not 12 <= self.verify <= 400:
-            raise RigError(f"--verify takes 12 to 400 poses, not {self.verify}")
+            raise RigError(f"--verify must be 12 to 400 poses, not {self.verify}")
 
 
 class InvestigatedRig:
@@ -59,9 +59,9 @@ class InvestigatedRig:
         self.by = "machine" if options.machine else "hand" if options.by_hand else "driver"
         if self.by == "driver" and design.controller is None:
             raise RigError(
-                f"{rig_toml} has no [controller], so there is nothing to drive; --by-hand writes "
-                "plans for somebody, --machine "
-                "TRUTH tries a simulated machine"
+                f"{rig_toml} has no [controller], so no machine can be driven; --by-hand writes "
+                "plans to be carried out by hand, --machine "
+                "TRUTH uses a simulated machine"
             )
         self.moving = self.by != "driver"
         read = [rig_toml, *([options.machine] if options.machine else [])]
@@ -77,7 +77,7 @@ class InvestigatedRig:
         """Carry out a command of rig. Raises RigError where it refuses, which has said why"""
         status = self._command(list(words))
         if status:
-            raise RigError(f"rig {words[0]} ended with {status}, see above; --resume goes on from there")
+            raise RigError(f"rig {words[0]} ended with {status}, see above; --resume continues from there")
 
     def refuse(self, plan: Plan) -> None:
         """Raise RigError for a plan that this machine cannot carry out."""
@@ -115,7 +115,7 @@ class InvestigatedRig:
         cubes = dict(build_plan(self.design, f"commands:{plan}").turned)
         todo = turning_instructions(cubes, quarter_turns_of_cubes(self.design))
         if todo:
-            then = f"  then say so in {self.path}, {_said(cubes)}, and give the same command with --resume"
+            then = f"  then state this in {self.path}, {_said(cubes)}, and give the same command with --resume"
             raise Waiting("\n".join(["to do, before the struts move:", *(f"  {text}" for text in todo), then]))
         more = [
             *(["--port", a.port] if a.port else []),
@@ -143,16 +143,16 @@ class InvestigatedRig:
         )
         if told != wanted:
             raise RigError(
-                f"{plan} is for cubes that stand as {_said(wanted) if wanted else 'rig.toml states them'}, "
+                f"{plan} is for cubes mounted as {_said(wanted) if wanted else 'rig.toml states them'}, "
                 f"and {out / 'rig.toml'} says "
-                f"{_said(told) if told else 'that none was taken off'}; state there how they stood"
+                f"{_said(told) if told else 'that none was removed'}; state there how they were mounted"
             )
 
     def _asked(self, plan: Path, out: Path) -> str:
         """What somebody is asked to do, in words."""
         todo = build_plan(self.design, f"commands:{plan}")
         cubes = [f"  before it begins: {text}" for text in turning_instructions(dict(todo.turned), {})]
-        cubes += [f"  and say so in its rig.toml: {_said(dict(todo.turned))}"] if cubes else []
+        cubes += [f"  and state this in its rig.toml: {_said(dict(todo.turned))}"] if cubes else []
         loads = [
             f"  at t = {t:.0f} s: " + (f"load {mass:.3g} kg" if mass else "take the load off")
             for t, mass in todo.payload[1:]

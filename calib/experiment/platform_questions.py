@@ -205,7 +205,7 @@ def _nuisances(model: LinearisedModel, new: LinearisedModel) -> tuple[list[tuple
     P = np.linalg.pinv(model.nuisances.solve)
     own = cube_seat_freedoms(fresh)
     if sum(map(len, own.values())) != len(fresh):
-        raise ValueError(f"the new recording has nuisances that no recording before has: {fresh}")
+        raise ValueError(f"the new recording has nuisances that no previous recording has: {fresh}")
     information = np.diag(np.r_[np.zeros(len(before)), np.tile(1 / np.repeat(SEAT, 3) ** 2, len(own))])
     information[: len(before), : len(before)] = P.T @ P
     return [*before, *fresh], information
@@ -297,7 +297,7 @@ def platform_questions(diagnosis: Diagnosis) -> list[PlatformQuestion]:
         return []
     point = d.selection.before.refined.point
     if not point.axes or point.moving:
-        raise RigError("an experiment is foretold for platforms that are commanded, and cameras that stand still")
+        raise RigError("experiments are predicted for commanded platforms and fixed cameras only")
     problem = PlatformProblem(point, list(fit.terms), given=d.options.given)
     out = []
     for finding in open_ones:

@@ -139,7 +139,7 @@ def covariance_from_entries(tree: Entries, count: int, key: str = "parameter_cov
         or (np.abs(covariance) > 1.001 * np.outer(scale, scale) + 1e-30).any()
         or not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-300)
     ):
-        tree.fail(f"{key} is no covariance", key)
+        tree.fail(f"{key} is not a covariance", key)
     return covariance
 
 

@@ -30,7 +30,7 @@ def require_text(tree: Entries, key: str, known_texts: Sequence[str]) -> None:
         )
         start = max(differs - 20, 0)
         tree.fail(
-            f"{key} is {short_repr(found[start : differs + 40])} where this rig reads "
+            f"{key} is {short_repr(found[start : differs + 40])} where this version expects "
             f"{short_repr(known_texts[0][start : differs + 40])} "
             f"(character {differs + 1}); nothing is converted",
             key,
@@ -48,7 +48,7 @@ def require_schema_contents(tree: Entries, needed: Sequence[str], refused: Seque
         if key in tree.tree:
             tree.fail(
                 f"{key} is there, and a file of schema {short_repr(schema)} has none: a reader of that "
-                "schema would leave it out in silence",
+                "schema would ignore it silently",
                 key,
             )
 
@@ -260,7 +260,7 @@ def physics_from_entries(
     own = len(coordinates_of_effects(effects))
     covariance, cross = table.array("covariance", (own, own)), table.array("cross_covariance", (parameter_count, own))
     if (np.diag(covariance) < 0).any() or not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-300):
-        table.fail("physics.covariance is no covariance", "covariance")
+        table.fail("physics.covariance is not a covariance", "covariance")
     channels = table.table("channels")
     logged = {
         name: (channels.table(name).number("median"), channels.table(name).number("sigma", least=0))

@@ -1,7 +1,7 @@
 """Least squares over blocks of observations in square-root information form, and steps within bounds.
 
 A problem hands over whitened residuals and their derivatives, block by block (a block: a pose, a configuration of an
-arm). What all blocks share (the cameras' errors, say) is solved for beside the parameters and then marginalised.
+arm). What all blocks share (the cameras' errors, say) is estimated beside the parameters and then marginalised.
 Source: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, ch. IV and V.
 """
 

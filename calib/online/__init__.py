@@ -1,1 +1,1 @@
-"""The parameters one pose at a time, and what changes while they are learnt."""
+"""The parameters estimated pose by pose, and changes during the estimation."""

@@ -164,7 +164,7 @@ def change_sentence(change: Change, frame: int, is_undone_later: bool = False) -
     if is_undone_later:
         return (
             f"from frame {frame} on strut {change.strut} is longer by {change.size * 1e3:+.4f} +- "
-            f"{change.sigma * 1e3:.4f} mm, and goes back: play"
+            f"{change.sigma * 1e3:.4f} mm, and returns: play"
         )
     cause = (
         "missed steps or a slipped joint"

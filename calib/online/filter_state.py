@@ -125,7 +125,7 @@ def state_with_pose(state: State, pose: Pose, start: Start, update_at_once: bool
     if said == REFUSED:
         raise RigError(
             f"pose {pose.number}: the commanded lengths {pose.command.round(6).tolist()} m close on no pose, "
-            "or its covariance is none"
+            "or covariance is invalid"
         )
     recent = (*state.recent[1 - WINDOW :], Learnt(pose, after.sums[slot].copy(), before, state.first))
     first = state.first
@@ -273,9 +273,7 @@ def load_filter_state(path: Path | str) -> Saved:
         for pose in recent:
             state = state_with_pose(state, pose, start)
     except RigError as error:
-        raise FileError(
-            path, f"is no state of on-line learning: its last poses cannot be learnt again: {error}"
-        ) from None
+        raise FileError(path, f"is no state of on-line learning: its last poses cannot be replayed: {error}") from None
     return Saved(start, scatter, state, held, number, frozenset(tree.texts("data") if "data" in tree.tree else ()))
 
 

@@ -213,7 +213,7 @@ def _unexpected(state: State, waiting: tuple[Pose, ...], pose: Pose, start: Star
     """What is made of a pose whose command the geometry as estimated reaches nowhere: it is left out, as one that
     agrees with no other.
 
-    Raises RigError where the geometry that the filter started from reaches it nowhere either, or its covariance is none
+    Raises RigError where the geometry that the filter started from reaches it nowhere either, or covariance is invalid
     """
     alone = state_with_pose(initial_state(start, len(state.estimate.s)), pose, start)
     return _Taken(state, waiting, alone.innovation, (), (pose.number,))

@@ -81,7 +81,7 @@ class Learner(ABC):
             not closed_loop_equations.forward_kinematics_kernel(x, p, R, t)
             or not closed_loop_equations.whitened_pose_row(R, t, p, measured, NO_SCATTER, right, J)[0]
         ):
-            raise RigError(f"the commanded lengths {x.round(6).tolist()} m close on no pose, or its covariance is none")
+            raise RigError(f"the commanded lengths {x.round(6).tolist()} m close on no pose, or covariance is invalid")
         return right[:, 0], J
 
 
@@ -99,7 +99,7 @@ class Forgetting(Learner):
         """kept : share of what was known along a pose's directions that stays; prior : m"""
         super().__init__(nominal)
         if not 0 < kept <= 1:
-            raise ValueError(f"kept is a share above 0 and at most 1, got {kept}")
+            raise ValueError(f"kept must be a share above 0 and at most 1, got {kept}")
         self.setting, self.memory = kept, np.eye(42) / prior**2
 
     @property
@@ -134,7 +134,7 @@ class Drifting(Learner):
         """
         super().__init__(nominal)
         if not 0 <= drift < 1:
-            raise ValueError(f"drift is a length (m) of at least 0, got {drift}")
+            raise ValueError(f"drift must be at least 0 m, got {drift}")
         self.setting, self.iterations, self.memory = drift, iterations, np.eye(42) * prior**2
 
     @property
@@ -179,7 +179,7 @@ class FirstOrder(Learner):
         """step : m, how far a parameter may plausibly have to go"""
         super().__init__(nominal)
         if not 0 < step < 1:
-            raise ValueError(f"step is a length (m) above 0, got {step}")
+            raise ValueError(f"step must be above 0 m, got {step}")
         self.setting, self.memory = step, np.zeros(42)
 
     def start_from(self, covariance: Floats) -> None:
@@ -225,7 +225,7 @@ def load_learner(path: Path | str) -> Learner:
     kind = LEARNERS[tree.text("learner", tuple(LEARNERS))]
     nominal = mechanism_from_entries(tree.table("nominal"))
     if not has_plates(nominal):
-        tree.fail("nominal is no hexapod", "nominal")
+        tree.fail("nominal is not a hexapod", "nominal")
     try:
         learner = kind(nominal, tree.number(kind.SETTING))
     except ValueError as error:

@@ -82,16 +82,16 @@ class LimbCheck:
 
 
 def _named(change: Change, limbs: Floats | Integers) -> Disagreement:
-    """What a Change says of limbs, of which the six whose numbers (from 0) are given tell the pose."""
+    """What a Change says of limbs, of which the six whose numbers (from 0) are given give the pose."""
     if not isinstance(change.size, float):
         position, rotation = (float(np.linalg.norm(part)) for part in (change.size[:3], change.size[3:]))
         return Disagreement(
             f"vision's poses are moved against the limbs' by {position * 1e6:.1f} um and "
             f"{rotation * 1e6:.1f} urad: a camera, the "
-            "base or the limbs' frame was knocked",
+            "base or the limbs' frame was displaced",
             None,
         )
-    how = "it slipped" if change.kind == "strut" else "its joint was knocked, the amount differs from pose to pose"
+    how = "it slipped" if change.kind == "strut" else "its joint was displaced, the amount varies between poses"
     limb = None if change.strut is None else int(limbs[change.strut - 1]) + 1
     return Disagreement(
         f"limb {limb} is longer by {change.size * 1e6:+.1f} +- {change.sigma * 1e6:.1f} um than it reads: {how}", limb
@@ -283,16 +283,16 @@ def checked_limb_poses(
         raise RigError(
             f"frame {checked.frame}: {checked.disagreement.reason}. {checked.disagreement.who}: their "
             "acceptance is withdrawn "
-            f"in {source.path}, and nothing was computed; without --limbs vision measures"
+            f"in {source.path}, and nothing was computed; omit --limbs to measure by vision"
         )
     spare = 0 if accepted.limbs.checks is None else len(accepted.limbs.checks.limbs)
     closing = f", at each of which {spare} more limb{'s close' if spare > 1 else ' closes'}" if spare else ""
     notice(
         f"{len(found.frames)} poses from the measuring limbs{closing}; "
         + (
-            f"vision looked at {checked.count} of them and agrees"
+            f"vision checked {checked.count} of them and agrees"
             if checked.count
-            else "the recording has nothing for vision to look at, so that none was checked by it"
+            else "the recording has no images or corners, so none was checked by vision"
         )
     )
     return found, accepted

@@ -123,7 +123,7 @@ def load_limbs(path: Path | str) -> Accepted:
     )
     verdict = tree.text("verdict", VERDICTS)
     if verdict != found.verdict:
-        tree.fail(f"verdict is {verdict!r}, but its own figures say {found.verdict!r}", "verdict")
+        tree.fail(f"verdict is {verdict!r}, but its own figures give {found.verdict!r}", "verdict")
     return found
 
 
@@ -139,9 +139,7 @@ def accepted_limbs(path: Path | str, design: Design) -> Accepted:
         )
     other = limb_hexapod(design, six)
     if found.verdict == "refused":
-        raise RigError(
-            f"{path}: these limbs did not pass when they were held against vision; `rig insitu` says by how much"
-        )
+        raise RigError(f"{path}: these limbs did not pass the comparison with vision; `rig insitu` reports by how much")
     if found.withdrawn is not None:
         w = found.withdrawn
         raise RigError(
@@ -174,7 +172,7 @@ def is_limbs_file(path: Path) -> bool:
     try:
         load_limbs(path)
     except FileError as error:
-        raise FileError(path, f"is there and is no limbs.json ({error}); name another file") from None
+        raise FileError(path, f"exists and is not a limbs.json ({error}); name another file") from None
     return True
 
 
@@ -182,7 +180,7 @@ def _hexapod(tree: Entries, key: str) -> Hexapod:
     found = mechanism_from_entries(tree.table(key))
     if not has_plates(found):
         tree.fail(
-            f"{key} is a mechanism of kind {found.kind!r}; limbs that tell poses are six, as those of a hexapod", key
+            f"{key} is a mechanism of kind {found.kind!r}; limbs that determine poses are six, as in a hexapod", key
         )
     return found
 

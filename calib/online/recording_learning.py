@@ -118,8 +118,8 @@ def learn_by_simple_learner(
     lines = (
         f"{len(samples)} poses from {found.source}, learnt one at a time by {name} "
         f"({learner.SETTING} {learner.setting:g}){_after(before)}",
-        f"poses were off what was expected by {first:.3g} standard deviations RMS in the first quarter, by "
-        f"{last:.3g} in the last (1 where nothing is left to learn)",
+        f"poses deviated from the prediction by {first:.3g} standard deviations RMS in the first quarter, by "
+        f"{last:.3g} in the last (1 once converged)",
         _moved_line(moved) + known,
     )
     return Learning(
@@ -160,7 +160,7 @@ def _new_poses(
     frames, again = recording.exposures.times()[0], frames_with_known_hashes(marks, learnt)
     _require_new_frames(recording, marks, again)
     if again:
-        notice(f"{len(again)} of {len(frames)} frames have been learnt already and are left out")
+        notice(f"{len(again)} of {len(frames)} frames have been learnt already and are skipped")
     fresh = [frame for frame in frames.tolist() if frame not in set(again)]
     found = sampler()
     chosen = np.isin(found.samples.frame, fresh)
@@ -174,8 +174,8 @@ def _new_poses(
 def _require_new_frames(recording: Recording, marks: Marks, again: Sequence[int]) -> None:
     if len(again) == len(marks) > 0:
         raise RigError(
-            f"all {len(marks)} frames of {recording.folder} in which anything is seen have been learnt already; "
-            "once more they would count twice"
+            f"all {len(marks)} frames of {recording.folder} with observations have been learnt already; "
+            "once more they would be counted twice"
         )
 
 
@@ -223,7 +223,7 @@ def _online_result(
         float(np.sqrt(np.mean(np.diag(learner.covariance)))),
         moved,
         [
-            f"strut {strut} goes back and forth: play or whatever else depends on the direction, no missed steps"
+            f"strut {strut} alternates: play or another effect of the direction, not missed steps"
             for strut in sorted(strut for strut in returning if strut is not None)
         ],
     )
@@ -244,17 +244,16 @@ def _filter_lines(learner: Online, updates: Sequence[Update], frames: Integers, 
     jumped = f"{len(changes)} change{'s' if len(changes) > 1 else ''}" if changes else "nothing jumped"
     lines = [f"{jumped} in {count}; joints and zeros are known to {sigma * 1e3:.4f} mm RMS"]
     if len(changes) > MANY:
-        lines.append("these are no few steps: something acts on the struts or the measurement that the geometry lacks")
+        lines.append("these are many steps: an unmodelled effect acts on the struts or the measurement")
     for update in updates:
         for change in update.changes:
             onset, cancelled = frames[max(change.onset - first, 0)], _changes_cancel(changes, change.strut)
             lines.append(f"frame {frames[update.number - first]}: {change_sentence(change, onset, cancelled)}")
         lines += [
-            f"frame {frames[number - first]}: its pose agrees with no other and is left out"
-            for number in update.dropped
+            f"frame {frames[number - first]}: its pose is an outlier and is excluded" for number in update.dropped
         ]
     innovation = np.sqrt(np.mean([update.innovation @ update.innovation / 6 for update in updates if not update.held]))
-    return [*lines, f"innovations are {innovation:.3f} of what was expected (1 where nothing is left out)"]
+    return [*lines, f"innovations are {innovation:.3f} of what was expected (1 if the model is complete)"]
 
 
 def _filter_figures(learner: Online, updates: Sequence[Update], frames: Integers) -> Json:

@@ -25,7 +25,7 @@ LATEST = 5  # poses whose median error must exceed the tolerance: one is a bad m
 class Learnt:
     """What one pose said. error : (6,) m and rad, measured less what was expected of the command, in the platform's
     frame
-    struts : (6,) m, commanded less what the owner's model says for the measured pose; innovation : RMS of what was
+    struts : (6,) m, commanded less what the nominal model says for the measured pose; innovation : RMS of what was
         expected, 1 is normal
     changes : jumps found with it; unsure : whether it disagrees and the next ones will say why; drift : (m, rad) beyond
         the tolerance, or None

@@ -205,7 +205,7 @@ class RunObserver:
                     self._report_lost(display, error)
 
     def _report_lost(self, display: RunDisplay, error: Exception) -> None:
-        text = f"{type(display).__name__} no longer shows the run, which goes on: {error!r}"
+        text = f"{type(display).__name__} no longer shows the run, which continues: {error!r}"
         self.note(text)
         with suppress(OSError):  # where that cannot be printed either the journal alone has it
             print(text, file=sys.stderr)

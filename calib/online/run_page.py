@@ -26,10 +26,10 @@ CALIBRATE = (
 
 def run_verdict(view: View) -> Verdict:
     """Verdict on a run so far, from its RunView: alarms, early end, deviation of the last pose."""
-    refuted = (f"it ended before its end: {view.ended}",) if view.ended else ()
+    refuted = (f"it ended prematurely: {view.ended}",) if view.ended else ()
     alarms = tuple(MissingEvidence(f"{alarm.kind}: {alarm.text}") for alarm in view.alarms)
     off = math.nan if view.seen is None else _pose_deviation_in_sigmas(view.seen)
-    unexplained = (f"the last pose is {off:.3g} times its own uncertainty off what was expected",) if off > OFF else ()
+    unexplained = (f"the last pose is {off:.3g} times its own uncertainty from the prediction",) if off > OFF else ()
     return judge_evidence(
         Evidence(view.phase, missing=alarms, unexplained=unexplained, refuted=refuted, look=CALIBRATE)
     )

@@ -70,7 +70,7 @@ class RunOptions:
             raise RigError("--stop-on drift takes a --calibration and a --tolerance")
         if self.limbs is not None and not self.measure:
             raise RigError(
-                "--limbs with --no-measure: vision must look at some poses, or a limb that slips is never noticed"
+                "--limbs with --no-measure: vision must measure some poses, or a slipping limb is never detected"
             )
 
     def accepted_limbs(self, design: Design) -> Accepted | None:
@@ -130,7 +130,9 @@ def open_cameras(design: Design, clock: Clock) -> SynchronisedCameras:
 def open_run_equipment(
     design: Design, driver: Driver, shutter: SynchronisedCameras, settling: Settling, clock: Clock
 ) -> RunEquipment:
-    """Open the RunEquipment of a run, with its sensors if any. Raises RigError for settling by limbs that nobody reads."""
+    """Open the RunEquipment of a run, with its sensors if any. Raises RigError for settling by limbs that nobody
+    reads.
+    """
     sensing = SensorReader(design.sensors, clock) if design.sensors else None
     channels = set(design.sensors.channels) if design.sensors else set()
     if settling.by == "limbs" and not {f"m{i + 1}" for i in range(6)} <= channels:

@@ -44,9 +44,9 @@ def _frame_pictures_html(recording: Recording, measurement: Measurement, frame: 
     ]
     return [
         note_html(
-            "Outlined in green: markers that were used; in red: set aside, at a corner at least. Yellow: "
+            "Outlined in green: markers used; in red: at least one corner rejected. Yellow: "
             f"residuals, {ENLARGED:g} times as "
-            "long as they are. A marker says its number when it is pointed at."
+            "long as they are. Point at a marker to see its number."
         ),
         '<div class="panels">' + "".join(figures) + "</div>",
     ]
@@ -82,7 +82,7 @@ def _figure(m: Measurement, i: int, frame: int, image: bytes) -> str:
         own = own[np.argsort(o.corner[own])]
         good = bool(m.inliers[own].all())
         points = " ".join(f"{u:.1f},{v:.1f}" for u, v in o.uv[own].tolist())
-        said = f"marker {ids[marker]}" + ("" if good else ", set aside")
+        said = f"marker {ids[marker]}" + ("" if good else ", rejected")
         shapes.append(
             f'<polygon class="quad{"" if good else " aside"}" points="{points}"><title>{said}</title></polygon>'
         )
@@ -119,16 +119,16 @@ def write_measurement_page(path: Path | str, result: MeasurementResult, links: S
         ),
         *_suspects(result.suspects),
         *_pictures(result),
-        heading_html("What the cameras leave over"),
+        heading_html("Residuals of the cameras"),
         note_html(
-            "Mean residual over patches of the image, drawn enlarged, on the RMS there; a pattern here "
-            "is a lens that the model lacks."
+            "Mean residual over patches of the image, enlarged, on the local RMS; a pattern here "
+            "indicates lens errors that the model omits."
         ),
         _residual_maps(m),
-        heading_html("Where the platform went"),
+        heading_html("Positions of the platform"),
         pose_coverage_figures(pose_to_vector(m.T_base_platform)),
-        heading_html("How well each pose is known"),
-        note_html("Standard uncertainty of its length, cameras' own included."),
+        heading_html("Uncertainty of each pose"),
+        note_html("Standard uncertainty of its length, including that of the cameras."),
         _uncertainty(m, position, rotation),
         heading_html("Cameras"),
         _cameras(result.recording, m),
@@ -137,11 +137,11 @@ def write_measurement_page(path: Path | str, result: MeasurementResult, links: S
         parts += [heading_html("What this recording determines"), list_html(result.statement)]
     if result.places is not None:
         parts += [
-            heading_html("Where the markers really are"),
+            heading_html("Estimated positions of the markers"),
             note_html(
-                "From their stated places, along their own x (right), y (up), z (out), with 95 % intervals. "
-                "The stated places, taken "
-                "together, hold the frames."
+                "Relative to their stated positions, along their own x (right), y (up), z (out), with 95 % intervals. "
+                "The stated positions, taken "
+                "together, fix the frames."
             ),
             _moves(result.places),
             _residuals(result.places),
@@ -150,7 +150,7 @@ def write_measurement_page(path: Path | str, result: MeasurementResult, links: S
     if disagreeing:
         parts += [
             heading_html("Markers that disagree"),
-            note_html("Share of a marker's corners set aside: a face askew, a wrong print, a covered marker."),
+            note_html("Share of a marker's corners rejected: a tilted face, a wrong print, a covered marker."),
             table_html(("marker", "corners", "set aside"), disagreeing),
         ]
     if m.unsolved:
@@ -158,7 +158,7 @@ def write_measurement_page(path: Path | str, result: MeasurementResult, links: S
     if collected is not None and collected.left_out:
         rows = [row[:4] for row in collected.left_out]
         parts += [
-            heading_html("Markers read but not placed"),
+            heading_html("Markers read but not located"),
             folding_section_html(f"{len(rows)} of them", table_html(("frame", "camera", "marker", "reason"), rows)),
         ]
     title, verdict = f"Measurement of {result.recording.name}", measurement_verdict(result)
@@ -173,14 +173,14 @@ def write_measurement_page(path: Path | str, result: MeasurementResult, links: S
 def _recommended_actions(told: MeasurementResult) -> list[str]:
     """What an owner does next with a measurement."""
     steps = (
-        ["Correct what rig.toml says of the markers named below, or their print, and measure again"]
+        ["Correct the entries of the markers named below in rig.toml, or their print, and measure again"]
         if told.suspects
         else []
     )
     if told.measurement.unsolved:
-        steps.append("See below why frames have no pose; `rig view REC --frame N` draws what was read in one")
+        steps.append("See below why frames lack a pose; `rig view REC --frame N` draws the markers read in one")
     if told.held and told.held.ratio > TWICE and abs(told.held.ratio - 1) > 2 * told.held.scatter:
-        steps.append("Ask what physics is left out: `rig diagnose REC --out found`")
+        steps.append("Determine the unmodelled effects: `rig diagnose REC --out found`")
     return [*steps, "Calibrate from these poses: `rig calibrate MEASURED --out calibration.json`"]
 
 
@@ -198,8 +198,8 @@ def _suspects(suspects: Sequence[Suspect]) -> list[str]:
     if not suspects:
         return []
     return [
-        heading_html("Markers that are not what rig.toml says"),
-        note_html("What disagrees is left out of the poses."),
+        heading_html("Markers that disagree with rig.toml"),
+        note_html("What disagrees is excluded from the poses."),
         list_html(map(str, suspects)),
     ]
 
@@ -219,7 +219,7 @@ def _pictures(told: MeasurementResult) -> list[str]:
         if bad != usual
         else []
     )
-    return [heading_html(f"A frame as it was read: {usual}"), *shown, *rest]
+    return [heading_html(f"A frame with its detected markers: {usual}"), *shown, *rest]
 
 
 def _residual_maps(m: Measurement) -> str:

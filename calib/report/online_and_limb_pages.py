@@ -16,7 +16,7 @@ from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_p
 from rig.report.verdict_and_refutations_of_results import AGREES, Evidence, MissingEvidence, Verdict, judge_evidence
 
 MANY = 6  # changes beyond which they are not believed to be steps
-ASK = "Determine what acts on the struts or the measurement: `rig diagnose REC --out found`"
+ASK = "Determine the effects on the struts or the measurement: `rig diagnose REC --out found`"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,10 +52,10 @@ def write_online_page(path: Path | str, name: str, result: OnlineResult, links: 
     if result.said:
         parts += [heading_html("What jumped"), list_html(result.said)]
     parts += [
-        heading_html("How well each pose was expected"),
+        heading_html("Innovation of each pose"),
         note_html(
-            "Off what the poses before it let expect, in standard deviations, RMS over the six axes: 1 where "
-            "nothing is left to learn."
+            "Deviation from the prediction by previous poses, in standard deviations, RMS over the six axes: 1 where "
+            "nothing remains to be learnt."
         ),
         plot_panel_svg(
             "innovation", ("frame", "standard deviations"), [Series(result.frames, sizes)], log=True, level=1.0
@@ -76,14 +76,14 @@ def online_verdict(result: OnlineResult) -> Verdict:
     off = float(np.sqrt(np.mean(last**2)))
     known = "" if result.known is None else f"; joints and zeros are known to {result.known * 1e3:.4f} mm RMS"
     changes = f"{len(result.said)} change{'s' * (len(result.said) != 1)}" if result.said else "nothing jumped"
-    why = f"{changes}, the last poses off what was expected by {off:.2f} standard deviations{known}"
+    why = f"{changes}, the last poses off the prediction by {off:.2f} standard deviations{known}"
     unexplained = [*result.returning, *result.calibrations.unexplained]
     if len(result.said) > MANY:
-        unexplained.append("these are no few steps, something acts that the geometry lacks")
+        unexplained.append("these are too many steps: an effect outside the geometry is present")
     if off > AGREES:
-        unexplained.append(f"the last poses are {off:.3g} times as far off as expected")
+        unexplained.append(f"the last poses are {off:.3g} times the expected deviation")
     missing = [MissingEvidence("something jumped", _recommended_actions(result)[0])] if result.said else []
-    missing += [MissingEvidence("poses were left out")] if result.dropped else []
+    missing += [MissingEvidence("poses were excluded")] if result.dropped else []
     return judge_evidence(
         Evidence(
             why,
@@ -103,10 +103,10 @@ def _recommended_actions(learnt: OnlineResult) -> list[str]:
         return [ASK]
     if learnt.said:
         return [
-            "Look at the struts named below for missed steps or a slipped joint, at cameras and base for a "
-            "knock; home, and record again"
+            "Check the struts named below for missed steps or a slipped joint, cameras and base for a "
+            "displacement; home, and record again"
         ]
-    return ["Go on with the next recording and the same `--state`"]
+    return ["Continue with the next recording and the same `--state`"]
 
 
 def write_measuring_limbs_page(
@@ -151,8 +151,8 @@ def write_measuring_limbs_page(
         for title, part, unit in (("position", slice(0, 3), "µm"), ("rotation", slice(3, 6), "µrad"))
     ]
     parts = [
-        heading_html("Each axis against its tolerance"),
-        note_html("Of differences, limbs less vision, 95 % lie within; in bold: axes that do not pass."),
+        heading_html("Agreement of each axis with its tolerance"),
+        note_html("95 % of the differences, limbs minus vision, lie within; in bold: axes that do not pass."),
         panel_row_html(*halves),
         heading_html("In figures"),
         note_html(
@@ -174,11 +174,11 @@ def write_measuring_limbs_page(
             rows,
         ),
     ]
-    steps = ["Let the limbs stand for vision: `--limbs FILE` of measure, calibrate, online and run"]
+    steps = ["Use the limbs in place of vision: `--limbs FILE` of measure, calibrate, online and run"]
     if withdrawal_reason is not None or not agreement.passed.all():
         steps = [
-            "Look at the joints of limbs that slipped, or move farther along the axes that are not shown, "
-            "and hold them against vision again"
+            "Check the joints of limbs that slipped, or move farther along the axes that are not shown, "
+            "and compare them with vision again"
         ]
     write_page(
         path,
@@ -198,12 +198,12 @@ def measuring_limbs_verdict(agreement: Agreement, withdrawal_reason: str | None)
     if withdrawal_reason is not None:
         return judge_evidence(
             Evidence(
-                f"{agreement.n} poses", refuted=(f"the measuring limbs cannot stand for vision: {withdrawal_reason}",)
+                f"{agreement.n} poses", refuted=(f"the measuring limbs cannot replace vision: {withdrawal_reason}",)
             )
         )
     if agreement.passed.all():
         return judge_evidence(
-            Evidence(f"the measuring limbs pass on all six axes, over {agreement.n} poses: they may stand for vision")
+            Evidence(f"the measuring limbs pass on all six axes, over {agreement.n} poses: they may replace vision")
         )
     failing = ", ".join(axis for i, axis in enumerate(AXES) if not agreement.passed[i])
     surely = [axis for i, axis in enumerate(AXES) if agreement.proven_limits[i] > agreement.tolerance[i]]
@@ -211,8 +211,8 @@ def measuring_limbs_verdict(agreement: Agreement, withdrawal_reason: str | None)
     return judge_evidence(
         Evidence(
             said,
-            refuted=(f"{', '.join(surely)} surely beyond the tolerance",) if surely else (),
-            missing=() if surely else (MissingEvidence("that they agree is not shown"),),
+            refuted=(f"{', '.join(surely)} certainly beyond the tolerance",) if surely else (),
+            missing=() if surely else (MissingEvidence("their agreement is not shown"),),
         )
     )
 

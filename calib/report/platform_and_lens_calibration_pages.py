@@ -53,24 +53,24 @@ def write_calibration_page(
     parts = [
         *evidence_html(calibration),
         *_held(calibration.held_out),
-        heading_html("Before and after, pose by pose"),
-        note_html("All poses; the fit has seen these."),
+        heading_html("Errors before and after, by pose"),
+        note_html("All poses, including those fitted."),
         correction_error_figures(*errors_before_and_after_correction(correction, samples), samples.frame),
         *view_3d_html(recording, calibration, samples),
-        heading_html("What each strut is corrected by"),
+        heading_html("Correction of each strut"),
         note_html(
             "Dots: x - IK(GDK(x)) at the visited configurations. Squares: the correction at the same configurations."
         ),
         _corrections(correction, samples),
-        heading_html("What the correction leaves"),
+        heading_html("Residuals of the correction"),
         _left(samples, identified),
-        heading_html("Where the platform went"),
+        heading_html("Positions of the platform"),
         pose_coverage_figures(pose_to_vector(samples.T_base_platform)),
         *workspace_section_html(calibration.workspace, "m"),
         heading_html("Parameters"),
         _combinations(calibration, identified),
         folding_section_html("Every parameter's change", _parameters(calibration)),
-        heading_html("Where this came from"),
+        heading_html("Provenance"),
         folding_section_html("Recording, versions, arguments", provenance_html(calibration)),
     ]
     judged = calibration_verdict(calibration)
@@ -90,7 +90,7 @@ def view_3d_html(recording: Recording, calibration: Calibration, samples: Sample
         samples.frame,
         samples.T_base_platform,
         samples.commanded,
-        {"owner's model": -before, "corrected": -after},
+        {"nominal model": -before, "corrected": -after},
     )
     return [heading_html("In three dimensions"), *view(shown)]
 
@@ -104,15 +104,15 @@ def evidence_html(calibration: Calibration) -> list[str]:
 def _held(held: HeldOut | None) -> list[str]:
     if held is None:
         return []
-    rows = [("owner's model", *_figures(held.before)), ("corrected", *_figures(held.after))]
+    rows = [("nominal model", *_figures(held.before)), ("corrected", *_figures(held.after))]
     return [
         paragraph_html(
             f"Held-out poses (whole stretches of configurations in turn, N = {held.after.n}, "
             f"{held.configurations} distinct "
             f"configurations): the error falls from {held.before.position[0] * 1e3:.3f} mm to "
             f"{held.after.position[0] * 1e3:.4f} mm RMS. "
-            f"The measured poses themselves are uncertain by {held.floor[0] * 1e3:.4f} mm and "
-            f"{held.floor[1] * 1e3:.4f} mrad: what is left "
+            f"The uncertainty of the measured poses is {held.floor[0] * 1e3:.4f} mm and "
+            f"{held.floor[1] * 1e3:.4f} mrad: the residual "
             f"is {held.after.position[0] / held.floor[0]:.2f} times that."
         ),
         table_html(
@@ -126,8 +126,8 @@ def _combinations(calibration: Calibration, found: Identified) -> str:
     parts, seen = parameter_combinations(found.root, calibration.correction.fitted)
     rows = [(part.name, f"{part.sigma * 1e6:.2f}" if part.sigma < 1e-2 else "not told") for part in parts]
     return folding_section_html(
-        f"The {len(parts)} combinations that the poses tell, the worst first (condition number {seen.condition:.0f})",
-        table_html(("combination", "standard error by the poses alone, um"), rows),
+        f"The {len(parts)} combinations determined by the poses, worst first (condition number {seen.condition:.0f})",
+        table_html(("combination", "standard error from the poses alone, um"), rows),
     )
 
 
@@ -236,16 +236,16 @@ def write_lens_page(path: Path | str, lens_calibration: Calibrated, links: Seque
         ),
         heading_html("Lens models"),
         note_html(
-            "Every photograph in turn is predicted by a lens fitted to the others; of models within one "
+            "Each photograph is predicted by a lens fitted to the others; of models within one "
             "standard error of the best the "
-            "simplest is taken."
+            "simplest is used."
         ),
         table_html(("model", "fitted, px RMS", "held out, px RMS", ""), _models(lens_calibration)),
-        heading_html("What the lens leaves over, and how well it is known"),
+        heading_html("Residuals and uncertainty of the lens"),
         note_html(
-            "Uncertainty: the standard one of where a direction is seen, px, less what a small turn of the "
-            "camera would undo. Dots are "
-            "corners; few of them, or none, near an edge make it grow there."
+            "Uncertainty: the standard uncertainty of a projected direction, px, less what a small rotation of the "
+            "camera would compensate. Dots are "
+            "corners; few or none near an edge increase it there."
         ),
         panel_row_html(
             _residuals(lens_calibration), _uncertainty(lens_calibration), _held_out_comparison(lens_calibration)
@@ -255,7 +255,7 @@ def write_lens_page(path: Path | str, lens_calibration: Calibrated, links: Seque
     ]
     if lens_calibration.left_out:
         parts += [
-            heading_html("Photographs left out"),
+            heading_html("Photographs excluded"),
             table_html(("photograph", "reason"), [(p.name, reason) for p, reason in lens_calibration.left_out]),
         ]
     write_page(
@@ -284,7 +284,7 @@ def lens_verdict(lens_calibration: Calibrated) -> Verdict:
         else []
     )
     missing += (
-        [MissingEvidence(f"it rests on {len(lens_calibration.used)} photographs alone")]
+        [MissingEvidence(f"it is based on {len(lens_calibration.used)} photographs only")]
         if len(lens_calibration.used) < FEW
         else []
     )
@@ -296,7 +296,7 @@ def _recommended_actions(found: Calibrated) -> list[str]:
     """What an owner does next with a lens."""
     more = (
         "Take more photographs with the board near the edges that are bluest in the map of uncertainty, tilted "
-        "this way and that"
+        "in different directions"
     )
     steps = [more] if len(found.used) < FEW or found.worst > UNSURE else []
     return [*steps, "Put `camera.toml` into rig.toml in place of the camera's block, and measure with `--hold lenses`"]
@@ -339,7 +339,7 @@ def _residuals(found: Calibrated) -> str:
         f"residuals of {good.sum()} corners",
         f"an arrow of {drawn:.0f} px is {common:.3f} px",
         (camera.width, camera.height),
-        (Arrows(uv[good], r[good], drawn / common, "px", 0), Arrows(uv[~good], r[~good], 1.0, "px, set aside", 3)),
+        (Arrows(uv[good], r[good], drawn / common, "px", 0), Arrows(uv[~good], r[~good], 1.0, "px, rejected", 3)),
     )
 
 

@@ -20,7 +20,7 @@ from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 from vision.targets import MarkerMap, marker_map
 
 FACTORS = (0.0, 0.5, 1.0, 2.0, 4.0)  # of the size that it has
-NONE = 1e-9  # m and rad; less than this moves no platform
+NONE = 1e-9  # m and rad; less than this does not move the platform
 
 
 def effect_displacements(
@@ -101,7 +101,7 @@ def correction_error_figures(before: Floats, after: Floats, frames: Integers) ->
                 f"error of {label.partition(',')[0]}",
                 ("frame", label),
                 [
-                    Series(frames, np.linalg.norm(before[:, part], axis=1) * 1e3, "owner's model", colour=1),
+                    Series(frames, np.linalg.norm(before[:, part], axis=1) * 1e3, "nominal model", colour=1),
                     Series(frames, np.linalg.norm(after[:, part], axis=1) * 1e3, "corrected", colour=0),
                 ],
                 log=True,

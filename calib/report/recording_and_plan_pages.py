@@ -47,15 +47,15 @@ def write_recording_page(
             tried = [one and replace(one, shifts=one.shifts[:, at]) for one in tried]
     elif poses is None:
         raise RigError(
-            f"{recording.folder} has neither poses.csv nor commands.csv, so there is no pose to show; `rig "
+            f"{recording.folder} has neither poses.csv nor commands.csv, so no pose can be shown; `rig "
             "measure` finds poses"
         )
     elif effects:
-        raise RigError(f"{recording.folder} has no commands.csv, and effects act on what is commanded")
+        raise RigError(f"{recording.folder} has no commands.csv, but effects act on commands")
     else:
         frames, T = poses.frame, poses.T_base_platform
     still = [
-        f"{effect.label()} at {effect.place} moves no platform: it acts on what cameras see"
+        f"{effect.label()} at {effect.place} does not move the platform: it acts on the images"
         for effect, one in zip(effects, tried)
         if one is None
     ]
@@ -63,7 +63,7 @@ def write_recording_page(
     parts = [
         *view_3d_html(shown),
         *([list_html(still)] if still else []),
-        heading_html("Where it went"),
+        heading_html("Positions"),
         pose_coverage_figures(pose_to_vector(T)),
     ]
     title = f"{recording.name} in three dimensions"
@@ -91,7 +91,7 @@ def _recording_verdict(recording: Recording, frames: Integers, errors: dict[str,
             )
         )
     if not errors:
-        return judge_evidence(Evidence(f"{len(frames)} poses as measured; nothing was commanded to hold them against"))
+        return judge_evidence(Evidence(f"{len(frames)} poses as measured; there are no commands to compare them with"))
     far = np.linalg.norm(next(iter(errors.values()))[:, :3], axis=1)
     rms = float(np.sqrt(np.mean(far[np.isfinite(far)] ** 2))) if np.isfinite(far).any() else np.nan
     return judge_evidence(
@@ -105,7 +105,7 @@ def _recommended_actions(recording: Recording) -> list[str]:
         return ["Measure the poses: `rig measure REC --out measured`"]
     return [
         "Calibrate: `rig calibrate REC --out calibration.json`",
-        "Ask what physics is left out: `rig diagnose REC --out found`",
+        "Determine the unmodelled effects: `rig diagnose REC --out found`",
     ]
 
 
@@ -149,14 +149,14 @@ def write_plan_page(path: Path | str, file: str, plan_result: PlanFigures, links
         *said,
         heading_html("In three dimensions"),
         *view_3d_html(rig_scene(plan_result.design, n, T, plan_result.values)),
-        heading_html("Where it goes"),
+        heading_html("Positions"),
         pose_coverage_figures(pose_to_vector(T)),
         heading_html("Axis by axis"),
         axes,
     ]
     steps = [
         f"Drive it: `rig run RIG.toml --plan commands:{file} --out REC`",
-        f"Or try it first: `rig simulate RIG.toml --plan commands:{file} --out REC`",
+        f"Or simulate it first: `rig simulate RIG.toml --plan commands:{file} --out REC`",
     ]
     write_page(
         path,

@@ -41,16 +41,14 @@ from rig.report.verdict_and_refutations_of_results import (
 )
 
 FAR = 3.0  # times the stated uncertainty, which errors that all poses share may reach by chance: beyond it is refuted
-ANOTHER = (
-    "Take a recording that the calibration has not seen, and verify by that: `rig verify calibration.json OTHER-REC`"
-)
-CHANGED = "Determine what changed: `rig watch calibration.json REC`; what is left out: `rig diagnose REC --out found`"
+ANOTHER = "Verify with a recording that was not used in the calibration: `rig verify calibration.json OTHER-REC`"
+CHANGED = "Determine what changed: `rig watch calibration.json REC`; unmodelled effects: `rig diagnose REC --out found`"
 CERTIFY = "State what is promised, with what confidence: `rig certify calibration.json REC --out certificate.html`"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verified:
-    """samples; before, after : (n, 6) errors by the owner's model and corrected, m and rad; held : their figures
+    """samples; before, after : (n, 6) errors by the nominal model and corrected, m and rad; held : their figures
     found : Verification of the claim, or None; calibration, refutations : Calibration, and what later recordings found
         against it
     same : numbers of frames that it was made from; driven : where poses were wanted, (figures of the errors, stated
@@ -74,15 +72,15 @@ class Verified:
 def write_verification_page(path: Path | str, name: str, verified: Verified, links: Sequence[Link] = ()) -> None:
     """Write the HTML page of a verification. name : of the recording"""
     floor = (
-        f"The measured poses themselves are uncertain by {verified.held.floor[0] * 1e3:.4f} mm and "
+        f"The uncertainty of the measured poses is {verified.held.floor[0] * 1e3:.4f} mm and "
         f"{verified.held.floor[1] * 1e3:.4f} mrad."
     )
-    errors = {"owner's model": -verified.before, "corrected": -verified.after}
+    errors = {"nominal model": -verified.before, "corrected": -verified.after}
     parts = [paragraph_html(floor)] if np.isfinite(verified.held.floor).all() else []
     if verified.driven is not None:
-        parts += [heading_html("Wanted poses against measured ones"), _driven(verified.samples.frame, *verified.driven)]
+        parts += [heading_html("Wanted and measured poses"), _driven(verified.samples.frame, *verified.driven)]
     parts += [
-        heading_html("Before and after, pose by pose"),
+        heading_html("Errors before and after, by pose"),
         correction_error_figures(verified.before, verified.after, verified.samples.frame),
         _figures(verified.held),
         heading_html("In three dimensions"),
@@ -95,7 +93,7 @@ def write_verification_page(path: Path | str, name: str, verified: Verified, lin
                 errors,
             )
         ),
-        heading_html("Where it went"),
+        heading_html("Positions"),
         pose_coverage_figures(pose_to_vector(verified.samples.T_base_platform)),
     ]
     if verified.unsolved:
@@ -148,12 +146,12 @@ def _of_driven(v: Verified) -> Evidence:
     ]
     times = max((size / sigma for size, sigma in pairs), default=math.nan)
     line = (
-        f"{figures.n} poses came within {figures.position[0] * 1e3:.4f} mm RMS of those wanted, {times:.2f} "
+        f"{figures.n} poses lie within {figures.position[0] * 1e3:.4f} mm RMS of those wanted, {times:.2f} "
         "times the stated standard "
         "uncertainty"
     )
     known = calibration_evidence(v.calibration, v.refutations, line, (CERTIFY,))
-    beyond = f"poses are {times:.3g} times the stated standard uncertainty off those wanted"
+    beyond = f"poses are {times:.3g} times the stated standard uncertainty from those wanted"
     if times > FAR:
         return replace(known, refuted=(beyond, *known.refuted), held_out=None)
     return replace(known, missing=(*known.missing, *([MissingEvidence(beyond, CHANGED)] if times > AGREES else [])))
@@ -174,14 +172,14 @@ def _driven(frames: Integers, figures: Figures, stated: tuple[float, float], err
         for part, label in seen
     )
     return table_html(
-        ("off the wanted pose", "RMS", "95 %", "max", "stated uncertainty"), rows[: len(seen)]
+        ("deviation from wanted", "RMS", "95 %", "max", "stated uncertainty"), rows[: len(seen)]
     ) + panel_row_html(*drawn)
 
 
 def _figures(held: HeldOut) -> str:
     rows = [
         (name, *(f"{value * 1e3:.4f}" if value == value else "-" for value in (*f.position, *f.rotation)))
-        for name, f in (("owner's model", held.before), ("corrected", held.after))
+        for name, f in (("nominal model", held.before), ("corrected", held.after))
     ]
     return table_html(("pose error", "RMS, mm", "95 %, mm", "max, mm", "RMS, mrad", "95 %, mrad", "max, mrad"), rows)
 
@@ -191,7 +189,7 @@ SHOWN = 8  # suspects
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Visit:
-    """A visit of a name, what it says and that in lines; scale : of what measuring repeats to
+    """A visit of a name, what it says and that in lines; scale : of the measurement repeatability
     found : Verification of the calibration's claim by a first visit that disagrees with it, None of other visits"""
 
     name: str
@@ -215,7 +213,7 @@ def write_visits_page(
     n = np.arange(1, len(visits) + 1)
     agree = np.array([np.sqrt(v.evidence.square / v.evidence.count / v.scale) for v in visits])
     later = np.array([np.exp(min(v.evidence.log_sum, 600.0)) if v.evidence.chance is None else np.nan for v in visits])
-    drawn = [plot_panel_svg("agreement", ("visit", "of what measuring repeats to"), [Series(n, agree)], level=1.0)]
+    drawn = [plot_panel_svg("agreement", ("visit", "of the measurement repeatability"), [Series(n, agree)], level=1.0)]
     if np.isfinite(later).any():
         drawn.append(
             plot_panel_svg(
@@ -225,13 +223,15 @@ def write_visits_page(
     last = visits[-1].evidence
     parts = [
         heading_html("Visit by visit"),
-        note_html(f"The alarm is at a sum of {ALARM:g}, which quiet visits reach once in {ALARM:g} visits or more."),
+        note_html(
+            f"The alarm is at a sum of {ALARM:g}, which unchanged visits reach once in {ALARM:g} visits or more."
+        ),
         panel_row_html(*drawn),
     ]
     if last.alarm:
         shown = last.suspects[:SHOWN]
         parts += [
-            heading_html("What may have changed"),
+            heading_html("Possible changes"),
             bar_chart_svg(
                 "odds, were there a change", [one.name for one in shown], [("odds", [one.odds for one in shown], 3)], ""
             ),
@@ -249,7 +249,7 @@ def last_visit_verdict(visits: Sequence[Visit], calibration_evidence: Evidence) 
         return judge_evidence(
             replace(
                 calibration_evidence,
-                statement=f"the calibration holds at visit {len(visits)}, {last.name}",
+                statement=f"the calibration is valid at visit {len(visits)}, {last.name}",
                 steps=tuple(steps),
             )
         )
@@ -287,9 +287,7 @@ def first_visit_sentence(visit: Visit) -> str:
     """Sentence on a first visit that keeps a calibration's claim."""
     named = visit.evidence.named
     like = "" if named is None else f", likeliest {named.name}"
-    return (
-        f"the calibration leaves something out{like}, there from the beginning or since; its claim is not refuted by it"
-    )
+    return f"the calibration omits an effect{like}, present from the beginning or since; its claim is not refuted by it"
 
 
 def _recommended_actions(visits: Sequence[Visit]) -> list[str]:

@@ -1,1 +1,1 @@
-"""Measured samples: poses beside commands, under which conditions, from which recordings."""
+"""Measured samples: poses and commands, under which conditions, from which recordings."""

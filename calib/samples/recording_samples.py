@@ -29,7 +29,7 @@ class Sampled:
     instrument : who saw the poses and whether it is known where it stands and where its target sits: of an arm that
     cameras see neither is, so that its base among the base's targets and its hand in the platform's frame are solved
     for; None where all are known
-    assumed : whether nobody states the noise of poses.csv, so that UNSTATED stands for it."""
+    assumed : whether the noise is not stated of poses.csv, so that UNSTATED stands for it."""
 
     samples: Samples
     source: str
@@ -103,12 +103,12 @@ def _from_poses(recording: Recording, poses: Poses) -> Samples:
 
 
 def _require_whole_poses(recording: Recording, instrument: Instrument) -> None:
-    """Raise RigError for an instrument whose place is solved for with arms alone, or that measures a part of poses."""
+    """Raise RigError for an instrument whose place is estimated with arms alone, or that measures a part of poses."""
     kind = recording.design.mechanism.kind
     if "free" in (instrument.base, instrument.tool):
         raise RigError(
-            f'{recording.folder}: an instrument whose place is unknown (base or tool "free") is solved for '
-            "with arms, not with a "
+            f'{recording.folder}: an instrument whose pose is unknown (base or tool "free") is estimated '
+            "for arms only, not for a "
             f"mechanism of kind {kind!r}; state its poses in the rig's own frames"
         )
     if instrument.kind != "pose":

@@ -94,8 +94,8 @@ ALONG = {2: 16, 3: 10}  # cells along the longest side of a workspace that is fl
 K = 2.0  # standard uncertainties of a bound
 FLAT = 1e-9  # m, extent of what is flat
 SHORT = (
-    "an arm of fewer than six joints gives no pose of the owner's model but by chance: no share of them is "
-    "lost or gained, the map has what the "
+    "an arm of fewer than six joints gives no pose of the nominal model but by chance: no share of them is "
+    "lost or gained, the map shows what the "
     "corrected arm reaches"
 )
 
@@ -107,15 +107,15 @@ class Workspace:
     """The workspace by configurations drawn evenly all over the strokes, all axes free of each other, each counting
     alike.
 
-    drawn : of either machine; lost : share of the owner's model's configurations whose poses are out of the corrected
-    machine's reach, gained : share of the corrected machine's commands whose poses the owner's model has out of reach;
+    drawn : of either machine; lost : share of the nominal model's configurations whose poses are out of the corrected
+    machine's reach, gained : share of the corrected machine's commands whose poses the nominal model has out of reach;
         None where that means
     nothing (see SHORT)
     origin : (3,) m, a corner of the cells; size : m, their edge; index : (c, 3) of each cell, counted from the corner
-    believed, lost_in, reached, gained_in : (c,) of those configurations with poses in a cell, by the owner's model and
+    believed, lost_in, reached, gained_in : (c,) of those configurations with poses in a cell, by the nominal model and
         corrected
     room : (c,) m or rad to the nearest limit of an axis, negative beyond it: of the pose in the middle of the cell,
-    turned like home; of a machine without a home the most that a pose drawn there leaves; NaN where no command is known
+    oriented as home; of a machine without a home the most that a pose drawn there leaves; NaN where no command is known
     singular : (c,) least singular value of the Jacobian over the greatest, the least of the poses there; 0 is singular
     bound : (c, 2) m and rad, expanded uncertainty (k = 2) of a corrected pose, the greatest of the poses there; both
         NaN where no pose is reached
@@ -219,7 +219,7 @@ def _room(correction: AnyCorrection, commands: Floats) -> Floats:
 
 
 def _at_home(correction: AnyCorrection, positions: Floats) -> Floats:
-    """(n,) room of poses at positions (n, 3) m that are turned like home."""
+    """(n,) room of poses at positions (n, 3) m that are oriented as home."""
     home = mechanisms.kinematics_of(correction.nominal).home(correction.nominal)
     T = RigidTransform.from_components(positions, home_pose(correction.nominal).rotation)
     return _room(correction, correction.near(T, np.broadcast_to(home, (len(positions), len(home)))))
@@ -243,7 +243,7 @@ def axis_margin_description(correction: AnyCorrection) -> str:
     if not has_struts(correction.nominal):
         return "the most that a pose drawn there leaves"
     degrees = np.degrees(pose_to_vector(home_pose(correction.nominal))[3:])
-    return "the pose in its middle, turned like home (" + " ".join(f"{angle:.3g}" for angle in degrees) + " degrees)"
+    return "the pose at its centre, oriented as home (" + " ".join(f"{angle:.3g}" for angle in degrees) + " degrees)"
 
 
 SCHEMA = "workspace/1"
@@ -271,7 +271,7 @@ def workspace_from_entries(table: Entries) -> Workspace:
     index = _whole(table, "index", (None, 3))
     cells = len(index)
     if not cells:
-        table.fail(f"{table.name('index')} must list one cell at the least", "index")
+        table.fail(f"{table.name('index')} must list at least one cell", "index")
     lost, gained = (
         None if table.get(name) is None else table.number(name, least=0.0, most=1.0) for name in ("lost", "gained")
     )

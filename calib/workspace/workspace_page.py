@@ -31,10 +31,10 @@ def workspace_lines(workspace: Workspace, unit: str) -> list[str]:
         SHORT
         if workspace.lost is None or workspace.gained is None
         else (
-            f"{workspace.lost * 100:.2f} % of the poses that the owner's model reaches are lost, "
+            f"{workspace.lost * 100:.2f} % of the poses that the nominal model reaches are lost, "
             f"{workspace.gained * 100:.2f} % of those that the corrected machine "
-            f"reaches are gained ({workspace.drawn} configurations of each, all over the strokes, all axes "
-            "free of each other)"
+            f"reaches are gained ({workspace.drawn} configurations of each, over the whole strokes, all axes "
+            "independent)"
         )
     )
     known, inner = np.isfinite(workspace.bound[:, 0]), workspace.room > 0
@@ -49,7 +49,7 @@ def workspace_lines(workspace: Workspace, unit: str) -> list[str]:
     if inner.any():
         scale, shown = PLOT_UNITS.get(unit, (1.0, unit))
         out.append(
-            f"{inner.sum()} cells have room to all limits, up to {np.nanmax(workspace.room) * scale:.4g} {shown}"
+            f"{inner.sum()} cells have a margin to all limits, up to {np.nanmax(workspace.room) * scale:.4g} {shown}"
         )
     return out
 
@@ -108,14 +108,14 @@ def _end(
 
 LOST = Quantity(
     "lost",
-    "poses that the owner's model reaches and the corrected machine does not, share of a cell's",
+    "poses that the nominal model reaches and the corrected machine does not, share of a cell's",
     "lost",
     _share("lost_in", "believed"),
     [("%", 1.0)],
 )
 GAINED = Quantity(
     "gained",
-    "poses that the corrected machine reaches and the owner's model does not, share of a cell's",
+    "poses that the corrected machine reaches and the nominal model does not, share of a cell's",
     "gained",
     _share("gained_in", "reached"),
     [("%", 1.0)],
@@ -148,7 +148,7 @@ def axis_margin_quantity(unit: str) -> Quantity:
     scale, shown = PLOT_UNITS.get(unit, (1.0, unit))
     return Quantity(
         "room",
-        "room to the nearest limit of an axis, the greatest there",
+        "margin to the nearest limit of an axis, the greatest there",
         "gained",
         _end("room", np.max, scale),
         [(shown, 1.0)],
@@ -253,7 +253,7 @@ def write_workspace_page(
     parts = [
         *(paragraph_html(f"{line}.") for line in rest),
         note_html(
-            f"Cells of {workspace.size * 1e3:.3g} mm, those behind each other as one. Poses: all configurations of "
+            f"Cells of {workspace.size * 1e3:.3g} mm, projected. Poses: all configurations of "
             "the strokes, all axes free of each "
             f"other; what depends on history, temperature and load is not in it. Room: of {margin_description}."
         ),
@@ -271,10 +271,10 @@ def write_workspace_page(
             for k in known
         ]
         parts += [
-            heading_html("What the certificate promises"),
+            heading_html("Certified bounds"),
             note_html(
-                "From poses held out, in the cells whose middle lies in its volume; beside it the "
-                "bound by the calibration's own covariance."
+                "From poses held out, in the cells whose centre lies in its volume; next to it the "
+                "bound from the covariance of the calibration."
             ),
             table_html(("x, mm", "y, mm", "z, mm", "position, um", "rotation, urad", "bound, um"), rows),
         ]
@@ -295,11 +295,7 @@ def workspace_verdict(workspace: Workspace, summary: str) -> Verdict:
     """Verdict on a workspace.
     summary : what it comes to, in words
     """
-    missing = (
-        [MissingEvidence("somewhere it comes near a singularity")]
-        if np.nanmin(workspace.singular) < NEAR_SINGULAR
-        else []
-    )
+    missing = [MissingEvidence("it comes near a singularity")] if np.nanmin(workspace.singular) < NEAR_SINGULAR else []
     missing += [MissingEvidence("poses are lost")] if workspace.lost else []
     return judge_evidence(Evidence(summary, missing=tuple(missing)))
 
@@ -307,15 +303,12 @@ def workspace_verdict(workspace: Workspace, summary: str) -> Verdict:
 def _recommended_actions(workspace: Workspace) -> list[str]:
     """What an owner does next with a map of the workspace."""
     lost = (
-        [
-            "Keep wanted poses out of the cells where some are lost: `rig correct` refuses those that the "
-            "machine cannot reach"
-        ]
+        ["Avoid wanted poses in cells where some are lost: `rig correct` refuses those that the machine cannot reach"]
         if workspace.lost
         else []
     )
     return [
         *lost,
-        "Where the bound is greatest, take more poses: `rig plan RIG.toml --for parameters --calibration "
+        "Record more poses where the bound is greatest: `rig plan RIG.toml --for parameters --calibration "
         "calibration.json --out plan.csv`",
     ]

@@ -94,7 +94,7 @@ TABLES = {  # as it is headed: (the dataclass that it becomes, what is said of i
         "about its own z, "
         "right-handed: `P1 = 1`; 0 for one that looks as before. Their places are known only to what "
         "remounting may do, so that "
-        "their markers hold no pose; several recordings [together](investigate.md) find them.",
+        "their markers determine no pose; several recordings [together](investigate.md) find them.",
     ),
     "[dynamics]": (ArmDynamics, "Of arms, only where forces at the hand are asked for; [forces](force.md) say more."),
     "[sensor]": (Sensor, "What simulated cameras do to light; real ones need none of it."),
@@ -103,7 +103,7 @@ TABLES = {  # as it is headed: (the dataclass that it becomes, what is said of i
 
 @dataclass
 class Asked:
-    """What was asked of one key. takes : in words; default : None where it is required"""
+    """Hypotheses tested of one key. takes : in words; default : None where it is required"""
 
     takes: str
     default: str | None

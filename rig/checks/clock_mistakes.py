@@ -115,7 +115,7 @@ def speed_mistakes(t: Floats, values: Floats, frames: Floats, unit: str, max_spe
                 f"{unit}/s, and {against}",
                 f"State t in seconds in all files ({named}: divide by {UNITS[named]:g})"
                 if near
-                else "Look at the column t, or at the unit of the lengths or angles",
+                else "Check the column t, or the unit of the lengths or angles",
                 proof=0.8,
                 spoils=False,
             )
@@ -172,7 +172,7 @@ class DwellShift:
 
 
 def dwell_clock_shift(frames: Floats, t: Floats, values: Floats) -> DwellShift | None:
-    """DwellShift: the clock shift that puts the most frames into dwells of the commands; None if none stands out.
+    """DwellShift: the clock shift that puts the most frames into dwells of the commands; None if none is distinct.
 
     frames : (m,) s; t : (n,) s of the commands, increasing; values : (n, axes) m or rad
     """
@@ -212,7 +212,7 @@ def dwell_clock_offset_mistake(frames: Floats, t: Floats, values: Floats) -> Ite
     yield Mistake(
         f"frames.csv: the frames' clock is {abs(found.shift):.4g} s {way} the commands' (+-{found.room:.2g} "
         f"s): {found.frames} of "
-        f"{len(frames)} frames were then taken while the commands stand still, as it stands {now}",
+        f"{len(frames)} frames were then taken while the commands are at rest, currently {now}",
         f"{'Add' if found.shift > 0 else 'Subtract'} {abs(found.shift):.4g} s to t of frames.csv (rig import --set "
         f"images.shift={found.shift:.3f}, or poses.shift), or log both by one clock",
         proof=0.9,
@@ -220,7 +220,7 @@ def dwell_clock_offset_mistake(frames: Floats, t: Floats, values: Floats) -> Ite
 
 
 def _dwells(t: Floats, values: Floats) -> Floats:
-    """(k, 2) s: from when to when the commands stand."""
+    """(k, 2) s: start and end of the dwells of the commands."""
     apart = np.diff(t)
     speed = np.abs(np.diff(values, axis=0)).max(axis=1) / np.where(apart > 0, apart, np.inf)
     still = np.concatenate([[False], speed <= STILL * speed.max(initial=0.0), [False]])

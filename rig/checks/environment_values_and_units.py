@@ -35,7 +35,7 @@ def sensor_mistakes(log: Sensors, design: Design) -> Iterator[Mistake]:
             )
         elif middle < COLDEST or middle >= KELVIN[1]:
             yield Mistake(
-                f"sensors.csv: {name} = {middle:.4g} is no temperature in degrees Celsius",
+                f"sensors.csv: {name} = {middle:.4g} is not a temperature in degrees Celsius",
                 "Look at the channel's unit and wiring",
                 False,
                 0.6,
@@ -97,7 +97,7 @@ def _load(load: Floats, room: Floats | None, design: Design) -> Iterator[Mistake
     ):
         yield Mistake(
             "sensors.csv: payload_mass_kg and ambient_temperature_C are exchanged: the load drifts like a temperature"
-            + ("" if room is None else ", the temperature stands and jumps like a load"),
+            + ("" if room is None else ", the temperature is constant and jumps like a load"),
             "Exchange the two columns' names",
             False,
             0.8,
@@ -107,7 +107,7 @@ def _load(load: Floats, room: Floats | None, design: Design) -> Iterator[Mistake
     if load.min() < 0:
         yield Mistake(
             f"sensors.csv: payload_mass_kg is negative ({load.min():g} kg)",
-            "Tare the scale or mend the sign",
+            "Tare the scale or correct the sign",
             False,
             0.7,
         )
@@ -149,7 +149,7 @@ def environment_mistakes(design: Design) -> Iterator[Mistake]:
             yield Mistake(
                 "rig.toml: gravity has the wrong sign: it points from the base to the platform, as in a "
                 "hanging machine",
-                "Turn the sign of environment.gravity, unless the machine hangs",
+                "Reverse the sign of environment.gravity, unless the machine hangs",
                 False,
                 0.55,
             )
@@ -195,7 +195,7 @@ def _lengths(q: Floats, ranges: Floats, home: Floats) -> Iterator[Mistake]:
         which = ", ".join(str(k + 1) for k in np.flatnonzero(axes))
         yield Mistake(
             f"commands.csv: lengths of strut {which} alone lie outside strut_range ({outside:.1%} of all): {said}",
-            "Look at its zero, at its strut_range or at those rows",
+            "Check its zero, its strut_range or those rows",
             bool(outside > MUCH),
             0.3,
         )
@@ -209,7 +209,7 @@ def _lengths(q: Floats, ranges: Floats, home: Floats) -> Iterator[Mistake]:
     for text, mended, how in (
         ("relative to home", q + home, "Add each strut's length at home"),
         ("relative to the shortest length", q + ranges[:, 0], "Add each strut's shortest length"),
-        ("of the wrong sign", -q, "Turn their sign"),
+        ("of the wrong sign", -q, "Reverse their sign"),
         ("relative to home and of the wrong sign", home - q, "Subtract them from each strut's length at home"),
         ("relative to the longest length", ranges[:, 1] - q, "Subtract them from each strut's longest length"),
     ):
@@ -238,14 +238,14 @@ def _lengths(q: Floats, ranges: Floats, home: Floats) -> Iterator[Mistake]:
     elif outside > MUCH:
         yield Mistake(
             f"commands.csv: {outside:.0%} of the lengths lie outside strut_range: {said}",
-            f"Look at the unit, at the zero and at strut_range; {advice}",
+            f"Check the unit, the zero and strut_range; {advice}",
             True,
             0.5,
         )
     else:
         yield Mistake(
             f"commands.csv: some lengths ({outside:.1%}) lie outside strut_range: {said}",
-            "Look at strut_range or at those rows",
+            "Check strut_range or those rows",
             False,
             0.3,
         )
@@ -267,7 +267,7 @@ def _slides(q: Floats, limits: Floats) -> Iterator[Mistake]:
             return
     yield Mistake(
         f"commands.csv: {outside:.1%} of the slides' positions lie outside the limits: {said}",
-        "Look at their unit, zeros and limits",
+        "Check their unit, zeros and limits",
         outside > MUCH,
         0.5 if outside > MUCH else 0.3,
     )
@@ -283,14 +283,14 @@ def _angles(q: Floats, limits: Floats) -> Iterator[Mistake]:
     elif outside > MUCH:
         yield Mistake(
             f"commands.csv: {outside:.0%} of the joint angles lie outside the limits: {said}",
-            "Look at their unit, zeros and limits",
+            "Check their unit, zeros and limits",
             True,
             0.5,
         )
     elif outside > 0:
         yield Mistake(
             f"commands.csv: some joint angles ({outside:.1%}) lie outside the limits: {said}",
-            "Look at limits or at those rows",
+            "Check limits or those rows",
             False,
             0.3,
         )

@@ -79,7 +79,7 @@ def commands_and_measured_poses(
 ) -> CommandsAndPoses:
     """Commands of a recording and its measured poses, T (n,), in some of its frames.
 
-    Raises RigError without commands, and for what is no hexapod.
+    Raises RigError without commands, and for what is not a hexapod.
     """
     known, times = recording.exposures.times()
     c, t = recording.commands, times[np.searchsorted(known, frames)]
@@ -127,13 +127,12 @@ def command_pose_mistakes(moves: CommandsAndPoses) -> Iterator[Mistake]:
     said = f"commands and measured poses differ by {before * 1e3:.3g} mm"
     if left < BETTER * before and left < max(AWAY, 0.3 * before):
         yield Mistake(
-            f"{what}: {said} RMS as it stands, by {left * 1e3:.3g} mm so", do, True, LIKELY * (1 - left / before)
+            f"{what}: {said} RMS as recorded, by {left * 1e3:.3g} mm so", do, True, LIKELY * (1 - left / before)
         )
     else:
         yield Mistake(
-            f"{said} RMS along the struts, and no usual mistake explains it",
-            "Look at the joints, the struts' order and the zeros in rig.toml, and at whether poses and "
-            "commands belong together",
+            f"{said} RMS along the struts, and no common mistake explains it",
+            "Check the joints, the struts' order and the zeros in rig.toml, and whether poses and commands match",
             before > SURE,
             0.3,
         )
@@ -180,7 +179,7 @@ def _struts(moves: CommandsAndPoses) -> Iterator[Candidate]:
         )
         yield (
             f"commands.csv: {which} with the sign reversed about home",
-            "Turn the sign of their travel",
+            "Reverse the sign of their travel",
             replace(moves, q=q),
         )
     home = kinematics.inverse(moves.mechanism.home, moves.mechanism)
@@ -206,7 +205,7 @@ def _struts(moves: CommandsAndPoses) -> Iterator[Candidate]:
             f"commands.csv: strut {worst + 1} is {abs(offset[worst]) * 1e3:.3g} mm "
             f"{'longer' if offset[worst] > 0 else 'shorter'} than commanded "
             "throughout: its zero is wrong",
-            "Home it again, or mend its zero",
+            "Home it once more, or correct its zero",
             replace(moves, q=q),
         )
     slope = float((a * b).sum() / max((b * b).sum(), 1e-30))
@@ -214,7 +213,7 @@ def _struts(moves: CommandsAndPoses) -> Iterator[Candidate]:
         yield (
             f"commands.csv: the struts' travel is {slope:.4g} times what is commanded (screw lead, gear or "
             "steps per metre)",
-            "Mend the lead or the steps per metre",
+            "Correct the lead or the steps per metre",
             replace(moves, q=L.mean(axis=0) + slope * b),
         )
 
@@ -243,7 +242,7 @@ def _joints(moves: CommandsAndPoses) -> Iterator[Candidate]:
         for axis, what in enumerate("xyz"):
             turned = joints.copy()
             turned[:, axis] *= -1
-            yield other(f"{name} have the sign of {what} reversed", f"Turn the sign of {what}", *put(turned))
+            yield other(f"{name} have the sign of {what} reversed", f"Reverse the sign of {what}", *put(turned))
         for i, k in ((0, 1), (0, 2), (1, 2)):
             columns = [0, 1, 2]
             columns[i], columns[k] = k, i
@@ -277,7 +276,7 @@ def _scaled(moves: CommandsAndPoses, name: str) -> Iterator[Candidate]:
     if abs(best - 1) > SCALED:
         yield (
             f"rig.toml: {name} are {abs(1 / best - 1):.0%} too {'large' if best < 1 else 'small'}",
-            f"Measure them again: times {best:.3f} they agree",
+            f"Remeasure them: times {best:.3f} they agree",
             wider(best),
         )
 
@@ -356,7 +355,7 @@ def _shuffled(moves: CommandsAndPoses) -> Iterator[Candidate]:
         order = np.where(np.isin(np.arange(n), wrong), match, moves.index)
         yield (
             f"frames.csv: {len(wrong)} of {n} frames are in another order (shuffled or exchanged): {some}",
-            "Pair images or poses with their frames anew",
+            "Reassign images or poses to their frames",
             replace(moves, q=q[order]),
         )
 

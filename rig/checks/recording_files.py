@@ -71,7 +71,7 @@ def _matrix(camera: Camera) -> Iterator[Mistake]:
             f"{name}: {which} is of another image size than the matrix: the principal point ({cx:g}, {cy:g}) "
             f"is the middle of {other} px, "
             f"not of {w} x {h}",
-            "State width, height and matrix of the same images; of images cropped to one side all is well",
+            "State width, height and matrix of the same images; images cropped to one side are correct",
             False,
             0.85,
         )
@@ -162,14 +162,14 @@ def unused_cameras(recording: Recording) -> Iterator[Mistake]:
         if camera.name not in e.camera:
             yield Mistake(
                 f"rig.toml: camera {camera.name} is unused: frames.csv has no exposure of it",
-                "Add its rows to frames.csv, or take the camera out of rig.toml",
+                "Add its rows to frames.csv, or remove the camera from rig.toml",
                 False,
                 0.5,
             )
         elif c is not None and not recording.has_images and camera.name not in set(c.camera):
             yield Mistake(
                 f"rig.toml: camera {camera.name} is unused: corners.csv has no corner of it",
-                "Look whether its corners have another name, or take the camera out of rig.toml",
+                "Check whether its corners have another name, or remove the camera from rig.toml",
                 False,
                 0.5,
             )
@@ -190,7 +190,7 @@ def duplicate_images(recording: Recording) -> Iterator[Mistake]:
         a, b = twice[0][:2]
         other = sum(len(rows) - 1 for rows in twice)
         yield Mistake(
-            f"frames.csv: an image is there twice: {e.image[b]} (frame {e.frame[b]}, camera {e.camera[b]}) "
+            f"frames.csv: an image occurs twice: {e.image[b]} (frame {e.frame[b]}, camera {e.camera[b]}) "
             "is the same picture as "
             f"{e.image[a]} (frame {e.frame[a]}, camera {e.camera[a]})"
             + (f", and {other - 1} more are repeated" if other > 1 else ""),

@@ -36,10 +36,10 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="DIR",
         type=Path,
         required=True,
-        help="recordings, hashes, truth, diagnoses and score are kept there; "
-        "a campaign that was interrupted goes on where it stopped",
+        help="recordings, hashes, truth, diagnoses and score are stored there; "
+        "an interrupted campaign resumes where it stopped",
     )
-    parser.add_argument("--seed", type=parse_whole_number, default=0, help="another seed is another campaign")
+    parser.add_argument("--seed", type=parse_whole_number, default=0, help="another seed gives another campaign")
     parser.add_argument(
         "--cases", "--trials", dest="cases", metavar="LIST", help="only these of the campaign, for example 3,7-9"
     )
@@ -53,7 +53,7 @@ def arguments(parser: ArgumentParser) -> None:
         "something foreign to the catalogue (foreign), disturbed noise (noise), not in images",
     )
     parser.add_argument(
-        "--effects", metavar="NAMES", default="", help="effects to draw from, joined by commas (default all)"
+        "--effects", metavar="NAMES", default="", help="effects to draw from, separated by commas (default all)"
     )
     parser.add_argument(
         "--mechanism",
@@ -68,15 +68,15 @@ def arguments(parser: ArgumentParser) -> None:
         dest="withhold",
         metavar="WHAT",
         default="",
-        help="covariates to take away, joined by commas: temperature, payload, reversals, motion",
+        help="covariates to withhold, separated by commas: temperature, payload, reversals, motion",
     )
     parser.add_argument(
         "--images",
         action="store_true",
         help="draw images: three resolutions, two lenses, blur, defocus, noise, vignetting, markers "
-        "printed as printers print; effects that pictures show (needs OpenGL)",
+        "with printing errors; effects visible in images (needs OpenGL)",
     )
-    parser.add_argument("--again", action="store_true", help="diagnose anew what has been diagnosed")
+    parser.add_argument("--again", action="store_true", help="repeat diagnoses that are complete")
     add_overwrite_option(parser)
     add_json_result_option(parser)
 
@@ -135,7 +135,7 @@ def _diagnosed(out: Path, index: int) -> tuple[int, float, str | None]:
     done = _child(command)
     seconds = time.monotonic() - start
     if done.returncode in INTERRUPTED:
-        return index, seconds, "stopped; it will be diagnosed when the campaign goes on"
+        return index, seconds, "stopped; it will be diagnosed when the campaign is resumed"
     error = None if done.returncode == 0 else done.stderr.strip() or f"exit status {done.returncode}"
     write_text(record, json.dumps({"seconds": round(seconds, 2), "failed": error}) + "\n")
     return index, seconds, error

@@ -41,33 +41,32 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="FILE",
         type=file_or_stdout,
         required=True,
-        help="calibration.json; the report is written beside it",
+        help="calibration.json; the report is written next to it",
     )
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument(
         "--diagnosis",
         metavar="DIR",
         type=Path,
-        help="take in the physics that `rig diagnose` found and wrote there, refined with the "
-        "geometry; rig correct undoes it",
+        help="include the effects that `rig diagnose` identified there, refined with the "
+        "geometry; rig correct compensates them",
     )
-    kind.add_argument("--find", action="store_true", help="diagnose this recording first and take in what is found")
+    kind.add_argument("--find", action="store_true", help="diagnose this recording first and include the effects found")
     input_file_options.add_effects_option(parser)
     parser.add_argument(
         "--quick",
         action="store_true",
-        help="do not look for what the geometry leaves out, as `rig diagnose` does: the verdict is "
-        "then check at the best",
+        help="do not search for unmodelled effects as `rig diagnose` does: the verdict is then at best check",
     )
     parser.add_argument(
-        "--joint", action="store_true", help="solve cameras, lenses and geometry once more from all corners together"
+        "--joint", action="store_true", help="estimate cameras, lenses and geometry jointly from all corners"
     )
     _add_extension_options(parser)
     parser.add_argument(
         "--promise",
         type=parse_length,
         metavar="20um",
-        help="say whether so much is kept, position error RMS over the workspace",
+        help="state whether this position error, RMS over the workspace, is met",
     )
     add_limb_options(parser)
     add_overwrite_option(parser)
@@ -88,20 +87,20 @@ def _add_extension_options(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--alone",
         action="store_true",
-        help="of --extend: correct the owner's model itself, with no geometry fitted first",
+        help="of --extend: correct the nominal model itself, with no geometry fitted first",
     )
     parser.add_argument(
         "--onto",
         metavar="CALIBRATION",
         type=Path,
         help="of --extend: one more pass, on the rig that this calibration corrects: "
-        "what it leaves in the recording is corrected on top; order and count are kept",
+        "its residual in the recording is corrected on top; order and count are recorded",
     )
     parser.add_argument(
         "--space",
         choices=SPACES,
-        help="of --onto: where the pass maps what is left: over configurations (default), "
-        "over poses, or over both, poses then holding what the first leaves",
+        help="of --onto: where the pass maps the residual: over configurations (default), "
+        "over poses, or over both, poses then correcting the residual of the first",
     )
     parser.add_argument(
         "--within",
@@ -165,12 +164,12 @@ def _values_name(out: Path) -> str:
 
 
 def _extend_options(arguments: Namespace) -> ExtendOptions | None:
-    """How corrections are extended, None where they are not. Raises RigError for arguments that do not go together"""
+    """How corrections are extended, None where they are not. Raises RigError for incompatible arguments"""
     if not arguments.extend:
         if arguments.alone or arguments.onto:
-            raise RigError("--alone and --onto each say on what --extend stands; it takes one of them")
+            raise RigError("--alone and --onto each state the base of --extend; use one of them")
         if arguments.space or arguments.within:
-            raise RigError("--space and --within are of a pass; name with --onto what it stands on")
+            raise RigError("--space and --within apply to a pass; name with --onto its base")
         return None
     from calib.api.correction_extension import ExtendOptions
     from calib.files import calibration_file

@@ -15,14 +15,14 @@ def arguments(parser: ArgumentParser) -> None:
         type=file_or_stdout,
         default=STANDARD_OUTPUT,
         help="where it is written, as Markdown, with a "
-        "sketch of each effect in a folder FILE beside it; printed without sketches by default",
+        "sketch of each effect in a folder FILE next to it; printed without sketches by default",
     )
     input_file_options.add_effects_option(parser)
     add_overwrite_option(parser)
 
 
 def run(arguments: Namespace) -> None:
-    """Write the catalogue of left-out physics as a document: all that `rig effects NAME` says of each, with a sketch
+    """Write the catalogue of unmodelled effects as a document: all that `rig effects NAME` says of each, with a sketch
     that its model draws.
     """
     from rig.effects.catalogue.effect_list import catalogue_markdown
@@ -36,7 +36,7 @@ def run(arguments: Namespace) -> None:
         return write_text(out, catalogue_markdown(kinds.values()))
     if not arguments.out.suffix:
         raise RigError(
-            f"{arguments.out} has no ending, and a folder beside it of the same name would hold the "
+            f"{arguments.out} has no suffix, and a folder of the same name next to it would hold the "
             f"sketches: name it {arguments.out}.md"
         )
     from rig.report.pages.page_templates_and_page_index import standalone_svg

@@ -47,7 +47,7 @@ def parse_tolerance(text: str) -> tuple[str, float]:
     r"""Parse a tolerance such as 20um or 0.1mrad: (\"position\", m) or (\"rotation\", rad). Raises ArgumentTypeError"""
     found = re.fullmatch(r"\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*([a-z]+)\s*", text)
     if found is None or found[2] not in UNITS or not 0 < float(found[1]) < 1e9:
-        raise ArgumentTypeError(f"{text!r} is no tolerance; write a positive number and {', '.join(UNITS)}, as in 20um")
+        raise ArgumentTypeError(f"{text!r} is not a tolerance; write a number > 0 and {', '.join(UNITS)}, as in 20um")
     return UNITS[found[2]][0], float(found[1]) * UNITS[found[2]][1]
 
 
@@ -84,12 +84,12 @@ def _within(text: str, least: float, most: float, expected: str) -> float:
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.epilog = (
-        "Ends with 0 where the verdict is good or check, with 3 where it is bad: a tolerance is exceeded, or the "
+        "Exit status 0 if the verdict is good or check, 3 if it is bad: a tolerance is exceeded, or the "
         "claim is NOT kept."
     )
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     parser.add_argument(
-        "recordings", metavar="REC", type=Path, nargs="+", help="recordings that the calibration was not made from"
+        "recordings", metavar="REC", type=Path, nargs="+", help="recordings not used for the calibration"
     )
     parser.add_argument(
         "--out",
@@ -105,13 +105,13 @@ def arguments(parser: ArgumentParser) -> None:
         type=parse_tolerance,
         nargs="+",
         default=[],
-        help="to accept or refuse against, as 20um or 50urad",
+        help="for acceptance, as 20um or 50urad",
     )
     parser.add_argument(
-        "--coverage", metavar="SHARE", type=parse_share, default=0.95, help="of poses that the promise is about (0.95)"
+        "--coverage", metavar="SHARE", type=parse_share, default=0.95, help="of poses that the promise covers (0.95)"
     )
     parser.add_argument(
-        "--confidence", metavar="SHARE", type=parse_share, default=0.95, help="with which it is kept (0.95)"
+        "--confidence", metavar="SHARE", type=parse_share, default=0.95, help="with which it is met (0.95)"
     )
     parser.add_argument(
         "--scale-uncertainty",
@@ -121,11 +121,11 @@ def arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--scale-source", metavar="TEXT", help="who certified it, as a certificate's number")
     parser.add_argument(
-        "--rated-load", metavar="KG", type=parse_rated_load, help="that the machine is made for, for ISO 9283"
+        "--rated-load", metavar="KG", type=parse_rated_load, help="that the machine is rated for, for ISO 9283"
     )
     for name, who in (
         ("laboratory", "who calibrated"),
-        ("person", "who answers for it"),
+        ("person", "who is responsible for it"),
         ("customer", "for whom"),
         ("manufacturer", "who made the machine"),
     ):
@@ -133,13 +133,11 @@ def arguments(parser: ArgumentParser) -> None:
             f"--{name}", metavar="NAME", default="not stated", help=f"{who}, for the digital calibration certificate"
         )
     parser.add_argument("--country", metavar="XX", default="ZZ", help="where, two capital letters (ISO 3166-1)")
-    parser.add_argument(
-        "--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used"
-    )
+    parser.add_argument("--skip-unreadable", action="store_true", help="exclude, and list, unusable images")
     parser.add_argument(
         "--mask",
         metavar="FRAMES",
-        help="leave these frames of the one recording out, for example 0-11: those that `rig calibrate --mask` left in",
+        help="exclude these frames of the one recording, for example 0-11: those that `rig calibrate --mask` left in",
     )
     add_overwrite_option(parser)
     add_json_result_option(parser)
@@ -149,7 +147,7 @@ def run(arguments: Namespace) -> int:
     """Certify a calibration by held-out recordings and write what is promised; 3 where the verdict is bad."""
     suffix, options = _suffix(arguments.out), _options(arguments)
     if arguments.mask is not None and len(arguments.recordings) > 1:
-        raise RigError("--mask names frames of one recording; certify by that one alone")
+        raise RigError("--mask names frames of one recording; certify with that one only")
     progress = Progress()
     progress("reading the calibration", 0, 1)
     from calib.api.certify import certify
@@ -175,7 +173,7 @@ def run(arguments: Namespace) -> int:
     _print_certificate(result)
     arguments.result = result.tree()
     if left_out:
-        print(f"certificate.pdf is left out: certificates as PDF {left_out}", file=sys.stderr)
+        print(f"certificate.pdf is omitted: certificates as PDF {left_out}", file=sys.stderr)
     print(f"written: {arguments.out}")
     return exit_status(result.verdict)
 
@@ -190,10 +188,10 @@ def _suffix(out: Path) -> str:
 
 
 def _options(arguments: Namespace) -> CertifyOptions:
-    """What is asked of a certificate, by the arguments. Raises RigError for arguments that do not go together"""
+    """Settings of a certificate, from the arguments. Raises RigError for incompatible arguments"""
     tolerances = dict(arguments.tolerance)
     if len(tolerances) < len(arguments.tolerance):
-        raise RigError("--tolerance takes one length and one angle at the most")
+        raise RigError("--tolerance takes one length and one angle at most")
     if arguments.scale_source and arguments.scale_uncertainty is None:
         raise RigError("--scale-source names who certified the scale; --scale-uncertainty says how well")
     if not re.fullmatch("[A-Z]{2}", arguments.country):

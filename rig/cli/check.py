@@ -10,9 +10,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("recording", metavar="REC", type=Path)
     parser.add_argument(
-        "--detect",
-        action="store_true",
-        help="read some images even if corners.csv is there, and hold both against each other",
+        "--detect", action="store_true", help="read some images even if corners.csv exists, and compare both"
     )
     add_json_option(parser)
 

@@ -1,4 +1,4 @@
-"""rig check-print: check a printed marker sheet by a photograph: the side that its markers really have."""
+"""rig check-print: check a printed marker sheet by a photograph: the true side of its markers."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def run(arguments: Namespace) -> None:
     except FileError as error:
         raise FileError(
             arguments.photo,
-            f"is no picture that can be read (cut off?): {str(error).removeprefix(error.path).lstrip(': ')}",
+            f"is not a readable picture (truncated?): {str(error).removeprefix(error.path).lstrip(': ')}",
         ) from None
     if arguments.ruler is not None:
         found = printed_marker_size.print_scale_by_ruler(image, design, *arguments.ruler)
@@ -89,9 +89,7 @@ def _say(found: Printed, design: Design) -> None:
         print(f"  {scale:.4f} +- {2 * uncertainty:.4f} (k=2) {direction}")
     within = 2 * max(found.uncertainty)
     if len(found.scale) > 1 and abs(found.scale[0] - found.scale[1]) > within:
-        print(
-            "bad: the printer stretches one way; markers are no squares: print them again, without fitting to the page"
-        )
+        print("bad: the printer scales one way; markers are no squares: print them again, without fitting to the page")
     elif abs(_mean(found) - 1) <= within:
         print(f"good: the sides of rig.toml are right to {within * 100:.2f} %")
     else:
@@ -135,5 +133,5 @@ def _ruler(text: str) -> tuple[Floats, float]:
 
     ends = np.array([float(value) for value in found.groups()[:4]]).reshape(2, 2)
     if np.linalg.norm(ends[1] - ends[0]) < 10:
-        raise ArgumentTypeError("the two places are the same: take lines of the ruler that lie far apart")
+        raise ArgumentTypeError("the two places are the same: choose lines of the ruler that are far apart")
     return ends, parse_length(found[5])

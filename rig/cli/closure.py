@@ -16,24 +16,24 @@ if TYPE_CHECKING:
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recording_argument(
-        parser, "with measuring limbs beside its struts (m1..mn in sensors.csv and [insitu] in rig.toml)"
+        parser, "with measuring limbs next to its struts (m1..mn in sensors.csv and [insitu] in rig.toml)"
     )
     parser.add_argument(
         "--use",
         metavar="LEGS",
-        help="the six legs that tell the pose, as l1,l2,l3,m4,m5,m6; by default the six that tell it best",
+        help="the six legs that give the pose, as l1,l2,l3,m4,m5,m6; by default the best-conditioned six",
     )
     parser.add_argument(
-        "--calibration", metavar="FILE", type=Path, help="struts as calibrated, not as rig.toml has them"
+        "--calibration", metavar="FILE", type=Path, help="struts as calibrated, not as rig.toml states them"
     )
     parser.add_argument(
-        "--limbs", metavar="FILE", type=Path, help="limbs as `rig insitu` found them, not as rig.toml has them"
+        "--limbs", metavar="FILE", type=Path, help="limbs as `rig insitu` estimated them, not as rig.toml states them"
     )
     parser.add_argument(
         "--out",
         metavar="FILE",
         type=file_or_stdout,
-        help="closures.csv: frame, what each other leg reads less what the pose says "
+        help="closures.csv: frame, reading of each other leg minus that predicted from the pose "
         "(e_..), its expected standard deviation (u_..), m",
     )
     add_overwrite_option(parser)
@@ -41,7 +41,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Choose six legs, say how the others close; 1 where one closes worse than its errors and geometry allow."""
+    """Choose six legs, print the closures of the others; 1 where one is worse than its errors and geometry allow."""
     from calib.api.close_loops import LoopClosureOptions, close_loops
     from calib.files import calibration_file
     from calib.online.measuring_limbs_file import load_limbs
@@ -70,8 +70,8 @@ def _print_result(result: LoopClosureResult) -> None:
 
     legs, found, condition = result.legs, result.closures, result.condition
     print(
-        f"{len(legs.names)} legs for six freedoms; {', '.join(legs.names[i] for i in result.chosen)} tell the pose, "
-        f"{'as asked' if result.requested else 'the six that tell it best'} (condition number "
+        f"{len(legs.names)} legs for six freedoms; {', '.join(legs.names[i] for i in result.chosen)} give the pose, "
+        f"{'as asked' if result.requested else 'the best-conditioned six'} (condition number "
         f"{np.median(condition):.3g} in the middle, {condition.max():.3g} at most); closures of the others "
         f"at {len(result.frames)} poses, um:"
     )
@@ -88,5 +88,5 @@ def _print_result(result: LoopClosureResult) -> None:
         i = result.explaining_leg
         print(
             f"one leg explains most of it: {legs.names[i]}, were it longer by {-found.off[i] * 1e6:+.2f} um "
-            f"than it says ({found.share[i]:.0%} of the squares)"
+            f"than it reads ({found.share[i]:.0%} of the squares)"
         )

@@ -32,50 +32,50 @@ WRITTEN = (
 
 S = TypeVar("S", bound=int | str | None)  # an exit status
 COMMANDS = {
-    "new": "A rig.toml by four questions, or by options where nobody can be asked.",
-    "check": "All that is wrong or unlikely with a recording, at once, with what to do.",
-    "import": "A recording out of what you have: folders of images, tables in any dialect, units and clocks; and a "
+    "new": "A rig.toml from four questions, or from options when not interactive.",
+    "check": "All errors and implausible values of a recording, at once, with remedies.",
+    "import": "A recording from existing files: folders of images, tables in any dialect, units and clocks; and a "
     "recipe of it.",
     "measure": "Images or corners of a recording -> platform poses with covariance, cameras adjusted.",
     "calibrate": "A recording -> calibration.json: geometry and corrections, with held-out figures.",
-    "diagnose": "A recording -> what physics its model leaves out: where, which, how large, and the proof.",
-    "blind": "Blinded cases of the diagnosis on rigs that are not there, and their score.",
+    "diagnose": "A recording -> its unmodelled effects: where, which, how large, and the evidence.",
+    "blind": "Blind cases of the diagnosis on simulated rigs, and their score.",
     "correct": "Wanted poses -> the strut lengths to command for them.",
     "kinematics": "An arm's poses of joint values, or all joint values of poses, step by step in one global frame.",
-    "posture": "A redundant arm's posture for feeling or making force, with the hand held still.",
-    "wrench": "What pushed on an arm's hand, from its joints' torques or motor currents: force and moment with "
+    "posture": "A redundant arm's posture for sensing or exerting force, with the hand fixed.",
+    "wrench": "The wrench on an arm's hand, from its joints' torques or motor currents: force and moment with "
     "covariance.",
-    "verify": "A calibration held against a recording it was not made from: error before and after.",
-    "investigate": "A rig finds out by itself: plan, diagnosis, the experiment that tells most, and again, up to a "
+    "verify": "A calibration verified by a recording not used for it: error before and after.",
+    "investigate": "Automatic investigation: plan, diagnosis, the most informative experiment, repeated, up to a "
     "certificate.",
-    "watch": "Small visits held against a calibration day by day: whether it still holds, what changed, what to "
+    "watch": "Small visits compared with a calibration day by day: whether it still holds, what changed, what to "
     "remeasure.",
     "certify": "What a calibration promises of all poses in a volume, from recordings held out: a certificate.",
     "workspace": "What a calibration does to the workspace: lost, gained, room to limits, singularities, error bounds.",
     "lens": "Photographs of a board -> one camera's lens: models compared, a [[camera]] block.",
-    "simulate": "A rig that is not there under a plan -> a recording, and its truth apart.",
-    "emulate": "A controller that is not there, at a pseudo-terminal or over TCP, with faults to order.",
-    "run": "A plan carried out on the real machine: moved, settled, grabbed, journalled, measured while it grows.",
+    "simulate": "A simulated rig under a plan -> a recording, and its truth separately.",
+    "emulate": "An emulated controller, at a pseudo-terminal or over TCP, with faults on request.",
+    "run": "A plan executed on the real machine: moved, settled, grabbed, journalled, measured during the run.",
     "go": "The platform sent to one pose through a calibration: corrected lengths, checked.",
     "jog": "Struts moved a little, checked as any move.",
     "home": "All struts homed.",
-    "stop": "The struts stopped now, and whatever process moves them.",
-    "status": "What the controller says; nothing moves.",
-    "plan": "Which configurations to visit so that what is asked becomes visible.",
-    "online": "A recording's poses learnt from one at a time: what the machine is by now, and what jumped.",
-    "insitu": "Measuring limbs held against vision; once they pass, saved to stand for it.",
-    "closure": "More lengths than six: which six tell the pose, and by how much the others do not close.",
+    "stop": "The struts stopped now, and any process that moves them.",
+    "status": "The status of the controller; nothing moves.",
+    "plan": "Which configurations to visit so that the parameters are observable.",
+    "online": "A recording's poses learnt one at a time: the current estimate of the machine, and sudden changes.",
+    "insitu": "Measuring limbs tested against vision; once they pass, saved to replace it.",
+    "closure": "More lengths than six: which six give the pose, and closure errors of the others.",
     "export": "A calibrated geometry for other programs: genhexkins, URDF, JSON, CSV.",
     "view": "One frame of a recording with markers, axes and residuals drawn in; or all of it in three dimensions, "
     "as a page or for Rerun.",
     "index": "One page of all pages below a folder, each with its verdict.",
     "design": "A sensible rig.toml from a radius: cubes and cameras placed.",
     "print": "The cubes of a rig.toml as nets to print, true to scale.",
-    "check-print": "A photograph of a printed sheet -> the side that its markers really have.",
-    "effects": "The left-out physics that is known: where it sits, its parameters, what exposes it, what to do.",
-    "catalogue": "The left-out physics that is known, as a document: model, parameters, experiment and remedy of each.",
-    "doctor": "What this computer has of what rig needs: packages, OpenGL, cameras, ports, space, threads.",
-    "completion": "What makes bash, zsh or fish complete rig's commands and options.",
+    "check-print": "A photograph of a printed sheet -> the true side of its markers.",
+    "effects": "The known unmodelled effects: place, parameters, experiment that exposes them, remedy.",
+    "catalogue": "The known unmodelled effects, as a document: model, parameters, experiment and remedy of each.",
+    "doctor": "Requirements of rig on this computer: packages, OpenGL, cameras, ports, space, threads.",
+    "completion": "The script that makes bash, zsh or fish complete rig's commands and options.",
 }
 
 
@@ -146,7 +146,7 @@ def run_script() -> NoReturn:
 
 class _Version(argparse.Action):
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        """Print the version, which is read only where it is asked for, and end."""
+        """Print the version, which is read only when requested, and end."""
         from importlib.metadata import version
 
         print(f"rig {version('rig')}")
@@ -154,7 +154,7 @@ class _Version(argparse.Action):
 
 
 class Ended(KeyboardInterrupt):
-    """Somebody asked this process to end; number : of the signal."""
+    """This process was requested to end; number : of the signal."""
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -168,7 +168,7 @@ def _run(arguments: argparse.Namespace) -> int:
         if any(getattr(arguments, written, None) for written in WRITTEN):
             _require_utf8([*arguments.argv, os.path.realpath(".")])
         if asked and getattr(arguments, "out", None) == STANDARD_OUTPUT:
-            raise RigError("--json and --out - both write to the standard output; name a file, or leave out --json")
+            raise RigError("--json and --out - both write to the standard output; name a file, or omit --json")
         with (
             _signals(),
             CommandOutputs(
@@ -228,7 +228,7 @@ def _reader_may_leave(name: str, outputs: CommandOutputs) -> Iterator[None]:
 
 
 def _compiling() -> AbstractContextManager[None]:
-    """Within it is said, once, that something is compiled, for which nothing moves on."""
+    """Context in which compilation, which takes time, is announced once."""
     from rig.cli.shared.terminal_output import print_compilation_notice
     from rig.compute.numba_kernels_and_lazy_exports import announce_compilation
 
@@ -252,7 +252,7 @@ def _require_utf8(words: list[str]) -> None:
         try:
             word.encode("utf-8")
         except UnicodeEncodeError:
-            raise RigError(f"{word}: this name is no UTF-8 text; rename that file or folder") from None
+            raise RigError(f"{word}: this name is not UTF-8; rename that file or folder") from None
 
 
 def _for_programs(arguments: argparse.Namespace) -> bool:
@@ -323,7 +323,7 @@ def _failed(message: str, status: int = 1) -> int:
 
 
 def _flushed(name: str, status: S) -> S | int:
-    """The status, once all that was printed is out; 1 where it cannot be printed, which is said on the error output."""
+    """The status, once all output is flushed; 1 where it cannot be printed, which is reported on the error output."""
     if sys.stdout is None:
         return status
     try:

@@ -27,22 +27,22 @@ def arguments(parser: ArgumentParser) -> None:
         "--poses",
         metavar="FILE",
         type=Path,
-        help="frame,x,y,z,rx,ry,rz of the wanted poses; with a column t (s), when each is to be held, the "
+        help="frame,x,y,z,rx,ry,rz of the wanted poses; with a column t (s), the time of each pose, the "
         "commands run in time",
     )
     asked.add_argument(
         "--forward",
         metavar="FILE",
         type=Path,
-        help="the other way, for a machine that measures: frame,l1..l6 (an arm: q1..qn) "
-        "read off its limbs -> the poses that they stand for, corrected, with covariance",
+        help="the reverse, for a measuring machine: frame,l1..l6 (an arm: q1..qn) "
+        "read from its limbs -> the corresponding poses, corrected, with covariance",
     )
     parser.add_argument(
         "--out",
         metavar="FILE",
         type=file_or_stdout,
         required=True,
-        help="frame,l1..l6 (an arm: q1..qn) to command; in time frame,t,.. with no frame in rows on the way",
+        help="frame,l1..l6 (an arm: q1..qn) to command; in time frame,t,.. with no frame in intermediate rows",
     )
     parser.add_argument(
         "--sensors",
@@ -54,23 +54,22 @@ def arguments(parser: ArgumentParser) -> None:
         "--start",
         metavar="LENGTHS",
         default="home",
-        help="where the axes stand at first: home (the default), or their values joined by commas, m or rad",
+        help="initial axis values: home (the default), or values separated by commas, m or rad",
     )
     parser.add_argument(
         "--approach",
         choices=("auto", "always", "never"),
         default="auto",
-        help="come to a pose from one side, past what an axis remembers: auto (the default) does where that makes "
-        "it surer",
+        help="approach a pose from one side, beyond any hysteresis: auto (the default) does where that makes it surer",
     )
-    parser.add_argument("--skip-unreachable", action="store_true", help="leave out, and list, poses out of reach")
+    parser.add_argument("--skip-unreachable", action="store_true", help="exclude, and list, unreachable poses")
     parser.add_argument(
-        "--uncorrected", action="store_true", help="command what the owner's model says, for comparison"
+        "--uncorrected", action="store_true", help="command what the nominal model says, for comparison"
     )
     parser.add_argument(
         "--single-step",
         action="store_true",
-        help="command X + KSF(X), the method's first step, not the fixed point that is exact",
+        help="command X + KSF(X), the method's first step, not the exact fixed point",
     )
     input_file_options.add_effects_option(parser)
     add_overwrite_option(parser)
@@ -78,7 +77,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Write the commands that give the wanted poses, or the poses that readings stand for."""
+    """Write the commands that give the wanted poses, or the poses that correspond to readings."""
     from calib.api.correct import correct
     from rig.recording.recording_folder import load_wanted_poses
     from rig.recording.recording_tables import write_poses
@@ -87,8 +86,8 @@ def run(arguments: Namespace) -> None:
         arguments.uncorrected or arguments.single_step or arguments.skip_unreachable or arguments.sensors
     ):
         raise RigError(
-            "--uncorrected, --single-step, --skip-unreachable and --sensors are about commands for wanted "
-            "poses, not about --forward"
+            "--uncorrected, --single-step, --skip-unreachable and --sensors apply to commands for wanted "
+            "poses, not to --forward"
         )
     calibration = input_file_options.calibration_of_arguments(arguments)
     out = arguments.outputs.file(arguments.out)
@@ -122,7 +121,7 @@ def _options(arguments: Namespace, wanted: WantedPoses) -> CorrectOptions:
 
 
 def _start(text: str) -> Floats | None:
-    """(axes,) m or rad where the axes stand at first, None for home. Raises RigError for what is no such place"""
+    """(axes,) m or rad, initial axis positions, None for home. Raises RigError for what is no such place"""
     import numpy as np
 
     if text == "home":
@@ -131,7 +130,7 @@ def _start(text: str) -> Floats | None:
         return np.array(parse_numbers(text.split(",")))
     except ValueError:
         raise RigError(
-            f"--start takes home or an axis' values each, joined by commas, m or rad, got {text!r}"
+            f"--start must be home or an axis' values each, separated by commas, m or rad, got {text!r}"
         ) from None
 
 
@@ -145,7 +144,7 @@ def _write_read_poses(arguments: Namespace, calibration: Calibration, out: Path)
     found.write(out)
     print(f"{len(found.poses.frame)} poses written to {arguments.out}: {found}")
     if found.physics:
-        print("what the calibration knows of physics is not taken off readings: it depends on what went before them")
+        print("effects in the calibration are not subtracted from readings: they depend on the preceding motion")
 
 
 def _print_result(arguments: Namespace, result: CorrectionResult, poses: str | None) -> None:
@@ -186,14 +185,14 @@ def _print_uncertainty(result: CorrectionResult, covariance: Floats) -> None:
     )
     if done.missing:
         print(
-            "not logged, so taken as they were in the middle when calibrated, with their spread: "
+            "not logged, so assumed at their central value of the calibration, with their spread: "
             f"{', '.join(done.missing)}"
         )
     if done.route.approached.any():
-        print(f"{done.route.approached.sum()} poses are come to from one side")
+        print(f"{done.route.approached.sum()} poses are approached from one side")
     left = [] if physics is None else [f"{e.label()} at {e.place}" for e in physics.scattering()]
     if left:
-        print(f"not undone, as nobody knows its moment, and in the uncertainty: {', '.join(left)}")
+        print(f"not compensated, as its time is unknown, and in the uncertainty: {', '.join(left)}")
 
 
 def _print_rest(result: CorrectionResult, rest: Floats, poses: str | None) -> None:
@@ -202,11 +201,11 @@ def _print_rest(result: CorrectionResult, rest: Floats, poses: str | None) -> No
 
     position, rotation = (np.linalg.norm(rest[:, part], axis=1) * 1e3 for part in (slice(0, 3), slice(3, 6)))
     print(
-        f"an arm of {len(result.calibration.correction.nominal.axes)} joints cannot make up for every error: what it "
-        "leaves to the wanted poses is "
-        f"{np.sqrt(np.mean(position**2)):.4f} mm RMS, {position.max():.4f} at the most, and "
+        f"an arm of {len(result.calibration.correction.nominal.axes)} joints cannot compensate every error: what it "
+        "leaves at the wanted poses is "
+        f"{np.sqrt(np.mean(position**2)):.4f} mm RMS, {position.max():.4f} at most, and "
         f"{np.sqrt(np.mean(rotation**2)):.4f} mrad RMS, "
-        f"{rotation.max():.4f} at the most (frame {result.frames[int(rotation.argmax())]})"
+        f"{rotation.max():.4f} at most (frame {result.frames[int(rotation.argmax())]})"
     )
     if poses is not None:
-        print(f"the poses that it takes instead, with their uncertainty, are in {poses}")
+        print(f"the poses reached instead, with their uncertainty, are in {poses}")

@@ -11,7 +11,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--mechanism",
         choices=("hexapod", "planar2", "arm"),
-        help="hexapod (the default), two struts in a plane, or an arm from the shelf, with --arm",
+        help="hexapod (the default), two struts in a plane, or a shipped arm, with --arm",
     )
     parser.add_argument(
         "--arm",
@@ -23,7 +23,7 @@ def arguments(parser: ArgumentParser) -> None:
         "--seen",
         choices=("cubes", "hand"),
         help="of an arm: by cameras, in place of an instrument: with cubes in its hand before "
-        "fixed cameras, or with the cameras in its hand before cubes that stand",
+        "fixed cameras, or with the cameras in its hand before fixed cubes",
     )
     parser.add_argument(
         "--radius",
@@ -42,7 +42,7 @@ def arguments(parser: ArgumentParser) -> None:
         const=6,
         default=0,
         metavar="N",
-        help="with N measuring limbs beside the struts (six where no N is given; more are checks)",
+        help="with N measuring limbs next to the struts (default six; more are checks)",
     )
     parser.add_argument("--name", help="of the rig, by default its kind of machine")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="written here, or printed")
@@ -61,13 +61,13 @@ def run(arguments: Namespace) -> None:
     if arguments.radius is None:
         raise RigError("a hexapod or planar2 takes --radius, an arm --arm")
     if arguments.seen is not None:
-        raise RigError("--seen is of an arm; give it with --arm")
+        raise RigError("--seen applies to an arm; use it with --arm")
     size = _size(arguments.size)
     kind = arguments.mechanism or "hexapod"
     if arguments.limbs < 0:
         raise RigError(f"--limbs takes a number of limbs, not {arguments.limbs}")
     if arguments.limbs and kind != "hexapod":
-        raise RigError(f"--limbs stand beside a hexapod's struts; a {kind} has none")
+        raise RigError(f"--limbs belong to a hexapod's struts; a {kind} has none")
     figures = (
         arguments.radius,
         arguments.cameras,

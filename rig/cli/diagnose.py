@@ -39,31 +39,28 @@ def arguments(parser: ArgumentParser) -> None:
         "--calibration",
         metavar="FILE",
         type=Path,
-        help="of the same rig from another recording: its joints are taken as known, so that less can hide in them",
+        help="of the same rig from another recording: its joints are assumed known, so that they absorb less",
     )
     parser.add_argument(
-        "--only",
-        metavar="EFFECT",
-        action="append",
-        help="ask for this effect alone (or 'EFFECT PLACE'); may be given again",
+        "--only", metavar="EFFECT", action="append", help="test only this effect (or 'EFFECT PLACE'); may be repeated"
     )
     parser.add_argument(
-        "--without", metavar="EFFECT", action="append", default=[], help="leave this effect out; may be given again"
+        "--without", metavar="EFFECT", action="append", default=[], help="exclude this effect; may be given again"
     )
     parser.add_argument(
         "--assume",
         metavar="'EFFECT PLACE'",
         action="append",
         default=[],
-        help="take this effect to be there: it is fitted from the "
-        "start and stays, whatever the recording says of it; may be given again",
+        help="assume this effect is present: it is fitted from the "
+        "start and retained, whatever the evidence; may be given again",
     )
     parser.add_argument(
         "--from",
         metavar="DIR",
         type=Path,
         dest="before",
-        help="what another diagnosis found: begin with its findings, each of which has to stand here as well",
+        help="another diagnosis: begin with its findings, each of which must be confirmed here as well",
     )
     input_file_options.add_effects_option(parser)
     _add_experiment_options(parser)
@@ -78,9 +75,9 @@ def _add_experiment_options(parser: ArgumentParser) -> None:
         "--next",
         metavar="FILE",
         type=Path,
-        help="write the plan of the experiment that would best tell apart what is "
-        "still alike (frame,t,payload_mass_kg,l1..l6; `rig simulate --plan commands:FILE` tries it); "
-        "next.json says its chance",
+        help="write the plan of the experiment that best distinguishes what is "
+        "still ambiguous (frame,t,payload_mass_kg,l1..l6; `rig simulate --plan commands:FILE` simulates it); "
+        "next.json states its probability",
     )
     parser.add_argument(
         "--minutes",
@@ -93,13 +90,12 @@ def _add_experiment_options(parser: ArgumentParser) -> None:
         "--may",
         action="append",
         metavar="payload|wait|'turn cube NAME'",
-        help="for --next: what may be asked of an operator, in "
-        "place of what rig.toml says under [experiment]; may be given again",
+        help="for --next: what may be requested of an operator, in place of [experiment] in rig.toml; may be repeated",
     )
     parser.add_argument(
         "--standing",
         action="store_true",
-        help="for --next: only plans at whose exposures the struts stand, as rig run takes them",
+        help="for --next: only plans at whose exposures the struts rest, as rig run takes them",
     )
 
 
@@ -135,7 +131,7 @@ def run(arguments: Namespace) -> None:
 
 
 def _options(arguments: Namespace, recordings: list[Recording]) -> DiagnoseOptions:
-    """What a diagnosis is asked for, by the arguments."""
+    """Settings of a diagnosis, from the arguments."""
     from calib.api.diagnose import DiagnoseOptions
 
     effects = input_file_options.load_effect_files(arguments)
@@ -183,7 +179,7 @@ def _print_report(report: Report) -> None:
         if finding.unusual:
             print(f"  {finding.unusual}")
         for other in finding.cannot_be_told_from:
-            print(f"  cannot be told from {other.effect} at {other.place}; {other.experiment}")
+            print(f"  cannot be distinguished from {other.effect} at {other.place}; {other.experiment}")
     for entry in report.suggestions:
         values = ", ".join(f"{name} {value}" for name, value, _ in suggested_formula_rows(entry))
         print(
@@ -193,12 +189,12 @@ def _print_report(report: Report) -> None:
     if report.remarks:
         places = ", ".join(f"{r.effect} at {r.place}" for r in report.remarks[:MENTIONED])
         more = f" and {len(report.remarks) - MENTIONED} more" if len(report.remarks) > MENTIONED else ""
-        print(f"there, and within tolerances: {places}{more}; see remarks")
+        print(f"present, and within tolerances: {places}{more}; see remarks")
     for one in report.left_out[:MENTIONED]:
         frame, place, off, _ = excluded_row_texts(one)
         print(f"left out: frame {frame}, {place}: {off}")
     if len(report.left_out) > MENTIONED:
-        print(f"left out: {len(report.left_out) - MENTIONED} more rows that agree with no others; see left_out")
+        print(f"left out: {len(report.left_out) - MENTIONED} more outlying rows; see left_out")
     if report.crowd is not None and report.findings:
         print(outliers_not_excluded_sentence(report.crowd))
     for what, fit in report.fits.items():
@@ -210,7 +206,7 @@ def _print_report(report: Report) -> None:
 
 
 def _experiment_options(arguments: Namespace) -> ExperimentOptions | None:
-    """What the next experiment may take, None where none is asked for. Raises RigError for what cannot be meant"""
+    """What the next experiment may require, None where none is requested. Raises RigError for what cannot be meant"""
     from calib.api.next_experiment import ExperimentOptions
 
     may = None if arguments.may is None else tuple(arguments.may)

@@ -16,19 +16,18 @@ if TYPE_CHECKING:
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    parser.add_argument("name", metavar="NAME", nargs="?", help="one of them, whole; all as a table without it")
+    parser.add_argument("name", metavar="NAME", nargs="?", help="one of them in full; without it a table of all")
     add_json_option(parser)
     input_file_options.add_effects_option(parser)
     parser.add_argument(
-        "--new", metavar="NAME", help="write a file with an effect of your own, to be edited and given to --effects"
+        "--new", metavar="NAME", help="write a file with a user-defined effect, to be edited and passed to --effects"
     )
     parser.add_argument(
         "--from",
         metavar="DIR",
         type=Path,
         dest="source",
-        help="with --new: the formula that a diagnosis suggests, DIR is what "
-        "rig diagnose wrote; an example to begin with otherwise",
+        help="with --new: the formula that a diagnosis suggests, DIR is what rig diagnose wrote; otherwise an example",
     )
     parser.add_argument(
         "--place", metavar="PLACE", help="with --from: which suggestion, by its place, where there are several"
@@ -42,7 +41,7 @@ def run(arguments: Namespace) -> None:
     if arguments.new is not None:
         return _new(arguments)
     if arguments.source is not None or arguments.place is not None or arguments.out is not None:
-        raise RigError("--from, --place and --out are about a new effect: give it a name with --new")
+        raise RigError("--from, --place and --out apply to a new effect: name it with --new")
     from shutil import get_terminal_size
 
     from rig.cli.shared.argument_parser import suggestion_text
@@ -74,12 +73,12 @@ def _new(arguments: Namespace) -> None:
     from rig.formats.output_files import write_text
 
     if arguments.name is not None or arguments.json:
-        raise RigError("--new writes a file; leave out NAME and --json")
+        raise RigError("--new writes a file; omit NAME and --json")
     problem = effect_name_problem(arguments.new)
     if problem:
         raise RigError(f"--new {problem}")
     if arguments.place is not None and arguments.source is None:
-        raise RigError("--place says which suggestion of a diagnosis is meant: give its folder with --from")
+        raise RigError("--place selects a suggestion of a diagnosis: state its folder with --from")
     place, formula = (
         ("strut 1", EXAMPLE) if arguments.source is None else load_suggestion(arguments.source, arguments.place)
     )

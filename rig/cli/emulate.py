@@ -23,7 +23,7 @@ def arguments(parser: ArgumentParser) -> None:
     from rig.model.design import PROTOCOLS
 
     parser.add_argument("design", metavar="RIG.toml", type=Path)
-    parser.add_argument("--protocol", choices=PROTOCOLS, help="by default what [controller] of the rig.toml says")
+    parser.add_argument("--protocol", choices=PROTOCOLS, help="by default as stated in [controller] of the rig.toml")
     parser.add_argument(
         "--fault",
         action="append",
@@ -38,9 +38,7 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="[HOST:]PORT",
         help="listen there instead of at a pseudo-terminal (port 0: any; host 127.0.0.1)",
     )
-    parser.add_argument(
-        "--link", metavar="PATH", type=Path, help="keep a symbolic link pointing at the pseudo-terminal"
-    )
+    parser.add_argument("--link", metavar="PATH", type=Path, help="maintain a symbolic link to the pseudo-terminal")
     parser.add_argument(
         "--speed",
         type=parse_number,
@@ -48,17 +46,17 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="N",
         help="struts N times as fast as [controller] states (default 1)",
     )
-    parser.add_argument("--start", metavar="L1,L2,..", help="where the struts stand at first, m (default: home)")
+    parser.add_argument("--start", metavar="L1,L2,..", help="initial strut lengths, m (default: home)")
     parser.add_argument(
         "--history",
         metavar="FILE",
         type=Path,
-        help="write what the struts were truly told, as commands.csv, as it happens",
+        help="write the true commands of the struts, as commands.csv, continuously",
     )
     parser.add_argument(
         "--cameras",
         metavar="[HOST:]PORT",
-        help="draw what the cameras see and answer for the sensors there (port 0: any); "
+        help="render the camera images and emulate the sensors there (port 0: any); "
         'rig.toml: source = "emulator:HOST:PORT", [sensors] port = "socket://HOST:PORT", ask = "sensors"',
     )
     parser.add_argument(
@@ -66,7 +64,7 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="FILE",
         type=Path,
         help="the machine, its cameras and effects as rig simulate --truth wrote them, "
-        "for --cameras (default: all is as RIG.toml says)",
+        "for --cameras (default: all as RIG.toml states)",
     )
     parser.add_argument(
         "--seed", type=parse_whole_number, default=0, help="of the faults, the temperatures and the noise of images"
@@ -87,7 +85,7 @@ def run(arguments: Namespace) -> None:
 
     clock = SystemClock()
     if arguments.truth and not arguments.cameras:
-        raise RigError("--truth is for --cameras, which show what is true")
+        raise RigError("--truth is for --cameras, which show the true machine")
     emulator = emulator_of_arguments(arguments, clock)
     wire = (
         emulator_opening.Tcp(_address(arguments.tcp, "--tcp"))
@@ -103,9 +101,7 @@ def run(arguments: Namespace) -> None:
     try:
         emulator_opening.serve_emulator(emulator, wire, lambda: True, _say, history.record if history else lambda: None)
     except KeyboardInterrupt:
-        print(
-            f"{len(emulator.machine.executed)} moves carried out; faults: {', '.join(emulator.faults.struck) or 'none'}"
-        )
+        print(f"{len(emulator.machine.executed)} moves executed; faults: {', '.join(emulator.faults.struck) or 'none'}")
     finally:
         wire.close()
         if cameras:
@@ -138,7 +134,7 @@ def emulator_of_arguments(arguments: Namespace, clock: Clock) -> Emulator:
         raise RigError(f"--speed must be above 0, not {arguments.speed:g}")
     design = design_file.load_design(arguments.design)
     if design.controller is None:
-        raise RigError(f"{arguments.design} has no [controller]; its speeds and zeros are what an emulator needs")
+        raise RigError(f"{arguments.design} has no [controller]; an emulator needs its speeds and zeros")
     if arguments.protocol:
         design = replace(design, controller=replace(design.controller, protocol=arguments.protocol))
     faults = Faults(sum((parse_faults(text) for text in arguments.fault), ()), np.random.default_rng(arguments.seed))
@@ -147,7 +143,7 @@ def emulator_of_arguments(arguments: Namespace, clock: Clock) -> Emulator:
         try:
             start = np.array(parse_numbers(arguments.start.split(",")))
         except ValueError:
-            raise RigError(f"--start takes numbers in m joined by commas, not {arguments.start!r}") from None
+            raise RigError(f"--start takes numbers in m separated by commas, not {arguments.start!r}") from None
     return emulators.emulator_of_design(design, faults, clock, start, arguments.speed)
 
 

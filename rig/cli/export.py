@@ -32,16 +32,16 @@ def arguments(parser: ArgumentParser) -> None:
         "machine",
         metavar="CALIBRATION",
         type=Path,
-        help="calibration.json, or a rig.toml for the machine as its owner has it; for tum and parquet a recording",
+        help="calibration.json, or a rig.toml for the nominal machine; for tum and parquet a recording",
     )
     parser.add_argument(
         "--format",
         choices=FORMATS,
         required=True,
         help="genhexkins: HAL settings of LinuxCNC; "
-        "urdf, sdf: for simulators, a hexapod's URDF as a tree; linuxcnc-comp: what goes on top of "
+        "urdf, sdf: for simulators, a hexapod's URDF as a tree; linuxcnc-comp: the correction on top of "
         "genhexkins, a file for each joint "
-        "in the folder OUT; grid: a CSV of what is to be added to the owner's model; camera-info, opencv: "
+        "in the folder OUT; grid: a CSV of corrections to the nominal model; camera-info, opencv: "
         "lenses of a rig.toml, a "
         "YAML file for each camera in the folder OUT; tum, parquet: the poses, or all tables, of a recording "
         "or of what "
@@ -102,7 +102,7 @@ def _require_out(arguments: Namespace) -> None:
     kind, is_design, nowhere = arguments.format, arguments.machine.suffix == ".toml", arguments.out is None
     if arguments.json and nowhere:
         raise RigError(
-            "--json says what was written: name a file or a folder with --out; without it what is exported "
+            "--json reports what was written: name a file or a folder with --out; without it the export "
             "is printed itself"
         )
     if kind in ("linuxcnc-comp", "grid") and (is_design or nowhere):

@@ -37,9 +37,9 @@ def arguments(parser: ArgumentParser) -> None:
         "--pose", metavar="X,Y,Z,RX,RY,RZ", required=True, help="platform in base: m, and a rotation vector in rad"
     )
     parser.add_argument(
-        "--uncorrected", action="store_true", help="command what the owner's model says, for comparison"
+        "--uncorrected", action="store_true", help="command what the nominal model says, for comparison"
     )
-    parser.add_argument("--dry-run", action="store_true", help="say what would be commanded, and move nothing")
+    parser.add_argument("--dry-run", action="store_true", help="print what would be commanded, and move nothing")
     add_speed_option(parser, 1.0)
     add_trust_option(parser)
     input_file_options.add_effects_option(parser)
@@ -77,7 +77,7 @@ def _print_plan(move: PoseMove) -> None:
     """Print the lengths to command."""
     from rig.cli.shared.run_display_and_controller_status import lengths_text
 
-    print(f"to command: {lengths_text(move.lengths)}, which is {lengths_text(move.off_nominal)} off the owner's model")
+    print(f"to command: {lengths_text(move.lengths)}, which is {lengths_text(move.off_nominal)} off the nominal model")
 
 
 def _print_remainder(move: PoseMove) -> None:
@@ -92,7 +92,7 @@ def _print_remainder(move: PoseMove) -> None:
 
 
 def parse_pose(text: str) -> RigidTransform:
-    """Parse a pose, six numbers joined by commas, m and rad, as RigidTransform. Raises RigError for anything else."""
+    """Parse a pose, six numbers split by commas, m and rad, as RigidTransform. Raises RigError for anything else."""
     import numpy as np
 
     from rig.formats.checked_entries import LARGEST_RIG
@@ -103,7 +103,7 @@ def parse_pose(text: str) -> RigidTransform:
     except ValueError:
         values = np.zeros(0)
     if values.shape != (6,) or not np.isfinite(values).all():
-        raise RigError(f"--pose takes six figures joined by commas, x,y,z (m) and rx,ry,rz (rad), got {text!r}")
+        raise RigError(f"--pose takes six figures separated by commas, x,y,z (m) and rx,ry,rz (rad), got {text!r}")
     if np.abs(values[:3]).max() > LARGEST_RIG:
         raise RigError(
             f"--pose {text}: {np.abs(values[:3]).max():g} m is implausible: poses are in metres and radians "

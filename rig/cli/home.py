@@ -1,4 +1,4 @@
-"""rig home: home all struts and print where they stand."""
+"""rig home: home all struts and print their positions."""
 
 from argparse import ArgumentParser, Namespace
 
@@ -12,7 +12,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Home all struts and say where they stand."""
+    """Home all struts and print their positions."""
     from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.driver_session import design_with_controller_port, open_driver
 

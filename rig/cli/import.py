@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rig.recording.recording_folder import Recording
 
 TABLES = {
-    "commands": "table of what was commanded: time, lengths or angles",
+    "commands": "table of the commands: time, lengths or angles",
     "poses": "table of measured poses",
     "sensors": "log of sensors",
     "frames": "table of the images' times: frame or image, time",
@@ -30,7 +30,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         help="folders of images: a folder per camera, or the camera in the names",
     )
-    parser.add_argument("--rig", metavar="rig.toml", type=Path, help="the rig as you believe it")
+    parser.add_argument("--rig", metavar="rig.toml", type=Path, help="the rig as assumed")
     for name, text in TABLES.items():
         parser.add_argument(f"--{name}", metavar="FILE.csv", type=Path, help=text)
     parser.add_argument(
@@ -60,20 +60,18 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "repeated (docs/check.md)",
     )
     parser.add_argument(
-        "--recipe", metavar="FILE.toml", type=Path, help="do again what an import wrote beside its result"
+        "--recipe", metavar="FILE.toml", type=Path, help="repeat an import by the recipe next to its result"
     )
     parser.add_argument(
-        "--out", metavar="REC", type=Path, required=True, help="the recording; REC.import.toml beside it is the recipe"
+        "--out", metavar="REC", type=Path, required=True, help="the recording; REC.import.toml next to it is the recipe"
     )
-    parser.add_argument(
-        "--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used"
-    )
+    parser.add_argument("--skip-unreadable", action="store_true", help="exclude, and list, unusable images")
     add_overwrite_option(parser)
     add_json_result_option(parser)
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Make a recording out of foreign files, say what was assumed, and keep it as a recipe."""
+    """Make a recording from foreign files, print what was assumed, and save it as a recipe."""
     from rig.checks.recording_files import recording_file_mistakes
     from rig.formats import importers
     from rig.formats.output_files import write_text
@@ -82,9 +80,9 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.recipe is not None and (
         arguments.images or arguments.rig or arguments.cameras or arguments.bag or any(given.values())
     ):
-        raise RigError("--recipe names all files itself; --set changes what it says")
+        raise RigError("--recipe names all files; --set changes its entries")
     if arguments.recipe is None and arguments.rig is None:
-        raise RigError("--rig rig.toml says what rig the files are of; `rig design` lays one out")
+        raise RigError("--rig rig.toml states the rig of the files; `rig design` lays one out")
     settings = tuple(arguments.settings)
     recipe = (
         importers.load_recipe(arguments.recipe, settings)
@@ -115,8 +113,8 @@ def run(arguments: argparse.Namespace) -> None:
         print(f"{'wrong' if remark.spoils else 'to look at'}: {remark}")
     print(
         f"written: {arguments.out}"
-        + (f"; {kept} does it again (rig import --recipe)" if arguments.recipe is None else "")
-        + f"; `rig check {arguments.out}` looks at it closely"
+        + (f"; {kept} repeats it (rig import --recipe)" if arguments.recipe is None else "")
+        + f"; `rig check {arguments.out}` checks it in detail"
     )
 
 
@@ -153,8 +151,7 @@ def _rig(arguments: argparse.Namespace, recipe: "Recipe") -> None:
 
     if recipe.images or any(getattr(recipe, name) for name in TABLES):
         raise RigError(
-            f"--out {arguments.out} is a rig.toml, which takes cameras alone; images and tables make a "
-            "folder, --out REC"
+            f"--out {arguments.out} is a rig.toml, which holds cameras only; images and tables make a folder, --out REC"
         )
     out = arguments.outputs.file(arguments.out)
     design, text, said = importers.design_with_imported_cameras(recipe)
@@ -176,7 +173,7 @@ def _loaded(folder: Path, place: Path) -> "Recording":
     try:
         return recording_folder.load_recording(folder)
     except RigError as error:
-        raise RigError(f"what was imported is no recording: {str(error).replace(str(folder), str(place))}") from None
+        raise RigError(f"what was imported is not a recording: {str(error).replace(str(folder), str(place))}") from None
 
 
 def _say(imported: "ImportedRecording") -> None:
@@ -202,6 +199,6 @@ def _say(imported: "ImportedRecording") -> None:
 
 def _say_assumed(said: tuple[str, ...]) -> None:
     if said:
-        print("assumed, as nothing says otherwise:" if len(said) > 1 else "assumed:")
+        print("assumed, as nothing states otherwise:" if len(said) > 1 else "assumed:")
     for line in said:
         print(f"  {line}")

@@ -36,8 +36,8 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--use",
         metavar="LIMBS",
-        help="of more limbs than six those that tell the pose, as m1,m2,m4,m5,m7,m8, the others being "
-        "checks; by default the six that tell it best",
+        help="of more limbs than six those that give the pose, as m1,m2,m4,m5,m7,m8, the others being "
+        "checks; by default the best-conditioned six",
     )
     parser.add_argument(
         "--out",
@@ -57,7 +57,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Hold the measuring limbs against vision, say whether they pass, save that, and learn from them where they do."""
+    """Test the measuring limbs against vision, print whether they pass, save that, and learn from them if so."""
     from calib.api.limb_acceptance_and_limb_poses import AcceptLimbsOptions, accept_limbs
     from calib.online.measuring_limbs_file import is_limbs_file
     from rig.cli.shared.measurement_and_calibration_summary import print_learning
@@ -96,10 +96,10 @@ def _print_result(result: LimbAcceptance) -> None:
     if withdrawn is not None:
         print(
             f"from frame {withdrawn.frame} on {withdrawn.reason}; limbs that change while they are held "
-            "against vision cannot stand for it"
+            "against vision cannot replace it"
         )
     print(
-        "the measuring limbs pass: their poses may stand for vision's"
+        "the measuring limbs pass: their poses may replace vision's"
         if result.passed
         else "the measuring limbs do not pass"
     )
@@ -110,7 +110,7 @@ def _print_checks(result: LimbAcceptance) -> None:
     limbs, channels = result.accepted.limbs, result.channels
     if limbs.checks is None or not len(limbs.checks.limbs):
         return
-    print(f"{', '.join(channels[i] for i in limbs.chosen)} tell the pose; what the others read less what it says, um:")
+    print(f"{', '.join(channels[i] for i in limbs.chosen)} give the pose; the others minus prediction, um:")
     print(f"{'':4}{'mean':>9}{'RMS':>9}{'expected':>10}")
     for i, e, s in zip(limbs.checks.limbs, result.check_error.T * 1e6, result.check_sigma.T * 1e6):
         print(f"{channels[i]:4}{e.mean():9.2f}{(e**2).mean() ** 0.5:9.2f}{(s**2).mean() ** 0.5:10.2f}")
@@ -121,7 +121,7 @@ def _print_agreement(found: Agreement, source: str) -> None:
     from calib.certification.measuring_limbs import AXES, MOVES
 
     print(
-        f"measuring limbs less vision ({source}), {found.n} poses, each by limbs fitted to other stretches; "
+        f"measuring limbs minus vision ({source}), {found.n} poses, each by limbs fitted to other stretches; "
         "um and urad:"
     )
     print(

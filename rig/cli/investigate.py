@@ -27,7 +27,7 @@ def arguments(parser: ArgumentParser) -> None:
         type=Path,
         required=True,
         help="recordings, diagnoses, plans, notebook.md and notebook.html, and at "
-        "the end calibration.json and certificate; a new folder, or with --resume the one to go on with",
+        "the end calibration.json and certificate; a new folder, or with --resume the one to continue",
     )
     parser.add_argument(
         "--budget", metavar="2h", type=parse_minutes, default=120.0, help="of the rig's time (default 2h)"
@@ -40,7 +40,7 @@ def arguments(parser: ArgumentParser) -> None:
         help="a simulated machine, as rig simulate --machine takes it, instead of [controller]",
     )
     who.add_argument(
-        "--by-hand", action="store_true", help="somebody does the moves: each plan is written and waited for"
+        "--by-hand", action="store_true", help="an operator makes the moves: each plan is written and awaited"
     )
     parser.add_argument(
         "--plan",
@@ -55,17 +55,17 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="N",
         type=parse_whole_number,
         default=60,
-        help="new poses by which the calibration is verified (default 60, which a certificate takes)",
+        help="new poses by which the calibration is verified (default 60, which a certificate requires)",
     )
-    parser.add_argument("--port", help="where the controller is, instead of what [controller] says")
+    parser.add_argument("--port", help="controller address, instead of the one in [controller]")
     parser.add_argument("--settle", default="time:1", metavar="HOW", help="as for rig run")
     parser.add_argument("--no-home", action="store_true", help="as for rig run")
-    parser.add_argument("--resume", action="store_true", help="go on with DIR, whatever it was interrupted by")
+    parser.add_argument("--resume", action="store_true", help="resume DIR, whatever interrupted it")
     add_json_result_option(parser)
 
 
 def run(arguments: Namespace) -> int:
-    """Plan, record, diagnose, and again, until nothing is alike or the budget ends; then calibrate, verify and
+    """Plan, record and diagnose repeatedly, until nothing is ambiguous or the budget ends; then calibrate, verify and
     certify.
     """
     from calib.api.investigate import investigate

@@ -24,13 +24,13 @@ def arguments(parser: ArgumentParser) -> None:
         help="1.. (may be repeated; by default all of them)",
     )
     where = parser.add_mutually_exclusive_group(required=True)
-    where.add_argument("--by", type=parse_number, metavar="MM", help="longer by so much")
+    where.add_argument("--by", type=parse_number, metavar="MM", help="longer by this amount")
     where.add_argument("--to", metavar="MM,MM,..", help="to these lengths, one for every strut")
     add_speed_option(parser, 0.25)
     parser.add_argument(
         "--unlock",
         action="store_true",
-        help="clear the controller's alarm first; its position is then believed with --trust only",
+        help="clear the controller's alarm first; its position is then trusted with --trust only",
     )
     add_trust_option(parser)
 
@@ -49,7 +49,7 @@ def run(arguments: Namespace) -> None:
         raise RigError(f"--strut takes 1 .. {count}, got {', '.join(map(str, struts))}")
     require_share(arguments.speed)
     if arguments.to and arguments.strut:
-        raise RigError("--to states every strut's length; leave out --strut")
+        raise RigError("--to states every strut's length; omit --strut")
     with open_driver(design, arguments.trace, print) as driver:
         if arguments.unlock:
             driver.unlock()
@@ -57,7 +57,7 @@ def run(arguments: Namespace) -> None:
             driver.trust()
         if not driver.status().known:
             raise PositionLost(
-                "where the struts stand is not known, so not how much longer they may become; home them, or say --trust"
+                "the position of the struts is not known, and so not their remaining travel; home them, or use --trust"
             )
         goal = (
             _lengths(arguments.to, count)
@@ -69,7 +69,7 @@ def run(arguments: Namespace) -> None:
 
 
 def _lengths(text: str, count: int) -> Floats:
-    """(count,) m of lengths in mm joined by commas."""
+    """(count,) m of lengths in mm separated by commas."""
     import numpy as np
 
     try:
@@ -77,5 +77,5 @@ def _lengths(text: str, count: int) -> Floats:
     except ValueError:
         values = np.zeros(0)
     if values.shape != (count,) or not np.isfinite(values).all():
-        raise RigError(f"--to takes {count} lengths in mm joined by commas, got {text!r}")
+        raise RigError(f"--to takes {count} lengths in mm separated by commas, got {text!r}")
     return values

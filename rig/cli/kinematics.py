@@ -30,7 +30,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Print what joint values give, or all joint values that give poses, step by step where asked for."""
+    """Print what joint values give, or all joint values that give poses, step by step where requested."""
     from calib.api.kinematics import load_arm_kinematics
     from rig.formats import csv_and_parquet_tables
     from rig.recording import recording_tables
@@ -76,7 +76,7 @@ def _inverse_text(tree: Json) -> list[str]:
     numeric = tree["form"].startswith("numeric")
     lines = [
         f"joint solutions: {tree['form']}"
-        + ("; those that many starts lead to, found numerically" if numeric else ", all branches in closed form")
+        + ("; found numerically from many starts" if numeric else ", all branches in closed form")
     ]
     start = "the hand of the pose" if numeric else "A at the crossing of axes 5 and 6"
     way = (
@@ -97,7 +97,7 @@ def _inverse_text(tree: Json) -> list[str]:
 
 
 def _said(one: Json) -> list[str]:
-    """What is to be said of a solution: what it leaves of the pose, singularities, limits."""
+    """Remarks on a solution: its residual pose error, singularities, limits."""
     rest = one.get("rest", [0.0] * 6)
     return (
         ([f"leaves {_pose(rest)}"] if max(map(abs, rest)) > LEAVES else [])

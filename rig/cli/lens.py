@@ -40,7 +40,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Calibrate one camera and print its block for rig.toml; what is said of it goes to the error output."""
+    """Calibrate one camera and print its block for rig.toml; remarks go to the error output."""
     import sys
     from dataclasses import replace
 
@@ -49,7 +49,7 @@ def run(arguments: Namespace) -> None:
     board = replace(parse_board(arguments.board), legacy=arguments.legacy)
     paths = _paths(arguments.images)
     if not arguments.name or not arguments.name.isprintable() or '"' in arguments.name or "\\" in arguments.name:
-        raise RigError(f"--name {arguments.name!r} is no name for a camera")
+        raise RigError(f"--name {arguments.name!r} is not a valid camera name")
     out = arguments.outputs.folder(arguments.out) if arguments.out else None
 
     from calib.report.platform_and_lens_calibration_pages import lens_verdict, write_lens_page
@@ -73,7 +73,7 @@ def run(arguments: Namespace) -> None:
     )
     for terms, line in found.models.items():
         held = f"{line.rms:9.4f} {line.held.rms:9.4f}" if line.held else f"{line.reason}"
-        print(f"{_model(terms):>22} {held}{'   <- taken' if terms == found.fit.terms else ''}", file=sys.stderr)
+        print(f"{_model(terms):>22} {held}{'   <- chosen' if terms == found.fit.terms else ''}", file=sys.stderr)
     print(
         f"projection known to {found.middle:.3f} px in the middle of the frame, {found.worst:.3f} px at "
         "worst (standard uncertainty)",

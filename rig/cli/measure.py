@@ -37,9 +37,9 @@ def arguments(parser: ArgumentParser) -> None:
         choices=("auto", "stated", "free"),
         default="auto",
         help="places of the markers on their bodies: as stated, "
-        "adjusted too, or (auto) adjusted where the stated ones contradict what is seen",
+        "adjusted too, or (auto) adjusted where the stated ones contradict the observations",
     )
-    parser.add_argument("--detect", action="store_true", help="read the images even if corners.csv is there")
+    parser.add_argument("--detect", action="store_true", help="read the images even if corners.csv exists")
     add_limb_options(parser)
     add_overwrite_option(parser)
     add_anyway_option(parser)
@@ -77,7 +77,7 @@ def run(arguments: Namespace) -> None:
 
 
 def _hold(text: str) -> tuple[str, ...]:
-    """What of the cameras stays as stated. Raises RigError for what --hold does not take"""
+    """What of the cameras remains as stated. Raises RigError for what --hold does not take"""
     held, known = {part.strip() for part in text.split(",") if part.strip()}, {"poses", "lenses"}
     if held - known:
         raise RigError(f"--hold takes 'poses' and 'lenses', not {', '.join(sorted(held - known))!r}")
@@ -85,9 +85,9 @@ def _hold(text: str) -> tuple[str, ...]:
 
 
 def _by_limbs(arguments: Namespace, recording: Recording, limbs: LimbSource, progress: Progress) -> None:
-    """Write the poses of measuring limbs, with covariance; rig.toml stays as stated, since no camera was adjusted."""
+    """Write the poses of measuring limbs, with covariance; rig.toml remains as stated, since no camera was adjusted."""
     if arguments.hold or arguments.detect or arguments.places != "auto":
-        raise RigError("--hold, --places and --detect are about cameras and what they see; leave them out with --limbs")
+        raise RigError("--hold, --places and --detect apply to cameras and what they see; omit them with --limbs")
     from calib.api.limb_acceptance_and_limb_poses import measure_poses_by_limbs
     from rig.cli.shared.measurement_and_calibration_summary import print_limb_pose_uncertainty
     from rig.recording import recording_frames

@@ -27,16 +27,16 @@ def arguments(parser: ArgumentParser) -> None:
         help="of a hexapod's circle of base joints, of planar2 half the joints' distance; with its unit",
     )
     parser.add_argument("--arm", metavar="NAME", help="in place of --radius, a shipped arm")
-    parser.add_argument("--cameras", metavar="N", help="how many look at it")
+    parser.add_argument("--cameras", metavar="N", help="how many cameras view it")
     parser.add_argument("--size", metavar="WxH", help="of their images, px")
     parser.add_argument(
-        "--defaults", action="store_true", help=f"do not ask what has a default: hexapod, {CAMERAS} cameras, {SIZE}"
+        "--defaults", action="store_true", help=f"do not ask for defaults: hexapod, {CAMERAS} cameras, {SIZE}"
     )
     add_overwrite_option(parser)
 
 
 def run(arguments: Namespace) -> None:
-    """Ask what is not given, write rig.toml, and say what to do next. Raises RigError where something must be asked and
+    """Prompt for missing values, write rig.toml, print next steps. Raises RigError where something must be asked and
     nobody is there.
     """
     from rig.formats.output_files import write_text
@@ -46,7 +46,7 @@ def run(arguments: Namespace) -> None:
     there = arguments.out.is_dir()
     place = arguments.outputs.file(out) if there else None  # refused before anything is asked
     if place is None and not arguments.out.absolute().parent.is_dir():
-        raise RigError(f"{arguments.out.parent} is no folder; make it first")
+        raise RigError(f"{arguments.out.parent} is no folder; create it first")
     if arguments.arm is not None and arguments.mechanism is None:
         arguments.mechanism = "arm"
     kind = _answer(
@@ -95,7 +95,7 @@ def _index(folder: Path) -> None:
 
 
 def _with_struts(arguments: Namespace, kind: str) -> tuple[str, str]:
-    """(text of a rig.toml of struts, what is said of it)."""
+    """(text of a rig.toml of struts, remarks on it)."""
     from rig.planning.layout import hexapod_layout_and_camera_placement
 
     question = (
@@ -111,11 +111,11 @@ def _with_struts(arguments: Namespace, kind: str) -> tuple[str, str]:
         if kind == "hexapod"
         else hexapod_layout_and_camera_placement.two_strut_layout_rig_toml
     )
-    return make(radius, cameras, width, height), f"{cameras} cameras and cubes stand where they see each other well"
+    return make(radius, cameras, width, height), f"{cameras} cameras and cubes placed for mutual visibility"
 
 
 def _answer(arguments: Namespace, name: str, question: str, default: str | None, read: Callable[[str], T]) -> T:
-    """What the option says; else the answer to the question, asked again until it can be read. Raises RigError where
+    """What the option says; else the answer to the question, repeated until it can be read. Raises RigError where
     nobody can be asked.
     """
     given = getattr(arguments, name)
@@ -128,7 +128,7 @@ def _answer(arguments: Namespace, name: str, question: str, default: str | None,
             raise RigError(f"--{name}: {error}") from None
     while True:
         if not sys.stdin.isatty():
-            raise RigError(f"nobody can be asked here: give --{name}" + (" or --defaults" if default else ""))
+            raise RigError(f"no interactive input here: give --{name}" + (" or --defaults" if default else ""))
         print(f"{question}{f' [{default}]' if default else ''}: ", end="", file=sys.stderr, flush=True)
         line = sys.stdin.readline()
         if not line:

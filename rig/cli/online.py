@@ -35,7 +35,7 @@ def arguments(parser: ArgumentParser) -> None:
         "--state",
         metavar="FILE",
         type=Path,
-        help="go on from this state where it is there, and save it after the last pose",
+        help="continue from this state if it exists, and save it after the last pose",
     )
     parser.add_argument(
         "--calibration", metavar="FILE", type=Path, help="start from this calibration, not from rig.toml"
@@ -53,21 +53,21 @@ def _add_learner_options(parser: ArgumentParser) -> None:
         "--learner",
         choices=(FILTER, *SETTINGS),
         default=FILTER,
-        help="filter (the default) names what jumped; forgetting: "
-        "least squares that forget along what is told; drifting: parameters that wander; first-order: "
+        help="filter (the default) reports sudden changes; forgetting: "
+        "least squares with directional forgetting; drifting: random-walk parameters; first-order: "
         "gradient steps, no covariance",
     )
     parser.add_argument(
         "--kept",
         type=parse_number,
         metavar="SHARE",
-        help="of forgetting: share of what was known that a pose leaves (default 0.99)",
+        help="of forgetting: share of the information that a pose retains (default 0.99)",
     )
     parser.add_argument(
         "--drift",
         type=parse_number,
         metavar="M",
-        help="of drifting: how far a parameter wanders from pose to pose (default 1e-7 m)",
+        help="of drifting: random-walk step of a parameter per pose (default 1e-7 m)",
     )
     parser.add_argument(
         "--step",
@@ -78,7 +78,7 @@ def _add_learner_options(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Learn the parameters from a recording's poses, one at a time, and say what jumped."""
+    """Learn the parameters from a recording's poses, one at a time, and print sudden changes."""
     progress = Progress()
     progress("reading the recording", 0, 1)
     limbs = limb_source(arguments)

@@ -31,25 +31,25 @@ def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("design", metavar="RIG.toml", type=Path)
     asked = parser.add_mutually_exclusive_group(required=True)
-    asked.add_argument("--for", dest="purpose", choices=("parameters",), help="what the plan is to find out")
+    asked.add_argument("--for", dest="purpose", choices=("parameters",), help="what the plan is to determine")
     asked.add_argument(
         "--separate",
         nargs=2,
         metavar=("EFFECT", "EFFECT"),
-        help="which moves tell two effects apart, each written as for "
+        help="which moves distinguish two effects, each written as for "
         "rig simulate --effect, as large as it is expected: OUT gets t,l1..l6 of the best plan",
     )
     asked.add_argument(
         "--promise",
         type=parse_length,
         metavar="20um",
-        help="the fewest and best poses after which the corrected machine keeps to so much, "
-        "RMS over its workspace; beside those --given the next best ones, in the order in which they help",
+        help="the fewest and best poses after which the corrected machine meets this error, "
+        "RMS over its workspace; besides those --given the next best ones, in order of benefit",
     )
     asked.add_argument(
         "--parts",
         metavar="PARTS",
-        help="parts of a plan as for rig simulate --plan, at whose exposures the struts stand, written as "
+        help="parts of a plan as for rig simulate --plan, at whose exposures the struts rest, written as "
         "configurations: axes:5,combined:4 goes along and about X, Y and Z, and turns while it moves along each",
     )
     parser.add_argument("--count", type=parse_whole_number, default=60, help="configurations to choose (default 60)")
@@ -60,7 +60,7 @@ def arguments(parser: ArgumentParser) -> None:
         help="smallest volume of uncertainty (default), or smallest amplification of noise",
     )
     parser.add_argument(
-        "--given", metavar="PATH", type=Path, help="what is visited already: a recording, or a table frame,l1..l6"
+        "--given", metavar="PATH", type=Path, help="visited configurations: a recording, or a table frame,l1..l6"
     )
     parser.add_argument(
         "--sigma",
@@ -75,7 +75,7 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="FILE",
         type=Path,
         help="take the geometry from here, not from RIG.toml, and "
-        "leave out configurations whose poses the corrected machine does not reach",
+        "exclude configurations whose poses the corrected machine cannot reach",
     )
     parser.add_argument(
         "--out",
@@ -103,18 +103,18 @@ def run(arguments: Namespace) -> None:
     arguments.result = made.tree()
     if page is not None:
         made.write_page(page, str(arguments.out), page_links(arguments, arguments.page))
-    kept = ", which stays as it was" if arguments.out.is_file() else ""
+    kept = ", which remains unchanged" if arguments.out.is_file() else ""
     written = f"written: {arguments.out}" if len(made.values) else f"nothing is written to {arguments.out}{kept}"
     print(written + (f"; look at {arguments.page}" if page else ""))
 
 
 def _options(arguments: Namespace, design: Design) -> PlanOptions:
-    """What is asked of a plan, by the arguments."""
+    """Settings of a plan, from the arguments."""
     from calib.api.plan_options_and_result import PlanOptions
     from calib.files import calibration_file
 
     if arguments.parts and (arguments.given or arguments.calibration):
-        raise RigError("--parts are visited as they are; --calibration and --given are for plans that are chosen")
+        raise RigError("--parts are visited as given; --calibration and --given apply to optimised plans")
     return PlanOptions(
         arguments.promise,
         tuple(arguments.separate) if arguments.separate else None,

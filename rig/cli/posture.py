@@ -44,15 +44,10 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="REC",
         type=Path,
         help="compare the postures that the arm took in this recording with the hand "
-        "there, and go back to the best along the way it came; by default with the hand as at its first exposure",
+        "there, and return to the best along the recorded path; by default with the hand as at its first exposure",
     )
     parser.add_argument(
-        "--force",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="AXIS",
-        help="x, y or z: directions of force that count",
+        "--force", nargs="+", action="extend", default=[], metavar="AXIS", help="x, y or z: force directions considered"
     )
     parser.add_argument(
         "--moment",
@@ -60,7 +55,7 @@ def arguments(parser: ArgumentParser) -> None:
         action="extend",
         default=[],
         metavar="AXIS",
-        help="x, y or z: directions of moment that count",
+        help="x, y or z: moment directions considered",
     )
     parser.add_argument(
         "--norm", choices=("2", "inf"), default="2", help="of a direction's column of the transposed Jacobian"
@@ -78,7 +73,7 @@ def arguments(parser: ArgumentParser) -> None:
         help="stop as soon as the measure exceeds this (0: as long as it is not zero)",
     )
     parser.add_argument(
-        "--hold", choices=("pose", "position", "orientation"), default="pose", help="what of the hand stays"
+        "--hold", choices=("pose", "position", "orientation"), default="pose", help="fixed part of the hand"
     )
     _add_exertion_options(parser)
     parser.add_argument(
@@ -88,7 +83,7 @@ def arguments(parser: ArgumentParser) -> None:
         "--motion",
         choices=("end", "way"),
         default="end",
-        help="take the posture when the hand has arrived, or on its way",
+        help="reach the posture after the hand has arrived, or during its motion",
     )
     parser.add_argument(
         "--speed", type=parse_number, default=0.5, metavar="RAD/S", help="of the fastest joint, for --out"
@@ -182,14 +177,14 @@ def _exertion(
 
     if arguments.exert is None:
         if arguments.draw is not None or arguments.limits is not None:
-            raise RigError("--draw and --limits say more of what --exert wants")
+            raise RigError("--draw and --limits require --exert")
         return None
     n, given = len(arm.axes), " ".join(arguments.exert).replace(",", " ").split()
     wrench = np.array(
         parse_numbers(arguments.exert, 3 if len(given) == 3 else 6, "--exert") + [0.0] * (3 if len(given) == 3 else 0)
     )
     if not wrench.any():
-        raise RigError("--exert takes a force or a moment that is not nothing")
+        raise RigError("--exert requires a nonzero force or moment")
     limits = (
         np.array(parse_numbers(arguments.limits, n, "--limits"))
         if arguments.limits
@@ -243,7 +238,7 @@ def _table(tree: Json, arguments: Namespace) -> str:
             f"{tree['joint_solutions_searched']} joint solutions were searched"
         )
     elif arguments.above is None and tree["search"] not in ("among", "solutions"):
-        lines.append("no certificate: the self-motion has more than one dimension and cannot be traced whole")
+        lines.append("no certificate: the self-motion has more than one dimension and cannot be traced completely")
     lines += (
         _exertion_lines(tree["exert"], tuple("Nm" if unit == "rad" else "N" for unit in units))
         if "exert" in tree
@@ -263,12 +258,10 @@ def _how(tree: Json) -> str:
         return (
             f"the best of {tree['compared']} postures visited in {tree['recording']} is that of frame "
             f"{tree['frame']} ({values}); in "
-            f"{tree['elsewhere']} more the hand was elsewhere"
+            f"{tree['elsewhere']} more the hand pose differed"
         )
     if tree["search"] == "solutions":
-        return (
-            f"the best of {tree['joint_solutions_searched']} joint solutions of the pose: the arm has no joint to spare"
-        )
+        return f"the best of {tree['joint_solutions_searched']} joint solutions of the pose: the arm is not redundant"
     return f"found by the {tree['search']} search; from the same start: {values}"
 
 
@@ -279,13 +272,13 @@ def _exertion_lines(figures: Json, units: tuple[str, ...]) -> list[str]:
         f"{torque:.3f}{' ' + unit if mixed else ''} ({margin:+.3f})"
         for torque, margin, unit in zip(figures["torques"], figures["margin"], units)
     )
-    held = ", own weight held" if figures["weight_counted"] else " (the weight of the links is not stated)"
-    out = [f"torques that exert it{held}, and what is left to the limits{'' if mixed else ', ' + units[0]}: {cells}"]
+    held = ", link weight included" if figures["weight_counted"] else " (the weight of the links is not stated)"
+    out = [f"torques that exert it{held}, and margin to the limits{'' if mixed else ', ' + units[0]}: {cells}"]
     if figures["greatest"] is None:
         return [*out, f"joint {figures['tightest_joint']} cannot even hold the arm's own weight here"]
     multiple, joint = figures["greatest_multiple"], figures["tightest_joint"]
     out.append(
-        f"at most {multiple:.4g} times what is wanted"
+        f"at most {multiple:.4g} times the wanted wrench"
         + (
             ""
             if multiple >= 1

@@ -18,7 +18,7 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="FILE",
         type=file_or_stdout,
         required=True,
-        help="a PDF: the sheets of every cube, then how to put them together and where they stand",
+        help="a PDF: the sheets of every cube, then their assembly and their placement",
     )
     parser.add_argument(
         "--paper",
@@ -39,7 +39,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Write the sheets, and the bodies where they are asked for."""
+    """Write the sheets, and the bodies where requested."""
     from rig.formats.rig_toml import design_file
 
     require_matplotlib("sheets to print")

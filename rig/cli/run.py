@@ -24,7 +24,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--plan",
         required=True,
-        help="as for rig simulate, of parts at whose exposures the struts stand: "
+        help="as for rig simulate, of parts at whose exposures the struts rest: "
         "sobol:40,ladder,repeat:20, or commands:FILE (frame,l1..l6 as rig correct and rig plan --for write it)",
     )
     parser.add_argument("--seed", type=parse_whole_number, default=SEED, help="of the plan")
@@ -33,19 +33,19 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="REC",
         type=Path,
         required=True,
-        help="the recording; a new folder, or with --resume the one to go on with",
+        help="the recording; a new folder, or with --resume the one to continue",
     )
-    parser.add_argument("--resume", action="store_true", help="go on with REC from where the struts stand")
+    parser.add_argument("--resume", action="store_true", help="resume REC from the current strut positions")
     parser.add_argument(
-        "--dry-run", action="store_true", help="check the plan, say what would be done, and move nothing"
+        "--dry-run", action="store_true", help="check the plan, print what would be done, and move nothing"
     )
-    parser.add_argument("--no-home", action="store_true", help="believe the position that the controller reads")
+    parser.add_argument("--no-home", action="store_true", help="trust the position that the controller reports")
     parser.add_argument(
         "--settle",
         default="time:1",
         metavar="HOW",
         help="time:SECONDS, images (until they no longer change) or limbs:METRES "
-        "(until measuring limbs agree so well); default time:1",
+        "(until measuring limbs agree to this); default time:1",
     )
     parser.add_argument(
         "--exposure",
@@ -53,16 +53,16 @@ def arguments(parser: ArgumentParser) -> None:
         help='of all cameras; by default so that markers are bright and do not clip; "keep" leaves them as they are',
     )
     parser.add_argument(
-        "--calibration", metavar="FILE", type=Path, help="what poses are expected, and held against for drift"
+        "--calibration", metavar="FILE", type=Path, help="predicts the poses, which are tested for drift"
     )
     parser.add_argument(
-        "--tolerance", nargs=2, type=parse_number, metavar=("M", "RAD"), help="drift from the calibration that is said"
+        "--tolerance", nargs=2, type=parse_number, metavar=("M", "RAD"), help="reported drift from the calibration"
     )
     parser.add_argument(
         "--stop-on",
         default="",
         metavar="WHAT,..",
-        help=f"end the run on {', '.join(KINDS)}; by default they are only said",
+        help=f"end the run on {', '.join(KINDS)}; by default they are only reported",
     )
     parser.add_argument("--no-measure", action="store_true", help="take images only")
     add_limb_options(parser)
@@ -90,7 +90,7 @@ def run(arguments: Namespace) -> None:
 
     out = arguments.out
     frames = planned.carry_out(out, partial(run_displays, arguments.page), print)
-    print(f"{frames} frames in {out}; rig measure {out} --out DIR measures them all together")
+    print(f"{frames} frames in {out}; rig measure {out} --out DIR measures them all jointly")
 
 
 def _options(arguments: Namespace) -> RunOptions:
@@ -100,7 +100,7 @@ def _options(arguments: Namespace) -> RunOptions:
 
     exposure, known = arguments.exposure, arguments.calibration
     if arguments.tolerance and (min(arguments.tolerance) <= 0 or not known):
-        raise RigError("--tolerance takes two positive numbers, and a --calibration to hold the poses against")
+        raise RigError("--tolerance takes two positive numbers, and a --calibration to compare the poses with")
     return RunOptions(
         arguments.seed,
         arguments.settle,
@@ -129,7 +129,7 @@ def _seconds(text: str) -> float:
 
 
 def _print_plan(planned: PlannedRun) -> None:
-    """Check the whole plan from home and say what it would do."""
+    """Check the whole plan from home and print what it would do."""
     import numpy as np
 
     from rig.cli.shared.run_display_and_controller_status import lengths_text

@@ -36,8 +36,8 @@ def arguments(parser: ArgumentParser) -> None:
         dest="source",
         metavar="DIR",
         type=Path,
-        help="draw a diagnosed recording anew instead: DIR is what rig diagnose "
-        "wrote; OUT gets two recordings, with/ and without/ the physics that was found",
+        help="simulate a diagnosed recording instead: DIR is what rig diagnose "
+        "wrote; OUT gets two recordings, with/ and without/ the identified effects",
     )
     parser.add_argument(
         "--plan",
@@ -53,7 +53,7 @@ def arguments(parser: ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME:PLACE:PARAMETER=VALUE,..",
-        help="left-out physics; may be repeated",
+        help="unmodelled effect; may be repeated",
     )
     input_file_options.add_effects_option(parser)
     parser.add_argument(
@@ -79,7 +79,7 @@ def arguments(parser: ArgumentParser) -> None:
         "--sensors",
         metavar="FILE",
         type=Path,
-        help="sensors.csv of temperatures and payload as they are, in place of drawn ones",
+        help="sensors.csv of temperatures and payload, in place of simulated ones",
     )
     parser.add_argument("--out", metavar="REC", type=Path, required=True)
     parser.add_argument("--truth", metavar="FILE", type=Path, help="write the truth here (JSON)")
@@ -106,7 +106,7 @@ def run(arguments: Namespace) -> None:
     if arguments.source is not None:
         return _again(arguments)
     if arguments.design is None:
-        raise RigError("simulating takes a RIG.toml, or --from with the folder of a diagnosis")
+        raise RigError("simulating requires a RIG.toml, or --from with the folder of a diagnosis")
     from synthetic.api import simulate
 
     _protect_inputs(arguments)
@@ -155,8 +155,7 @@ def _again(arguments: Namespace) -> None:
     """Draw a diagnosed recording anew, with and without what was found."""
     if arguments.design is not None or arguments.machine or arguments.effect or arguments.sensors:
         raise RigError(
-            "--from brings its own rig, machine, effects and sensors; leave out RIG.toml, --machine, "
-            "--effect and --sensors"
+            "--from has its own rig, machine, effects and sensors; omit RIG.toml, --machine, --effect and --sensors"
         )
     from synthetic.api import simulate_with_and_without_findings
 

@@ -12,7 +12,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Say what the controller says; nothing moves."""
+    """Print the status of the controller; nothing moves."""
     from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.driver_session import design_with_controller_port, open_driver
 

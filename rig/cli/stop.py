@@ -13,7 +13,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Stop the struts, and whatever process moves them; its run can be resumed."""
+    """Stop the struts, and any process that moves them; its run can be resumed."""
     from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.clock import SystemClock
     from rig.driving.controller_lock import stop_lock_holder

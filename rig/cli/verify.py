@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    parser.epilog = "Ends with 0 where the verdict is good or check, with 3 where it is bad: the claim is NOT kept."
+    parser.epilog = "Exit status 0 if the verdict is good or check, 3 if it is bad: the claim is NOT kept."
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     add_recording_argument(parser)
     add_json_option(parser)
     add_page_option(parser)
     input_file_options.add_effects_option(parser)
     parser.add_argument(
-        "--wanted", metavar="FILE", type=Path, help="poses that the recording's frames, in order, were meant to take"
+        "--wanted", metavar="FILE", type=Path, help="poses that the recording's frames, in order, were intended to take"
     )
 
 
@@ -81,7 +81,7 @@ def _print_result(result: VerificationResult) -> None:
         print_held_out_errors(shown.held, f"{len(shown.samples)} poses from {result.sampled.source}")
         if shown.found is not None and shown.found.parts:
             print(
-                "an error of the machine would have been noticed from "
+                "a machine error would have been detected from "
                 + " and ".join(
                     f"{part.noticed * 1e3:.4f} {'mm' if name == 'position' else 'mrad'} RMS on"
                     for name, part in shown.found.parts.items()
@@ -97,12 +97,12 @@ def _print_result(result: VerificationResult) -> None:
                 f" and {figures.rotation[0] / stated[1]:.2f}",
             )
         print(
-            f"{figures.n} poses as measured, against the poses wanted: position "
+            f"{figures.n} measured poses, against the wanted poses: position "
             f"{figures.position[0] * 1e3:.4f} mm RMS, "
             f"{figures.position[2] * 1e3:.4f} max{turned[0]}"
         )
         print(
-            "stated standard uncertainty of that, calibration and measurement together: "
+            "stated standard uncertainty of that, calibration and measurement combined: "
             f"{stated[0] * 1e3:.4f} mm{turned[1]}: "
             f"the error is {figures.position[0] / stated[0]:.2f}{turned[2]} times it"
         )

@@ -16,7 +16,7 @@ def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recording_argument(parser)
     shown = parser.add_mutually_exclusive_group(required=True)
-    shown.add_argument("--frame", type=parse_whole_number, help="draw what was read in this frame")
+    shown.add_argument("--frame", type=parse_whole_number, help="draw the detections of this frame")
     shown.add_argument(
         "--page",
         metavar="FILE",
@@ -31,14 +31,14 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="FILE",
         type=file_or_stdout,
         help="for --frame, a picture, written here; without it one named after the "
-        "recording is written in the folder where you are, and shown",
+        "recording is written in the current folder, and shown",
     )
     add_overwrite_option(parser)
     parser.add_argument(
         "--enlarge",
         type=parse_number,
         default=200.0,
-        help="for --frame, how much longer than they are residuals are drawn (default 200)",
+        help="for --frame, enlargement of the drawn residuals (default 200)",
     )
     parser.add_argument(
         "--effect",
@@ -46,7 +46,7 @@ def arguments(parser: ArgumentParser) -> None:
         action="append",
         default=[],
         help="for --page, what this effect would do to the poses, at "
-        "several sizes; as for rig simulate; may be given again",
+        "several sizes; as for rig simulate; may be repeated",
     )
 
 
@@ -81,7 +81,7 @@ def _frame(arguments: Namespace) -> None:
     arguments.outputs.finish()
     print(f"written: {shown}")
     if arguments.out is None and not webbrowser.open(shown.resolve().as_uri()):
-        print("there is no program here to show it; open the file yourself")
+        print("there is no program here to display it; open the file manually")
 
 
 def _page(arguments: Namespace) -> None:

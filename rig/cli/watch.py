@@ -27,19 +27,19 @@ def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     parser.add_argument(
-        "visits", metavar="VISIT", type=Path, nargs="*", help="small recordings, in the order in which they were taken"
+        "visits", metavar="VISIT", type=Path, nargs="*", help="small recordings, in chronological order"
     )
     parser.add_argument(
         "--history",
         metavar="FILE",
         type=Path,
-        help="go on from the visits kept there where the file is there, and keep these too",
+        help="continue from the visits stored there if the file exists, and add these",
     )
     add_json_option(parser)
-    parser.add_argument("--skip-unreadable", action="store_true", help="leave out images that cannot be used")
-    parser.add_argument("--plan", action="store_true", help="choose what a visit visits, instead of looking at visits")
+    parser.add_argument("--skip-unreadable", action="store_true", help="exclude unusable images")
+    parser.add_argument("--plan", action="store_true", help="choose the poses of a visit, instead of evaluating visits")
     parser.add_argument(
-        "--rig", metavar="RIG.toml", type=Path, help="for --plan: whose platform and gravity tell what a load does"
+        "--rig", metavar="RIG.toml", type=Path, help="for --plan: whose platform and gravity set the effect of a load"
     )
     parser.add_argument(
         "--count", type=parse_whole_number, default=POSES, help=f"for --plan: poses of a visit (default {POSES})"
@@ -55,7 +55,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Choose a visit's poses, or hold visits against a calibration and say what changed; 3 where the verdict is bad."""
+    """Choose a visit's poses, or compare visits with a calibration and print changes; 3 where the verdict is bad."""
     if arguments.plan:
         if arguments.visits or arguments.history or arguments.page or arguments.out is None:
             raise RigError("--plan takes --out FILE, and neither visits nor a --history nor a --page")
@@ -64,10 +64,7 @@ def run(arguments: Namespace) -> int:
     if arguments.out is not None or arguments.rig is not None:
         raise RigError("--out and --rig are for --plan")
     if not arguments.visits:
-        raise RigError(
-            "name the visits, recordings in the order in which they were taken; or --plan, for the poses "
-            "that one visits"
-        )
+        raise RigError("name the visits, recordings in chronological order; or --plan, for the poses that one visits")
     return _watch(arguments)
 
 
@@ -126,7 +123,7 @@ def _plan(arguments: Namespace) -> None:
     print(
         f"{arguments.count} poses; a pose measured to {SIGMAS[0] * 1e6:g} um and {SIGMAS[1] * 1e6:g} urad, "
         "one visit knows, all "
-        "other changes allowed for (k=1; beside it as many poses evenly spread):"
+        "other changes allowed for (k=1; next to it as many evenly spread poses):"
     )
     for name, sigma, even, unit in chosen.expected_accuracy():
         print(f"  {name:24} {sigma:9.3g} {even:9.3g} {unit}")

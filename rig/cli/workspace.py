@@ -14,14 +14,13 @@ def arguments(parser: ArgumentParser) -> None:
         "--certificate",
         metavar="FILE",
         type=Path,
-        help="certificate.json of this calibration: what it promises stands beside the "
-        "bound in the cells of its volume",
+        help="certificate.json of this calibration: its promise is listed next to the bound in the cells of its volume",
     )
     parser.add_argument(
         "--out",
         metavar="DIR",
         type=Path,
-        help="a folder for workspace.json, workspace.csv (a line a cell) and workspace.html",
+        help="a folder for workspace.json, workspace.csv (one line per cell) and workspace.html",
     )
     add_overwrite_option(parser)
     add_json_result_option(parser)

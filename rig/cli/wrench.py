@@ -37,7 +37,7 @@ def arguments(parser: ArgumentParser) -> None:
         nargs=2,
         type=parse_number,
         metavar=("N", "NM"),
-        help="by how much force and moment wander in a second (standard deviation); by default as is likeliest",
+        help="random-walk rate of force and moment per second (standard deviation); by default the likeliest",
     )
     parser.add_argument(
         "--out", metavar="FILE", type=file_or_stdout, help="wrench.csv: both estimates with their covariance, in time"
@@ -47,7 +47,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Estimate the wrench by a momentum observer, and by the plain pseudo-inverse beside it; say both."""
+    """Estimate the wrench by a momentum observer, and by the pseudo-inverse for comparison; print both."""
     from rig.planning.layout import shipped_arm_layout
     from rig.posture.external_wrench import WrenchOptions, measure_wrench
 
@@ -76,7 +76,7 @@ def _print_result(result: WrenchResult) -> None:
     print(
         f"{len(record.motion.t)} readings over {record.motion.t[-1]:.2f} s, "
         f"{'motor currents' if record.current else 'torques'}, speeds "
-        f"{'as read' if record.motion.measured else 'worked out of angles'}; weight and motion taken off; in "
+        f"{'as read' if record.motion.measured else 'derived from angles'}; weight and motion subtracted; in "
         "the axes of poses, N and Nm:"
     )
     print(f"{'':4}{'mean':>10}{'largest':>10}{'+- (k=2)':>10}{'plain mean':>12}{'+- (k=2)':>10}")
@@ -93,11 +93,11 @@ def _print_result(result: WrenchResult) -> None:
     print(
         f"the wrench wanders by {result.rates[0]:.3g} N and {result.rates[3]:.3g} Nm in a second, "
         f"{'as is likeliest' if result.likeliest else 'as stated'}; readings are "
-        f"{result.observed.innovation:.3f} of what the observer expects (1 where nothing is left out)"
+        f"{result.observed.innovation:.3f} of what the observer expects (1 if the model is complete)"
     )
     blind = int(np.isnan(plain[2]).sum())
     if blind:
         print(
-            f"{blind} postures do not feel every wrench: the pseudo-inverse says nothing there, the observer "
-            "goes on from what it knows"
+            f"{blind} postures cannot sense every wrench: the pseudo-inverse is undetermined there, the observer "
+            "continues from its last estimate"
         )

@@ -86,12 +86,12 @@ def user_cache_folder(reason: str) -> Path:
     folder = Path(tempfile.gettempdir()) / f"rig-kernels-{os.getuid()}"
     try:
         folder.mkdir(mode=0o700)
-        _print_note(f"what is compiled is kept in {folder}: {reason}, and {home} {why}")
+        _print_note(f"compiled code is kept in {folder}: {reason}, and {home} {why}")
     except FileExistsError:
         there = folder.lstat()
         if not stat.S_ISDIR(there.st_mode) or there.st_uid != os.getuid() or there.st_mode & 0o077:
             folder = Path(tempfile.mkdtemp(prefix="rig-kernels-"))
-            _print_note(f"what is compiled is kept in {folder}, for this run: NUMBA_CACHE_DIR names a place to keep it")
+            _print_note(f"compiled code is kept in {folder}, for this run: NUMBA_CACHE_DIR names a permanent folder")
     return folder
 
 

@@ -68,7 +68,7 @@ class Cluster:
         return out
 
     def _result(self, future: "Future[list[R]]") -> list[R]:
-        """What comes of a part. What the work raises is raised as it is, and not said of the cluster."""
+        """Result of a part. What the work raises is raised unchanged, not attributed to the cluster."""
         from dask.distributed import KilledWorker
 
         with self._said():
@@ -101,7 +101,7 @@ class Cluster:
 
     @contextmanager
     def _said(self) -> Iterator[None]:
-        """Within it what Dask raises of the cluster itself is said in a line."""
+        """Context in which errors of Dask about the cluster are reported in one line."""
         from dask import config
         from dask.distributed import CancelledError, KilledWorker
 

@@ -34,7 +34,7 @@ _asked: int | None = None  # workers that the user asked for
 
 
 class WorkerEnded(RigError):
-    """A process at work that was ended from outside; says what that may have been."""
+    """A worker process that was killed from outside; states the possible cause."""
 
 
 @contextmanager
@@ -138,9 +138,9 @@ def process_map(
         futile = 0 if kept else futile
         if futile == ENDED:
             raise WorkerEnded(
-                f"{ENDED} processes at work were ended from outside, one after the other, as a system does "
+                f"{ENDED} worker processes were killed from outside, one after the other, as a system does "
                 "that is short of memory; "
-                "nothing of it is kept"
+                "none of its results are retained"
             )
         left = [(k, thing) for k, thing in left if k not in out]
     return [out[k] for k in range(total)]
@@ -175,7 +175,7 @@ def process_pool(
         pool.shutdown(cancel_futures=True)
         if isinstance(error, BrokenProcessPool):
             raise WorkerEnded(
-                "a process at work was ended from outside, as a system does that is short of memory; nothing "
+                "a worker process was killed from outside, as a system does that is short of memory; nothing "
                 "of it is kept"
             ) from None
         raise

@@ -5,7 +5,7 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """What tells the time and waits. Everything that waits takes one."""
+    """A clock that can wait. Everything that waits takes one."""
 
     def now(self) -> float:
         """Seconds since the epoch, never running backwards."""
@@ -30,7 +30,7 @@ class SystemClock:
 
 
 class SimulatedClock:
-    """A clock that stands still until somebody waits on it, and then has advanced. start : s"""
+    """A clock that advances only when waited on. start : s"""
 
     def __init__(self, start: float = 0.0) -> None:
         self._now = float(start)

@@ -140,7 +140,7 @@ def lock_names(port: str, usb_id: str = "") -> list[bytes]:
 
 
 def _lock_holder(name: bytes) -> LockHolder | None:
-    """The process that holds a lock, or None. Raises RigError where it does not say which it is."""
+    """The process that holds a lock, or None. Raises RigError where it does not identify itself."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as caller:
         caller.setblocking(False)
         try:
@@ -148,7 +148,7 @@ def _lock_holder(name: bytes) -> LockHolder | None:
         except ConnectionRefusedError:
             return None
         except BlockingIOError:
-            raise RigError("another process holds the controller and does not say which it is") from None
+            raise RigError("another process holds the controller and does not identify itself") from None
         return _peer(name, caller)
 
 
@@ -171,7 +171,7 @@ def _bound(name: bytes, port: str) -> socket.socket:
         time.sleep(LOOK)  # another is beginning or ending just now
     else:
         held.close()
-        raise RigError(f"another process holds the controller at {port} and does not say which it is")
+        raise RigError(f"another process holds the controller at {port} and does not identify itself")
     held.listen(WAITING)
     held.setblocking(False)
     _held.add(held)

@@ -120,7 +120,7 @@ class Link:
         end = self.clock.now() + (self.timeout if exchange.timeout is None else exchange.timeout)
         while True:
             if stoppable and self._stop.is_set():
-                raise Stopped("stopped: somebody asked for it")
+                raise Stopped("stopped on request")
             now = self.clock.now()
             for line in self._read(min(end, now + SLICE)):
                 lines.append(line)

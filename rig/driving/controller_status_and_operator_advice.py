@@ -1,4 +1,4 @@
-"""Status of the controller and a finished move, as the driver reports them; advice to the operator where nothing moves."""
+"""Status of the controller and of a finished move, and advice to the operator where nothing moves."""
 
 from dataclasses import dataclass
 
@@ -30,20 +30,20 @@ class FinishedMove:
     note: str
 
 
-TRUST = "home it (rig home), or, where the struts truly stand as they read, say --trust (rig run: --no-home)"
-ANEW = f"the controller has started anew since it was last spoken to; {TRUST}"
+TRUST = "home it (rig home), or, where the lengths reported are true, use --trust (rig run: --no-home)"
+ANEW = f"the controller has restarted since the last contact; {TRUST}"
 OUT_OF_RANGE = "is [controller] zero the length, joint centre to joint centre, at which the controller counts 0?"
 CANNOT_HOME = (
     "[controller] homing = false: this controller cannot home, so nothing was sent; an alarm is cleared with "
     "rig jog --unlock, "
-    "and its position is believed with --trust once you have seen that it is true"
+    "and its position is trusted with --trust once you have verified it"
 )
 _BY_ACTIVITY = {
     "alarm": "see what is wrong at the machine, then rig home --unlock",
     "off": "see that nobody is in the way, then rig home --unlock, which switches it on",
-    "held": "somebody held it: rig stop drops what is held, then go on",
+    "held": "it was put in hold: rig stop drops what is held, then continue",
     "homing": "wait until it is home, or rig stop",
-    "moving": "wait until it stands, or rig stop",
+    "moving": "wait until it is at rest, or rig stop",
 }
 
 

@@ -62,7 +62,7 @@ def settled_status(
     while status.activity == "moving":
         if clock.now() > end:
             driver.stop()
-            raise RigError(f"the struts still moved {timeout:g} s after connecting; they were told to stop")
+            raise RigError(f"the struts still moved {timeout:g} s after connecting; they were commanded to stop")
         clock.sleep(poll_interval)
         status = driver.status()
     if moved and status.known and status.activity == "idle" and not status.fault:

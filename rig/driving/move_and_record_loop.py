@@ -37,7 +37,7 @@ class Machine(Protocol):
         """(axes,) m, as the controller reads them."""
 
     def move(self, lengths: Floats) -> object:
-        """Go there; returns once the axes stand and were read back within tolerance. Raises MotionError otherwise."""
+        """Move there; returns once the axes rest and read back within tolerance. Raises MotionError otherwise."""
 
     def stop(self) -> object:
         """Stop the axes now."""
@@ -55,7 +55,7 @@ class RecordedFrame:
 
 
 class RunWatcher(Protocol):
-    """Who looks on: told of every row that is on disk and of every frame; may ask for a stop."""
+    """Observer: notified of every row on disk and of every frame; may request a stop."""
 
     def happened(self, row: Row) -> None:
         """A row is on disk."""
@@ -130,7 +130,7 @@ class RunOperator:
         state = progress_from_journal(self._journal.rows, self.planned)
         position = self._read()
         if homed:
-            found, there = f"the struts had to be homed; step {state.step + 1} is gone to from there", False
+            found, there = f"the struts had to be homed; step {state.step + 1} is approached from there", False
         else:
             found, there = interrupted_move_result(state, self.planned, np.array(position), self.bench.tolerance)
         goal = tuple(self.planned[state.step].goal.tolist())
@@ -140,7 +140,7 @@ class RunOperator:
         return found
 
     def remark(self, text: str) -> None:
-        """Have something that the operator is told in the journal; from any thread."""
+        """Write a message to the operator into the journal; from any thread."""
         self.write(Remark(self.now(), text))
 
     def write(self, row: Row) -> None:
@@ -159,7 +159,7 @@ class RunOperator:
         return Progress(index, 0, now.number, now.position, None, False, now.t, None)
 
     def _do(self, state: Progress) -> None:
-        """One step from where it stands: the move unless it is done, the frames that are missing."""
+        """One step from the present position: the move unless it is done, the missing frames."""
         step = self.planned[state.step]
         if step.frames and state.frames >= step.frames:
             return  # wherever the struts stand by now
@@ -220,7 +220,7 @@ class RunOperator:
         self.watcher.seen(RecordedFrame(number, index, t, goal, frames))
 
     def _end(self, error: BaseException) -> None:
-        """Stop the struts, say why in the journal, and where they stand if that can be read."""
+        """Stop the struts; journal the reason, and their position if it can be read."""
         reason = str(error) or type(error).__name__
         try:
             self.bench.machine.stop()

@@ -105,7 +105,7 @@ class Readings:
 
 @dataclass(frozen=True, slots=True)
 class Remark:
-    """Something that the operator was told."""
+    """A message shown to the operator."""
 
     kind: ClassVar[str] = "remark"
     t: float

@@ -113,7 +113,7 @@ def progress_from_journal(journal_rows: list[Row], steps: tuple[Step, ...]) -> P
     Raises RigError for rows that no run of this plan leaves.
     """
     if not journal_rows or not isinstance(journal_rows[0], Began):
-        raise RigError("the journal holds no beginning of a run")
+        raise RigError("the journal contains no start of a run")
     if journal_rows[0].steps != len(steps):
         raise RigError(f"the journal is of a plan of {journal_rows[0].steps} steps, this one has {len(steps)}")
     step = frames = number = 0
@@ -156,12 +156,12 @@ def interrupted_move_result(
     goal = steps[progress.step].goal
     if progress.pending is not None:
         if near(goal):
-            return f"the move of step {progress.step} was done: the struts stand at its goal", True
+            return f"the move of step {progress.step} was done: the struts are at its goal", True
         if near(progress.pending.start):
-            return f"the move of step {progress.step} was not made: the struts stand where they were", False
+            return f"the move of step {progress.step} was not made: the struts are where they were", False
         return f"the move of step {progress.step} was broken off, {off(goal)} before its goal", False
     if near(progress.position):
-        return "the struts stand where they were left", progress.arrived
+        return "the struts are where they were left", progress.arrived
     return (
         f"the struts stand {off(progress.position)} from where they were left: somebody moved them",
         progress.arrived and near(goal),

@@ -109,17 +109,17 @@ def require_safe_path(
     except NotConverged as error:
         k = int(np.min(error.index))
         where = [f"{share[k]:.0%} along: {error}", *([OUT_OF_RANGE] if k == 0 else [])]
-        raise Unreachable("not moved: the way leaves the workspace", [k], where) from None
+        raise Unreachable("not moved: the path leaves the workspace", [k], where) from None
     least = _dexterity(poses, way, mechanism) / _dexterity(home, module.home(mechanism), mechanism)
     if least.min() < singularity_margin:
         k = int(np.argmin(least))
         raise Unreachable(
-            "not moved: the way comes too near a singularity",
+            "not moved: the path comes too near a singularity",
             [k],
             [
                 f"{share[k]:.0%} along, at lengths {way[k].round(6).tolist()} m: {least[k]:.3f} of the "
                 "Jacobian's least singular "
-                f"value at home is left, [controller] margin asks for {singularity_margin:g}"
+                f"value at home is left, [controller] margin requires {singularity_margin:g}"
             ],
         )
 

@@ -80,7 +80,7 @@ class Driver:
         self.close()
 
     def open(self, stopping: bool = False) -> ControllerStatus:
-        """Connect, and read what the controller is and where the struts stand. Raises LinkLost, NoAnswer,
+        """Connect, and read controller identity and strut positions. Raises LinkLost, NoAnswer,
         ControllerFault.
 
         stopping : the struts are stopped before anything is asked: a controller that homes may answer nothing
@@ -100,7 +100,7 @@ class Driver:
         self.link.close()
 
     def status(self) -> ControllerStatus:
-        """What the controller says now. Raises LinkLost, NoAnswer."""
+        """Status reported by the controller. Raises LinkLost, NoAnswer."""
         return self._status(self._state())
 
     def lengths(self) -> Floats:
@@ -108,7 +108,7 @@ class Driver:
         return self._lengths(self._state())
 
     def trust(self) -> None:
-        """The operator says that the lengths read back are true, after a start without homing or PositionLost. Raises
+        """The operator confirms that lengths read back are true, after a start without homing or PositionLost. Raises
         Unreachable beyond ranges.
         """
         self._asked(self._protocol.hello)
@@ -116,7 +116,7 @@ class Driver:
             self._left = straight_move_profile.require_lengths_in_range(self.lengths(), self.mechanism)
         except Unreachable as error:
             raise Unreachable(
-                "what the controller reads cannot be believed", error.index, [str(error), OUT_OF_RANGE]
+                "what the controller reports cannot be trusted", error.index, [str(error), OUT_OF_RANGE]
             ) from None
         self._known, self._homed = True, None
 
@@ -142,7 +142,7 @@ class Driver:
             lengths, home = self._lengths(state), self.controller.home
             if home is not None and np.abs(lengths - home).max() > self.controller.tolerance:
                 raise PositionLost(
-                    f"after homing the struts read {lengths.round(6).tolist()} m, [controller] home says "
+                    f"after homing the struts read {lengths.round(6).tolist()} m, [controller] home states "
                     f"{home.round(6).tolist()} m"
                 )
             self._known, self._homed, self._left = True, state.homed, lengths
@@ -199,7 +199,7 @@ class Driver:
         if not same:
             raise PositionLost(ANEW)
         if not self._known:
-            raise PositionLost(f"where the struts stand is not known; {TRUST}")
+            raise PositionLost(f"the position of the struts is not known; {TRUST}")
         lengths = self._lengths(state)
         if self._left is not None and np.abs(lengths - self._left).max() > self.controller.tolerance:
             self._known = False
@@ -218,8 +218,8 @@ class Driver:
             except LinkLost as error:
                 verdict = Verdict(None, str(error))
             if self._watch(start, target, verdict):
-                return note or ("" if verdict.accepted else f"lost reply, found done: {verdict.reason}")
-            note = f"sent again, nothing had moved: {verdict.reason}"
+                return note or ("" if verdict.accepted else f"reply lost, move completed: {verdict.reason}")
+            note = f"resent, as nothing had moved: {verdict.reason}"
             self._say(note)
         raise Stalled(f"sent {TRIES} times, and nothing moved: {verdict.reason}")
 
@@ -260,7 +260,7 @@ class Driver:
                     return False
                 raise Stalled(
                     f"the struts stand at {lengths.round(6).tolist()} m, {1e3 * off:.3f} mm from where they "
-                    "were told to go "
+                    "were commanded to go "
                     f"({state.said}){self._lately(begun)}"
                 )
             self.clock.sleep(POLL)
@@ -272,7 +272,7 @@ class Driver:
             raise PositionLost(ANEW)
 
     def _asked(self, question: Callable[[], Dialogue[T]], stoppable: bool = True, patience: float = PATIENCE) -> T:
-        """What a dialogue that moves nothing comes to, connecting anew where the connection is lost."""
+        """Result of a dialogue that moves nothing, reconnecting where the connection is lost."""
         try:
             return self.link.run(question(), stoppable)
         except LinkLost as error:
@@ -282,7 +282,7 @@ class Driver:
         self._say(f"connected anew: {self.link.run(self._protocol.hello(), stoppable)}")
         if not same:
             self._known = False
-            raise PositionLost(f"the connection was lost and the controller has started anew; {TRUST}")
+            raise PositionLost(f"the connection was lost and the controller has restarted; {TRUST}")
         return self.link.run(question(), stoppable)
 
     @contextmanager
@@ -295,12 +295,12 @@ class Driver:
                 self._halt()
             except MotionError as failed:
                 self._left = None
-                error.add_note(f"the struts could not be told to stop: {failed}")
+                error.add_note(f"the struts could not be stopped: {failed}")
                 self._say(error.__notes__[-1])
             raise
 
     def _halt(self) -> None:
-        """Stop the struts, and note where they stand."""
+        """Stop the struts, and record their position."""
         self._told_to_stop(self._asked(self._protocol.stop, stoppable=False, patience=SHORT_PATIENCE))
         state = self._state(stoppable=False)
         self._left = self._lengths(state)

@@ -66,7 +66,7 @@ def name_problem(name: str) -> str | None:
 
 @dataclass
 class Entries:
-    """A table that knows where it stands. tree : {key: value}, of a list {0: value, ..}; path : keys and indices that
+    """A table that knows its position. tree : {key: value}, of a list {0: value, ..}; path : keys and indices that
     lead to it
     places : {path: (line, column)} of the values whose place in the file is known, the path () among them"""
 
@@ -201,7 +201,7 @@ class Entries:
     def number(
         self, key: Key, default: object = REQUIRED, *, nulls: bool = False, **limits: Unpack[Limits]
     ) -> float | None:
-        """A finite number within limits; None where the default says so.
+        """A finite number within limits; None where that is the default.
         nulls : whether it may be null, and then is NaN; limits : least, most, above, unit
         """
         value = self.get(key, default)
@@ -222,7 +222,7 @@ class Entries:
     def each(
         self, key: Key, count: int, default: float | Required | None = REQUIRED, **limits: Unpack[Limits]
     ) -> Floats | None:
-        """(count,) finite numbers within limits, stated one by one or one for all; None where the default says so."""
+        """(count,) finite numbers within limits, stated one by one or one for all; None where that is the default."""
         if not isinstance(self.get(key, default), list):
             value = self.number(key, default, **limits)
             return None if value is None else np.full(count, value)

@@ -194,7 +194,7 @@ def read_parquet_cells(path: Path) -> tuple[tuple[str, ...], list[list[str]]]:
         try:
             table = parquet.read_table(file)
         except (pa.ArrowException, OSError, ValueError) as error:
-            raise FileError(path, f"is no Parquet file that can be read: {str(error).splitlines()[0]}") from None
+            raise FileError(path, f"is not a readable Parquet file: {str(error).splitlines()[0]}") from None
     if not 0 < table.num_rows <= MOST:
         raise FileError(path, f"holds {table.num_rows} rows; a table has 1 to {MOST}")
     columns: list[tuple[str, list[str]]] = []

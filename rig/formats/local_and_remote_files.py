@@ -19,7 +19,7 @@ LISTED = 64  # folders whose entries are remembered
 
 
 def is_remote(path: Path) -> bool:
-    """Whether a path stands for a remote URL."""
+    """Whether a path denotes a remote URL."""
     return _scheme(path) is not None
 
 
@@ -134,7 +134,7 @@ def _system(address: str) -> tuple[FileSystem, str]:
     try:
         return url_to_fs(address)
     except ImportError as error:
-        raise MissingLibrary(f"{address} takes one package more: {error}") from None
+        raise MissingLibrary(f"{address} requires one more package: {error}") from None
     except ValueError as error:
         from difflib import get_close_matches
 
@@ -174,7 +174,7 @@ def open_regular_file(path: Path, missing_message: str = "no such file") -> Bina
     mode = os.fstat(handle).st_mode
     if not stat.S_ISREG(mode):
         os.close(handle)
-        raise FileError(path, next((text for kind, text in KINDS if kind(mode)), "is no regular file"))
+        raise FileError(path, next((text for kind, text in KINDS if kind(mode)), "is not a regular file"))
     return os.fdopen(handle, "rb")
 
 
@@ -216,9 +216,9 @@ def read_text(path: Path, max_bytes: int = LARGEST, missing_message: str = "no s
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
-        raise FileError(path, f"is no UTF-8 text: byte {data[error.start]:#04x}", line) from None
+        raise FileError(path, f"is not UTF-8 text: byte {data[error.start]:#04x}", line) from None
     if "\0" in text:
-        raise FileError(path, "is no text: it holds a NUL byte", text[: text.index("\0")].count("\n") + 1)
+        raise FileError(path, "is not text: it contains a NUL byte", text[: text.index("\0")].count("\n") + 1)
     return text
 
 

@@ -57,12 +57,12 @@ def load_machine(
     """
     found, limbs = structured_files.load_json(path, "truth of this rig"), nominal_design.insitu
     if "effects" not in found.tree:
-        found.fail("is no truth of this rig: effects are missing", "effects")
+        found.fail("is not a truth of this rig: effects are missing", "effects")
     mechanism = _mechanism(nominal_design.mechanism, found)
     known = {entry.text("name"): entry for entry in found.tables("cameras")}
     missing = [c.name for c in nominal_design.cameras if c.name not in known]
     if missing:
-        found.fail(f"is no truth of this rig: cameras lacks {missing[0]!r}", "cameras")
+        found.fail(f"is not a truth of this rig: cameras lacks {missing[0]!r}", "cameras")
     cameras = tuple(_camera(c, known[c.name]) for c in nominal_design.cameras)
     if limbs is not None and "insitu" in found.tree:
         table = found.table("insitu")
@@ -75,7 +75,7 @@ def load_machine(
 
 
 def _mechanism(stated: Mechanism, table: Entries) -> Mechanism:
-    """The mechanism of such a file, as far as it says; the rest as stated."""
+    """The mechanism of such a file, as far as it states it; the rest as stated."""
     if has_stages(stated):
         parts = table.tables("stages")
         if len(parts) != len(stated.stages):
@@ -100,7 +100,7 @@ def _camera(camera: Camera, table: Entries) -> Camera:
         table.array("pose", (6,)),
     )
     if (np.diag(matrix)[:2] <= 0).any() or (matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]] != [0, 0, 0, 0, 1]).any():
-        table.fail(f"{table.name('matrix')} is no camera matrix: {matrix.tolist()}", "matrix")
+        table.fail(f"{table.name('matrix')} is not a camera matrix: {matrix.tolist()}", "matrix")
     return replace(camera, matrix=matrix, distortion=terms, pose=pose(vector_[:3], vector_[3:]))
 
 

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterable, Sequence
 
 LONGEST_NUMBER = 100  # characters; a float has 17 digits
-UNBOUNDED = ("nan", "inf", "infinity")  # as programs write what is no finite number
+UNBOUNDED = ("nan", "inf", "infinity")  # as programs write no finite number
 _LETTERS = re.compile(r"[-+.0-9eE]+")  # of which float() takes nothing but numbers
 _WHOLE = re.compile(r"[-+]?[0-9]+")
 

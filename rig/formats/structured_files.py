@@ -71,7 +71,7 @@ def first_repeated_key(text: str) -> tuple[str, Place] | None:
 
 def dict_without_repeated_keys(key_value_pairs: list[tuple[str, object]]) -> Json:
     """Dict of JSON key-value pairs (json's object_pairs_hook). Raises RepeatedKey for repeated keys.
-    Raises RepeatedKey for a key that is there twice.
+    Raises RepeatedKey for a key that occurs twice.
     """
     tree = dict(key_value_pairs)
     if len(tree) < len(key_value_pairs):
@@ -80,7 +80,7 @@ def dict_without_repeated_keys(key_value_pairs: list[tuple[str, object]]) -> Jso
 
 
 class RepeatedKey(ValueError):
-    """A JSON text has a table with a key that is there twice; see `first_repeated_key`."""
+    """A JSON text has a table with a key that occurs twice; see `first_repeated_key`."""
 
 
 def _json_values(text: str) -> Iterator[tuple[KeyPath, int]]:
@@ -119,7 +119,7 @@ def load_json(path: Path, file_kind: str, *schemas: str) -> Entries:
         tree = json.loads(text, object_pairs_hook=dict_without_repeated_keys)
     except RepeatedKey:
         key, place = (first_repeated_key(text) if len(text) <= LARGEST_INDEXED else None) or ("some key", (None, None))
-        raise FileError(path, f"key {short_repr(key)} is there twice in one table: which holds?", *place, key) from None
+        raise FileError(path, f"key {short_repr(key)} occurs twice in one table: which applies?", *place, key) from None
     except json.JSONDecodeError as error:
         raise FileError(path, f"not valid JSON: {error.msg} (cut off?)", error.lineno, error.colno) from None
     except RecursionError:
@@ -230,7 +230,7 @@ def _yaml_value(
         for key, inner in node.value:
             if key.value in tree:
                 raise FileError(
-                    file, f"{key.value} is there twice", key.start_mark.line + 1, key.start_mark.column + 1, key.value
+                    file, f"{key.value} occurs twice", key.start_mark.line + 1, key.start_mark.column + 1, key.value
                 )
             tree[str(key.value)] = _yaml_value(inner, (*at, str(key.value)), places, file)
         return tree

@@ -30,7 +30,7 @@ def value_positions(text: str) -> dict[tuple[str | int, ...], tuple[int, int]]:
 
 
 def _name(key: str) -> str:
-    """The name that a key stands for, quoted or bare."""
+    """The name that a key denotes, quoted or bare."""
     if "\\" in key and key[0] == '"':
         name: str = tomllib.loads(f"name = {key}")["name"]
         return name
@@ -38,7 +38,7 @@ def _name(key: str) -> str:
 
 
 class _Scanner:
-    """A recursive descent over TOML that keeps nothing but offsets."""
+    """A recursive descent over TOML that records only offsets."""
 
     def __init__(self, text: str) -> None:
         self.text, self.at = text, 0

@@ -24,9 +24,9 @@ def port_problem(port: str) -> str | None:
     """Problem with the name of a port, in words; None for a device (/dev/ttyUSB0, COM3) or an accepted URL."""
     scheme, stroke, _ = port.partition("://")
     if not port.isprintable():
-        return f"{port[:SHOWN]!r} is no port: it holds characters that cannot be printed"
+        return f"{port[:SHOWN]!r} is not a port: it contains unprintable characters"
     if stroke and scheme.lower() not in SCHEMES:
-        return f"{port[:SHOWN]!r} is no port: it is a device (/dev/ttyUSB0, COM3) or " + ", ".join(
+        return f"{port[:SHOWN]!r} is not a port: it is a device (/dev/ttyUSB0, COM3) or " + ", ".join(
             f"{name}://.." for name in SCHEMES
         )
     return None
@@ -106,7 +106,7 @@ class Instrument:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuringLimbs:
-    """Limbs beside the driving struts that measure their own length (sensors.csv, m1..mn, m) and carry nothing: six
+    """Limbs next to the driving struts that measure their own length (sensors.csv, m1..mn, m) and carry nothing: six
     tell a pose, more check it.
 
     base_joints : (n, 3) m, base frame; platform_joints : (n, 3) m, platform frame; length_sigma : m, of one reading
@@ -133,7 +133,7 @@ class MeasuringLimbs:
 
 @dataclass(frozen=True, slots=True)
 class SensorPort:
-    """Where sensors beside the struts are read. port : device, or URL socket://, rfc2217://; baudrate : bits per second
+    """Where further sensors are read. port : device, or URL socket://, rfc2217://; baudrate : bits per second
     ask : line that makes them answer, "" where they send by themselves; channels : names as in sensors.csv, in the
         order of the numbers in a line"""
 
@@ -145,7 +145,7 @@ class SensorPort:
 
 @dataclass(frozen=True, slots=True)
 class Permission:
-    """What an owner allows experiments besides moving. may : "payload" (to be asked to load the platform), "wait" (to
+    """What an owner permits experiments besides motion. may : "payload" (to be asked to load the platform), "wait" (to
     wait while temperatures change), "turn cube NAME" (to be asked to take that cube off and to put it back turned)"""
 
     may: tuple[str, ...] = ()
@@ -271,9 +271,9 @@ class Target:
 
     @property
     def seat(self) -> RigidTransform:
-        """T_body_cube as it stands now, turned about its own z. Raises ValueError for a target that is no cube."""
+        """T_body_cube at present, turned about its z axis. Raises ValueError for a target that is no cube."""
         if self.pose is None:
-            raise ValueError(f"target {self.name!r} is no cube, and has no seat")
+            raise ValueError(f"target {self.name!r} is not a cube, and has no seat")
         if not self.turned:
             return self.pose
         return self.pose * RigidTransform.from_rotation(Rotation.from_rotvec([0.0, 0.0, np.pi / 2 * self.turned]))

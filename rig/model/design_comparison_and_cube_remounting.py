@@ -36,7 +36,7 @@ def design_contradictions(a: Design, b: Design) -> list[str]:
 
 
 def same_lens(a: Camera, b: Camera) -> bool:
-    """Whether two Cameras have the same lens, sensor, shutter and mount, wherever they stand."""
+    """Whether two Cameras have the same lens, sensor, shutter and mount, wherever they are."""
     return not any(where not in ("pose", "source") for where, _ in _differences(a, b, ""))
 
 
@@ -88,11 +88,11 @@ def find_cube(text: str, targets: Sequence[Target]) -> tuple[str, str | None]:
         )
     found = targets[int(text) - 1] if numbered else targets[names.index(text)]
     if found.pose is None:
-        return "", f"target {found.name!r} is no cube, and cannot be turned on a socket"
+        return "", f"target {found.name!r} is not a cube, and cannot be turned on a socket"
     if sum(target.body == found.body for target in targets) < 2:
         return (
             "",
-            f"cube {found.name!r} is the only target of the {found.body}, and nothing else holds its frame "
+            f"cube {found.name!r} is the only target of the {found.body}, and nothing else defines its frame "
             "while it is off",
         )
     return found.name, None

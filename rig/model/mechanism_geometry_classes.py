@@ -118,7 +118,7 @@ class Hexapod(StatedMechanism):
 
     @property
     def stages(self) -> tuple["Stage", ...]:
-        """What stands on its base, one upon the other: itself alone."""
+        """The mechanisms stacked on its base: only itself."""
         return (self,)
 
     @property
@@ -176,7 +176,7 @@ class Planar2(StatedMechanism):
 
     @property
     def stages(self) -> tuple["Stage", ...]:
-        """What stands on its base, one upon the other: itself alone."""
+        """The mechanisms stacked on its base: only itself."""
         return (self,)
 
     @property
@@ -240,7 +240,7 @@ class Arm(StatedMechanism):
 
     @property
     def stages(self) -> tuple["Stage", ...]:
-        """What stands on its base, one upon the other: itself alone."""
+        """The mechanisms stacked on its base: only itself."""
         return (self,)
 
     @property
@@ -293,7 +293,7 @@ class Chain(StatedMechanism):
 
 @dataclass(frozen=True, slots=True)
 class Free(StatedMechanism):
-    """Moved by hand or by somebody else: there is nothing to command."""
+    """Moved by hand or by another machine: there is nothing to command."""
 
     kind: ClassVar[Literal["free"]] = "free"
     axes = ()

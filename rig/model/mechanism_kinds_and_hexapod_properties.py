@@ -22,7 +22,7 @@ Commanded = Hexapod | Planar2 | Arm | Chain  # what has axes
 
 
 def has_struts(mechanism: Mechanism) -> TypeIs[Struts]:
-    """Whether a mechanism stands on struts as a whole."""
+    """Whether a mechanism is driven by struts as a whole."""
     return mechanism.strut_joints is not None
 
 
@@ -47,7 +47,7 @@ def has_axes(mechanism: Mechanism) -> TypeIs[Commanded]:
 
 
 def require_hexapod(
-    mechanism: Mechanism, refusal: str = "this takes a hexapod, not a mechanism of kind {kind!r}"
+    mechanism: Mechanism, refusal: str = "this requires a hexapod, not a mechanism of kind {kind!r}"
 ) -> Hexapod:
     """The mechanism, required to be a hexapod. Raises RigError for another kind."""
     if not has_plates(mechanism):
@@ -56,7 +56,7 @@ def require_hexapod(
 
 
 def require_struts(
-    mechanism: Mechanism, refusal: str = "this takes a platform on struts, not a mechanism of kind {kind!r}"
+    mechanism: Mechanism, refusal: str = "this requires a platform on struts, not a mechanism of kind {kind!r}"
 ) -> Struts:
     """The mechanism, required to have struts (hexapod or planar). Raises RigError for another kind."""
     if not has_struts(mechanism):
@@ -64,7 +64,7 @@ def require_struts(
     return mechanism
 
 
-def require_arm(mechanism: Mechanism, refusal: str = "this takes an arm, not a mechanism of kind {kind!r}") -> Arm:
+def require_arm(mechanism: Mechanism, refusal: str = "this requires an arm, not a mechanism of kind {kind!r}") -> Arm:
     """The mechanism, required to be an arm. Raises RigError for another kind."""
     if not has_links(mechanism):
         raise RigError(refusal.format(kind=mechanism.kind))
@@ -74,7 +74,7 @@ def require_arm(mechanism: Mechanism, refusal: str = "this takes an arm, not a m
 def require_chain(mechanism: Mechanism) -> Chain:
     """The mechanism, required to be a chain of mechanisms. Raises RigError for another kind."""
     if not has_stages(mechanism):
-        raise RigError(f"this takes a chain of mechanisms, not a mechanism of kind {mechanism.kind!r}")
+        raise RigError(f"this requires a chain of mechanisms, not a mechanism of kind {mechanism.kind!r}")
     return mechanism
 
 
@@ -84,7 +84,7 @@ def target_bodies(mechanism: Mechanism) -> tuple[str, ...]:
 
 
 def require_axes(
-    mechanism: Mechanism, refusal: str = "this takes a machine with axes, not a body that is moved by hand"
+    mechanism: Mechanism, refusal: str = "this requires a machine with axes, not a body that is moved by hand"
 ) -> Commanded:
     """The mechanism, required to have axes that are commanded. Raises RigError for a free body."""
     if not has_axes(mechanism):

@@ -142,8 +142,8 @@ def simplex_configurations(strokes: Floats, shells: int = 2, fill: float = FILL)
 
 def single_axis_pose_moves(design: Design, per_axis: int = 9) -> Floats:
     """Commands (6 per_axis, 6) of pose moves along and about single axes X, Y, Z through home.
-    Raises RigError for a mechanism that is no hexapod. (on-line learning patent, [0011]-[0015]). Raises RigError
-    for a mechanism that is no hexapod.
+    Raises RigError for a mechanism that is not a hexapod. (on-line learning patent, [0011]-[0015]). Raises RigError
+    for a mechanism that is not a hexapod.
     """
     mechanism = _hexapod(design, "axes plans are for hexapods")
     return _through_home(mechanism, np.eye(6), per_axis)
@@ -152,7 +152,7 @@ def single_axis_pose_moves(design: Design, per_axis: int = 9) -> Floats:
 def translation_rotation_moves(design: Design, per_pair: int = 6) -> Floats:
     """Commands (18 per_pair, 6) of moves that combine a translation and a rotation through home.
 
-    Raises RigError for a mechanism that is no hexapod
+    Raises RigError for a mechanism that is not a hexapod
     """
     mechanism = _hexapod(design, "combined plans are for hexapods")
     alone = np.diag(_reach(mechanism, np.eye(6)))
@@ -164,7 +164,7 @@ def translation_rotation_moves(design: Design, per_pair: int = 6) -> Floats:
 
 
 def _hexapod(design: Design, what: str) -> Hexapod:
-    """A design's mechanism. Raises RigError for one that is no hexapod, of which `what` says the rest."""
+    """A design's mechanism. Raises RigError for one that is not a hexapod, of which `what` says the rest."""
     return require_hexapod(design.mechanism, f"{what}, not for a mechanism of kind {{kind!r}}")
 
 
@@ -194,9 +194,9 @@ def _reach(mechanism: Hexapod, ways: Floats) -> Floats:
 
 def iso9283_test_commands(design: Design) -> Floats:
     """Commands (5, 6) of the test poses P1 to P5 of ISO 9283. Raises RigError.
-    Raises RigError for a mechanism that is no hexapod. diagonals of a plane through four of its corners, a tenth of
+    Raises RigError for a mechanism that is not a hexapod. diagonals of a plane through four of its corners, a tenth of
     the diagonal from each.
-    Raises RigError for a mechanism that is no hexapod.
+    Raises RigError for a mechanism that is not a hexapod.
     """
     mechanism = _hexapod(design, "ISO 9283's poses are planned for hexapods")
     corners = np.pad(list(product((-1.0, 1.0), repeat=3)), ((0, 0), (0, 3)))

@@ -1,6 +1,6 @@
 """Plan of a recording: which configurations to visit, in which order, for how long, with what payload.
 
-A plan is written as parts joined by commas, each NAME or NAME:COUNT: sobol:100,ladder,moving:60 visits a hundred
+A plan is written as parts separated by commas, each NAME or NAME:COUNT: sobol:100,ladder,moving:60 visits a hundred
 low-discrepancy configurations, then a ladder of reversals, then exposes sixty times while moving.
 """
 
@@ -247,7 +247,7 @@ def _wait(writer: PlanWriter, design: Design, minutes: int, rng: np.random.Gener
 
 
 def _repeat(writer: PlanWriter, design: Design, count: int, rng: np.random.Generator) -> None:
-    """Three configurations approached again and again from everywhere, by every axis as often from below as from above:
+    """Three configurations approached repeatedly from all directions, by every axis as often from below as from above:
     what repeatability is.
     """
     strokes = axis_strokes(design)
@@ -281,7 +281,7 @@ def _iso9283(writer: PlanWriter, design: Design, cycles: int, rng: np.random.Gen
 def _commands(writer: PlanWriter, design: Design, file: str, rng: np.random.Generator) -> None:
     rows = csv_and_parquet_tables.read(Path(file), ("frame", *design.mechanism.axes))
     if "t" in rows.columns:
-        raise FileError(file, "is in time (it has a column t), so it is a plan by itself and no part of one")
+        raise FileError(file, "is in time (it has a column t), so it is a complete plan, not part of one")
     for goal in require_commands_in_range(rows, design):
         writer.settle(goal)
 

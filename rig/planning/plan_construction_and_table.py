@@ -61,7 +61,7 @@ class PlanWriter:
         self.speed, self.approach = speed, approach
 
     def go(self, goal: Floats) -> None:
-        """Go there as fast as the plan goes (axes,) m or rad."""
+        """Move there at the speed of the plan (axes,) m or rad."""
         seconds = float((np.abs(goal - self.values[-1]) / self.speed).max())
         if seconds > 0:
             self.t.append(self.t[-1] + max(seconds, STEP))

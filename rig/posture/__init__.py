@@ -1,1 +1,1 @@
-"""Postures of redundant arms for feeling and making force: measures, searches in the null space, wrenches, motions."""
+"""Postures of redundant arms to sense and exert force: measures, searches in the null space, wrenches, motions."""

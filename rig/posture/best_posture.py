@@ -34,7 +34,7 @@ Objective = TransmissionObjective | ExertionObjective
 class PostureOptions:
     """T_base_hand : where the hand is (None: where it was at a recording's first exposure); objective : what to
     maximise; exertion : a wrench to exert, which is maximised where the objective names no direction, or None
-    above : measure from which a posture will do, or None; fixed : what of the hand stays, "pose", "position" or
+    above : measure from which a posture will do, or None; fixed : fixed part of the hand, "pose", "position" or
     "orientation"; start : (n,) rad and m of the joints now, None for a solution of the pose; on_the_way : whether the
     posture is taken while the hand moves, not once it has arrived; speed : rad/s of the fastest joint
     recording : whose postures are compared in place of a search, or None
@@ -57,11 +57,11 @@ class PostureOptions:
             raise RigError(f"--speed must be positive rad/s, not {self.speed:g}")
         if self.recording is not None and (self.start is not None or self.above is not None or self.on_the_way):
             raise RigError(
-                "--among goes back to a posture from where the recording ends; --from, --above and --motion are "
+                "--among returns to a posture from the end of the recording; --from, --above and --motion are "
                 "for searches"
             )
         if self.recording is None and self.T_base_hand is None:
-            raise RigError("--pose says where the hand is; without it, --among names a recording")
+            raise RigError("--pose states the hand pose; without it, --among names a recording")
 
     @property
     def maximised(self) -> Objective:
@@ -149,7 +149,7 @@ def _best_searched(arm: Arm, options: PostureOptions) -> PostureResult:
     arrived = now is not None and np.abs(pose_difference(mechanism.forward(now, arm), wanted)).max() < 1e-6
     if now is not None and not arrived and not options.on_the_way:
         raise RigError(
-            "--from has the hand elsewhere than --pose: bring it there first, or take the posture on the way "
+            "--from has another hand pose than --pose: bring it there first, or take the posture on the way "
             "(--motion way)"
         )
     first = now if now is not None and arrived else mechanism.inverse(wanted, arm, now)

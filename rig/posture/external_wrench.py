@@ -132,7 +132,7 @@ def measure_wrench(arm_path: Path, torques: Path, options: WrenchOptions = Wrenc
         dynamics = replace(dynamics, torque_sigma=torque, angle_sigma=angle, speed_sigma=speed)
     links = dynamics.links
     if links is None:
-        raise RigError(f"{arm_path}: [dynamics] states no links, so that weight and motion cannot be taken off")
+        raise RigError(f"{arm_path}: [dynamics] states no links, so that weight and motion cannot be subtracted")
     sigma, angle = dynamics.need("torque_sigma", arm_path), dynamics.need("angle_sigma", arm_path)
     record = load_torque_table(torques, arm, dynamics, arm_path)
     speed = dynamics.need("speed_sigma", arm_path) if record.motion.measured else np.ones(len(arm.axes))

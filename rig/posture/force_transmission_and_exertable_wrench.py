@@ -68,7 +68,7 @@ class ExertionObjective:
 
     def __post_init__(self) -> None:
         if np.shape(self.wrench) != (6,) or not np.any(self.wrench):
-            raise ValueError(f"expected a wrench (6,) that is not nothing, got {np.asarray(self.wrench).tolist()}")
+            raise ValueError(f"expected a nonzero wrench (6,), got {np.asarray(self.wrench).tolist()}")
 
     def value(self, q: Floats, arm: Arm) -> Floats:
         """(...,) the multiple at joint values q (..., n) rad; negative, by how much of a limit, where the arm's own

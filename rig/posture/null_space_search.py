@@ -65,8 +65,8 @@ def gradient_search(
 ) -> SearchResult:
     """SearchResult of a gradient search (steepest ascent) from postures q (m, n) rad in the null space.
 
-    fixed_hand_part : "pose", "position" where the hand may turn, "orientation" where it may move; sufficient_value : a limit at
-        which it suffices to stop
+    fixed_hand_part : "pose", "position" where the hand may turn, "orientation" where it may move; sufficient_value : a
+        limit at which it suffices to stop
     Raises RigError where a start lies outside the joint limits, or where the arm has no freedom to spare
     """
     q = _starts(q, arm, fixed_hand_part)
@@ -148,7 +148,7 @@ def global_search(
     if redundant_joint_count(arm, fixed_hand_part) != 1:
         raise RigError(
             f"the self-motion has {redundant_joint_count(arm, fixed_hand_part)} dimensions; it is traced where it has "
-            "one; take the sampled search"
+            "one; use the sampled search"
         )
     start = force_transmission_and_exertable_wrench.transmission_measure(q, arm, objective)
     best, now, steps = q.copy(), start.copy(), 0
@@ -202,10 +202,11 @@ def _walk(q: Floats, arm: Arm, fixed_hand_part: str, side: float) -> Iterator[tu
 def _starts(q: Floats, arm: Arm, fixed_hand_part: str) -> Floats:
     q = np.array(q, float, ndmin=2)
     if fixed_hand_part not in FIXED_ROWS:
-        raise ValueError(f"held must be one of {', '.join(FIXED_ROWS)}, not {fixed_hand_part!r}")
+        raise ValueError(f"fixed_hand_part must be one of {', '.join(FIXED_ROWS)}, not {fixed_hand_part!r}")
     if redundant_joint_count(arm, fixed_hand_part) < 1:
         raise RigError(
-            f"{q.shape[1]} joints hold the hand's {fixed_hand_part} with none to spare: there is no other posture nearby"
+            f"{q.shape[1]} joints hold the hand's {fixed_hand_part} without redundancy: "
+            "there is no other posture nearby"
         )
     outside = np.argwhere(mechanism.limits(q, arm) != 0)
     if len(outside):

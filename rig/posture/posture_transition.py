@@ -108,12 +108,12 @@ def motion_with_straight_hand(q: Floats, goal: Floats, arm: Arm, steps: int = ST
             or np.abs(new - now).max() > 0.5
         ):
             raise RigError(
-                f"the straight way cannot be followed beyond {share[k]:.0%}: the arm is near a singularity there"
+                f"the straight path cannot be followed beyond {share[k]:.0%}: the arm is near a singularity there"
             )
         if beyond.any():
             j = int(np.abs(beyond).argmax())
             raise RigError(
-                f"the straight way leaves the limits of {mechanisms.axis_places(arm)[j]} at {share[k]:.0%} of it"
+                f"the straight path leaves the limits of {mechanisms.axis_places(arm)[j]} at {share[k]:.0%} of it"
             )
         rows.append(new[0])
     return np.vstack([rows, motion_with_hand_still(rows[-1], goal, arm)[1:]])
@@ -164,7 +164,7 @@ def best_visited_posture(
     if there.sum() < 2:
         raise RigError(
             f"{recording.folder}: {there.sum()} of {len(q)} postures have the hand's {fixed_hand_part} where it is "
-            "wanted; comparing takes two"
+            "wanted; a comparison requires two"
         )
     value = force_transmission_and_exertable_wrench.transmission_measure(q[there], arm, objective)
     best = int(value.argmax())

@@ -226,7 +226,7 @@ def load_torque_table(path: Path, arm: Arm, dynamics: ArmDynamics, source: Path)
     if len(back):
         rows.fail("time must increase from row to row", back[0] + 1, "t")
     if len(t) < WINDOW:
-        raise FileError(path, f"has {len(t)} readings; it takes at least {WINDOW}")
+        raise FileError(path, f"has {len(t)} readings; it requires at least {WINDOW}")
     beyond = np.argwhere(np.abs(mechanism.limits(q, arm)) > 0.01 * np.ptp(arm.limits, axis=1))
     if len(beyond):
         i, j = beyond[0].tolist()
@@ -262,7 +262,7 @@ def _slope(path: Path, t: Floats, values: Floats, order: int) -> Floats:
         i = int(uneven[0])
         raise RigError(
             f"{path}: readings {i + 1} and {i + 2} are {steps[i]:.6g} s apart, others {np.median(steps):.6g} "
-            "s; slopes are taken of even "
+            "s; slopes require even "
             "ones: resample it"
         )
     return scipy.signal.savgol_filter(values, WINDOW, 1 + order, deriv=order, delta=float(np.median(steps)), axis=0)
@@ -322,7 +322,7 @@ def estimate_wrench(external_torques: Floats, q: Floats, arm: Arm, covariance: F
         wrench = V.reshape(-1, *V.shape[-2:])[blind[0], -1]
         named = ", ".join(f"{name} {part:+.2f}" for name, part in zip(DIRECTIONS, wrench) if abs(part) > 0.05)
         raise RigError(
-            f"{len(blind)} of {S[..., 0].size} postures do not feel every wrench; posture {blind[0]} is "
+            f"{len(blind)} of {S[..., 0].size} postures cannot sense every wrench; posture {blind[0]} is "
             f"blind to ({named})"
         )
     inverse = np.swapaxes(V, -1, -2) @ (np.swapaxes(U, -1, -2) / S[..., None])

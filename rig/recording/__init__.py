@@ -1,1 +1,1 @@
-"""What was commanded and seen, as arrays: reading, combining, masking, provenance."""
+"""Commands and observations as arrays: reading, combining, masking, provenance."""

@@ -45,13 +45,13 @@ def require_one_rig(recordings: Sequence[Recording]) -> None:
         if (recording.commands is None) != (first.commands is None):
             lacks = recording if recording.commands is None else first
             raise RigError(
-                f"{lacks.folder} has no commands.csv, and the other has: of what is not commanded nothing of "
+                f"{lacks.folder} has no commands.csv, and the other has: without commands nothing of "
                 "the machine can be shared"
             )
         if _data(recording) != _data(first):
             raise RigError(
                 f"{first.folder} has {_data(first)} and {recording.folder} {_data(recording)}: let rig "
-                "measure make the same of both"
+                "measure process both alike"
             )
 
 

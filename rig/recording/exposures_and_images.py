@@ -52,7 +52,7 @@ def unusable_images_error(unusable: list[UnreadableImage]) -> FileError:
         [f"  and {len(unusable) - LISTED} more"] if len(unusable) > LISTED else []
     )
     first = unusable[0].problem + (
-        f"; {len(unusable)} images cannot be used (--skip-unreadable leaves them out):" if more else ""
+        f"; {len(unusable)} images cannot be used (--skip-unreadable excludes them):" if more else ""
     )
     return FileError(unusable[0].path, "\n".join([first, *more]))
 

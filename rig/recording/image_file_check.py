@@ -55,7 +55,7 @@ def open_image_file_problem(file: BinaryIO, camera: Camera | None = None, max_pi
     if head.startswith(JPEG) and b"\xff\xd9" not in tail:
         return f"is cut off after {size} bytes (a JPEG without its end)"
     if got is None:
-        return f"is no image whose size can be told; images are {FORMATS}"
+        return f"contains no image of readable size; images are {FORMATS}"
     if camera is not None and got != (camera.width, camera.height):
         return f"is {got[0]} x {got[1]} px, but camera {camera.name!r} has {camera.width} x {camera.height} px"
     if not 0 < got[0] * got[1] <= max_pixels:
@@ -119,7 +119,7 @@ def _size_of_tiff(file: BinaryIO, order: str, head: bytes) -> tuple[int, int] | 
 def image_path_problem(folder: Path, name: str) -> str | None:
     """Problem of an image's path as text, or None: it must lie in the recording's folder."""
     if not name.isprintable() or len(name) > 1000:
-        return "is no name of a file"
+        return "is not a file name"
     if local_and_remote_files.is_remote(folder):
         return (
             "lies outside the recording, whose images are in its folder"

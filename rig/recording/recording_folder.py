@@ -73,7 +73,7 @@ class Sensors:
 class Recording:
     """A whole recording; parts that the folder lacks are None. All times are s from the recording's start: its first
     command, or where nothing was commanded its first exposure; origin : of the owner's clock, to write them
-    skipped : images that cannot be used and were left out, as asked
+    skipped : images that cannot be used and were excluded, as requested
     parts : (Part, ..) where it is several recordings of one rig together (see rig.recording.combined_recordings)
     stages : {number (from 1): Poses} of a chain's stages below the last, where the folder has them"""
 
@@ -248,7 +248,7 @@ def _command_rows(path: Path, design: Design) -> Table | None:
     if not local_and_remote_files.exists(path):
         return None
     if not design.mechanism.axes:
-        raise FileError(path, 'stands beside a mechanism of kind "free", which cannot be commanded')
+        raise FileError(path, 'accompanies a mechanism of kind "free", which cannot be commanded')
     return csv_and_parquet_tables.read(path, ("t", *design.mechanism.axes))
 
 
@@ -327,7 +327,7 @@ def _covers(rows: Table, t: Floats, exposures: Exposures, origin: TimeOrigin) ->
                 f"the log {word} at t = {origin.text(t[row])} s, but {outside.sum()} of {len(times)} frames "
                 "were exposed "
                 f"{'after it, up to' if row else 'before it, from'} {origin.text(far)} "
-                f"s{'' if row else ' on'}: values are not carried "
+                f"s{'' if row else ' on'}: values are not extended "
                 "beyond a log; is it cut off, or of another clock?",
                 row,
                 "t",

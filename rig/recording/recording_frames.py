@@ -75,7 +75,7 @@ def select_frames(recording: Recording, frames: Integers) -> Recording:
     """
     every = recording.exposures.times()[0]
     if not np.isin(every, frames).any():
-        raise NotEnoughData(f"{recording.folder} has none of the {len(frames)} frames that are asked for")
+        raise NotEnoughData(f"{recording.folder} has none of the {len(frames)} frames requested")
     return _without(recording, every[~np.isin(every, frames)])
 
 

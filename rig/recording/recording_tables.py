@@ -81,7 +81,7 @@ def _refuse(
     markers: set[int],
     exposed: set[tuple[int, str]],
 ) -> NoReturn:
-    """Raise FileError at the first corner, by (frame, camera, marker, corner), that cannot be or is there twice."""
+    """Raise FileError at the first corner, by (frame, camera, marker, corner), that cannot be or occurs twice."""
     seen: dict[Any, Any] = {}
     for i, key in enumerate(keys):
         if key[1] not in cameras:
@@ -112,7 +112,7 @@ def _corner_covariance(rows: Table) -> Floats | None:
         cuu, cuv, cvv = rows.matrix(CORNER_COVARIANCE).T
         bad = np.flatnonzero((cuu <= 0) | (cuu * cvv <= cuv**2))
         if len(bad):
-            rows.fail("cuu, cuv, cvv are no covariance: not positive definite", bad[0], "cuu")
+            rows.fail("cuu, cuv, cvv are not a covariance: not positive definite", bad[0], "cuu")
         return np.stack([np.stack([cuu, cuv], -1), np.stack([cuv, cvv], -1)], -2)
     if "sigma" not in rows.columns:
         return None
@@ -208,7 +208,7 @@ def _pose_covariance(rows: Table, commanded: bool) -> Floats | None:
         whitened = whitened + np.eye(6) * (scale == 0)[:, None]
     bad = np.flatnonzero(np.linalg.eigvalsh(whitened)[:, 0] <= 0)
     if len(bad):
-        rows.fail("c00 .. c55 are no covariance: not positive definite", bad[0], "c00")
+        rows.fail("c00 .. c55 are not a covariance: not positive definite", bad[0], "c00")
     return covariance
 
 

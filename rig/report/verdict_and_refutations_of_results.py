@@ -2,7 +2,7 @@
 
 Good needs all of it: a held-out error within AGREES of what noise and claim allow, nothing unexplained, and nothing
 stated beyond what the design of the recording supports. Bad is what was refuted: by a later recording, by an error
-beyond the claim, by the owner's own model doing better. All else is to be checked.
+beyond the claim, by the nominal model doing better. All else is to be checked.
 
 A command that refutes a result, or finds what it leaves out, adds an entry to refutations.json in the result's folder.
 It is read wherever the file is shown or used. A copy elsewhere carries no entry.
@@ -26,12 +26,12 @@ REFUTES = 1.5  # from there on it refutes them
 REFUTED = 3  # exit status of a command that examines an earlier result and finds it refuted
 MOST_REASONS = 3  # that the first line names
 
-LOOK = "Determine what is left out: `rig diagnose REC --out found`"
+LOOK = "Determine the unmodelled effects: `rig diagnose REC --out found`"
 BALANCE = "Record poses in a balanced order and calibrate from those: `rig run RIG.toml --plan sobol:60 --out REC2`"
 
 
 class State(StrEnum):
-    """How things stand: go on, look first, or do not go on."""
+    """State of a result: continue, check first, or do not continue."""
 
     GOOD = "good"
     CHECK = "check"
@@ -196,7 +196,7 @@ def load_refutations(folder: Path) -> tuple[Refutation, ...]:
     except (FileNotFoundError, NotADirectoryError):
         return ()
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise FileError(path, f"is no list of refuted results ({type(error).__name__}: {error})") from None
+        raise FileError(path, f"is not a list of refuted results ({type(error).__name__}: {error})") from None
 
 
 def refutations_of_file(path: Path) -> tuple[Refutation, ...]:

@@ -160,7 +160,7 @@ def _real():
     )
     yield "arm-1: `rig calibrate`, whole", f"{seconds:.1f} s", ""
     yield (
-        "arm-1: owner's model, base and probe placed, mean of held-out positions",
+        "arm-1: nominal model, base and probe placed, mean of held-out positions",
         f"{held.before.mean[0] * 1e3:.4f} mm",
         "about 0.8",
     )
@@ -191,7 +191,7 @@ def _real():
             "<= 0.20 mm",
         )
     yield (
-        "arm-1: the same command again",
+        "arm-1: the same command repeated",
         f"{tree['repeats']['mean_m'] * 1e3:.4f} mm mean, {tree['repeats']['pairs']} pairs",
         "",
     )

@@ -32,7 +32,7 @@ POSES, SEED = 200, 41
 
 
 def by_field(sampled, design, kind) -> Calibration:
-    """Calibration of KSF by a way of extending it alone, on the owner's model."""
+    """Calibration of KSF by a way of extending it alone, on the nominal model."""
     samples, nominal = sampled.samples, design.mechanism
     found = base_geometry(samples, nominal, True)
     correction = correction_with_field(

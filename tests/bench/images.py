@@ -146,7 +146,7 @@ def strength(case: blind_cases.DrawnCase) -> list[float]:
     if not case.hidden:
         return []
     with tempfile.TemporaryDirectory() as folder:
-        # writing draws noise from the case's rng, so that the case's own stays as it was: another is written
+        # writing draws noise from the case's rng, so that the case's own remains unchanged: another is written
         blind_cases.write_recording(
             replace(case, image_settings=None, rng=np.random.default_rng(0)), Path(folder) / "rec"
         )

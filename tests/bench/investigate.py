@@ -1,7 +1,7 @@
 """Rigs in which one of two effects hides that are easily taken for each other: the right name alone, poses against
 random plans, stated chances.
 
-Of four pairs a rig is drawn anew until its first recording leaves names alike. The other two are told apart by any
+Of four pairs a rig is regenerated until its first recording leaves names alike. The other two are distinguished by any
 first recording that shows them: a sag where the load is changed (at constant load most of it is joint geometry, and
 nothing is found), a print scale by the cubes' stated places, which are a certified length. They count as they come.
 """

@@ -92,7 +92,7 @@ def a_calibration(path: Path) -> None:
 
 
 def places_of_json(path: Path) -> None:
-    """Every value of a JSON text has a place, at which it stands; a key that is there twice is found where json loses
+    """Every value of a JSON text has a place, at which it stands; a key that occurs twice is found where json loses
     one.
     """
     text = text_of(path)

@@ -1,5 +1,5 @@
-"""Coverage-guided inputs for every parser: python -m tests.rig.coverage_guided_fuzzing PROTOCOL|requests COUNT (needs the package
-atheris).
+"""Coverage-guided inputs for every parser: python -m tests.rig.coverage_guided_fuzzing PROTOCOL|requests COUNT (needs
+the package atheris).
 """
 
 import sys

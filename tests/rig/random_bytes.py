@@ -40,7 +40,9 @@ TELLING = 3  # the dialogue among them that moves, once
 
 
 class Noise:
-    """See rig.driving.controller_requests_and_answers.Port: answers each write with the next piece of some bytes, then with silence."""
+    """See rig.driving.controller_requests_and_answers.Port: answers each write with the next piece of some bytes, then
+    with silence.
+    """
 
     def __init__(self, data, clock):
         self.pieces = [data[i : i + 64] for i in range(0, len(data), 64)]

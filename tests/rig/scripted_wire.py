@@ -6,8 +6,8 @@ from rig.errors import LinkLost
 
 
 class ScriptedPort:
-    """See rig.driving.controller_requests_and_answers.Port. script : pairs of bytes, sent and answered; None for an answer: the
-    connection is lost.
+    """See rig.driving.controller_requests_and_answers.Port. script : pairs of bytes, sent and answered; None for an
+    answer: the connection is lost.
     """
 
     def __init__(self, script, clock):

@@ -211,18 +211,18 @@ def test_a_campaign_is_blinded_scored_and_goes_on(tmp_path, monkeypatch, capfd):
         2,
     ]  # a disk that was full, a cut power line
     said = capfd.readouterr().err
-    assert "case 1" in said and "is drawn anew" in said and "case 2" in said and "is diagnosed anew" in said
+    assert "case 1" in said and "is regenerated" in said and "case 2" in said and "is diagnosed anew" in said
     assert (tmp_path / "s" / "hashes" / "0001.sha256").read_text() == blinded
     page = (tmp_path / "s" / "score.html").read_text()
-    assert "://" not in page and "What was taken for what" in page and 'content="rig blind"' in page
+    assert "://" not in page and "Confusion matrix" in page and 'content="rig blind"' in page
     capfd.readouterr()
     assert (
         command_line.main([*call[:6], "12", *call[7:]]) == 1
-        and "holds another campaign, with seed 11 (not 12)" in capfd.readouterr().err
+        and "contains another campaign, with seed 11 (not 12)" in capfd.readouterr().err
     )
     truth = tmp_path / "s" / "truth" / "0002.json"
     truth.write_text(truth.read_text().replace('"effects"', '"effects "', 1))
-    assert command_line.main([*call, "--cases", "2"]) == 1 and "is not what was hashed" in capfd.readouterr().err
+    assert command_line.main([*call, "--cases", "2"]) == 1 and "differs from that hashed" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -417,7 +417,7 @@ def test_a_campaign_in_images_says_what_pictures_do_not_show(tmp_path, capsys):
     base = ["blind", "--season", "1", "--out", str(tmp_path / "s"), "--images"]
     assert (
         command_line.main([*base, "--effects", "edge_bias"]) != 0
-        and "pictures do not show edge_bias" in capsys.readouterr().err
+        and "images do not show edge_bias" in capsys.readouterr().err
     )
     assert (
         command_line.main([*base, "--hide", "noise"]) != 0

@@ -70,7 +70,7 @@ def test_history_is_read_as_it_grows_and_standing_takes_no_room(tmp_path):
     path = tmp_path / "history.csv"
     path.write_text("t,l1,l2\n")
     told = emulated_cameras.HistoryFromFile(path)
-    with pytest.raises(RigError, match="says nothing yet"):
+    with pytest.raises(RigError, match="does not yet state"):
         told()
     with open(path, "a") as file:
         file.write("1.0,0.4,0.4\n2.0,0.4,0.4\n3.0,0.4,0.4\n4.0,0.5,")

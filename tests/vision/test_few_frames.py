@@ -102,7 +102,7 @@ def test_what_nothing_determines_is_named(tmp_path):
     read, _ = seen(design, text, tmp_path / "rec", 6, 4, False)
     apart = read.corners
     keep = np.array([(name == "cam2") == (frame % 2 == 0) for frame, name in zip(apart.frame, apart.camera)])
-    with pytest.raises(NotEnoughData, match="leave open where this is: cam"):
+    with pytest.raises(NotEnoughData, match="do not determine: cam"):
         measure_recording(only_rows(read, keep))
 
 

@@ -63,7 +63,7 @@ def test_what_no_camera_would_see_is_left_out(measured):
 
 def test_markers_whose_places_were_adjusted_are_refused():
     unsure = SimpleNamespace(adjustment=SimpleNamespace(unknowns=SimpleNamespace(local_poses={})), places_free=True)
-    with pytest.raises(RigError, match="markers where they are stated"):
+    with pytest.raises(RigError, match="markers at their stated positions"):
         predict_pose_uncertainty(unsure, None, RigidTransform.identity())
 
 

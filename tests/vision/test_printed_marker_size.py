@@ -39,7 +39,7 @@ def test_a_picture_that_claims_more_than_a_photograph_has_is_never_decoded(tmp_p
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     assert main(["check-print", str(tmp_path / "bomb.png"), str(tmp_path / "rig.toml")]) == 1
     assert (
-        "bomb.png: is no picture that can be read (cut off?): claims 30000 x 30000 px; an image has at most 67108864"
+        "bomb.png: is not a readable picture (truncated?): claims 30000 x 30000 px; an image has at most 67108864"
         in capsys.readouterr().err
     )
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1 << 17  # KiB
@@ -85,7 +85,7 @@ def test_scale_is_found_both_ways(tmp_path, capsys, scale):
     assert (
         capsys.readouterr()
         .out.splitlines()[-1]
-        .startswith({0.964: "check: write", 1.0: "good", 0.98: "bad: the printer stretches"}[scale[0]])
+        .startswith({0.964: "check: write", 1.0: "good", 0.98: "bad: the printer scales"}[scale[0]])
     )
 
 
@@ -104,7 +104,7 @@ def test_what_cannot_be_told_is_refused(tmp_path, capsys):
     cv2.imwrite(str(tmp_path / "none.png"), np.full((400, 400), 200, np.uint8))
     (tmp_path / "half.png").write_bytes((tmp_path / "p.png").read_bytes()[:200])
     for name, says in (
-        ("part.png", "no whole sheet"),
+        ("part.png", "no full sheet"),
         ("none.png", "no marker of the rig"),
         ("typo.png", "no such file"),
         ("half.png", "cut off?"),

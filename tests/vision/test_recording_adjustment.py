@@ -103,7 +103,7 @@ def test_a_frame_that_cannot_be_solved_is_reported_and_not_filled_in(design):
 
 @pytest.mark.parametrize("left", [0, 1])
 def test_a_camera_that_the_base_does_not_place_joins_by_the_others_poses(design, left):
-    """It sees no base marker, or one, and stands 160 mm and 10 degrees from where it is stated: the others tell
+    """It sees no base marker, or one, and stands 160 mm and 10 degrees from its stated pose: the others tell
     where.
     """
     observations, stated, true, _ = scene(design, 6, frames=8)

@@ -1,1 +1,1 @@
-"""All frames together: cameras, lenses, markers' places and poses adjusted, and what they determine."""
+"""All frames jointly: cameras, lenses, marker positions and poses adjusted, and what they determine."""

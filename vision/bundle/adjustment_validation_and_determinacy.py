@@ -59,7 +59,7 @@ def crossvalidate_adjustment(
     without which something shared would be open (a camera seen only there, say) is not asked for.
     """
     if len(observations.frames) < 2:
-        return NotHeldOut("there is one frame alone, and nothing to predict it from")
+        return NotHeldOut("there is only one frame, and nothing to predict it from")
     stated = adjustment.stated
     u, estimate = adjustment_unknowns(
         observations, adjustment.state, stated, adjustment.free, printing=adjustment.printing
@@ -96,7 +96,7 @@ def crossvalidate_adjustment(
         if not len(root) or np.linalg.eigvalsh(root @ u.basis.T @ (total - part[0]) @ u.basis @ root.T)[0] > ALONE
     ]
     if len(kept) < 2:
-        return NotHeldOut("every frame tells something of the cameras that no other does")
+        return NotHeldOut("every frame determines something of the cameras that no other does")
     for reduced, right, left, dof, _ in kept:
         H, g = total - reduced, drawn - right
         inner = np.linalg.inv(u.basis.T @ H @ u.basis) if u.basis.shape[1] else np.zeros((0, 0))
@@ -139,17 +139,17 @@ class DeterminedUnknowns:
         out = [f"{self.unknowns} shared unknowns adjusted; {'; '.join(self.held)}"]
         for share, names in self.undetermined[:6]:
             out.append(
-                f"not determined by this recording ({share:.0%} of the stated uncertainty is left): "
+                f"not determined by this recording ({share:.0%} of the stated uncertainty remains): "
                 f"{' with '.join(names)}"
             )
         if len(self.undetermined) > 6:
             out.append(f"and {len(self.undetermined) - 6} more combinations not determined")
         for a, b, r in self.entangled[:6]:
-            out.append(f"hardly told apart (correlation {r:+.3f}): {a} and {b}")
+            out.append(f"hardly separable (correlation {r:+.3f}): {a} and {b}")
         if len(self.entangled) > 6:
-            out.append(f"and {len(self.entangled) - 6} more pairs hardly told apart")
+            out.append(f"and {len(self.entangled) - 6} more pairs hardly separable")
         if not self.undetermined:
-            out.append("every adjusted combination is determined by the images better than by what was stated")
+            out.append("every adjusted combination is determined better by the images than by its stated uncertainty")
         return out
 
     def from_the_hand(self) -> "DeterminedUnknowns":
@@ -160,8 +160,8 @@ class DeterminedUnknowns:
     def summary(self) -> str:
         """The statement in one line: how much the recording determines; which, the lines say."""
         weak, pairs = len(self.undetermined), len(self.entangled)
-        left = [f"{weak} combination{'s' * (weak > 1)} of them it cannot determine"] * bool(weak) + [
-            f"{pairs} pair{'s' * (pairs > 1)} hardly to be told apart"
+        left = [f"{weak} combination{'s' * (weak > 1)} not determined by it"] * bool(weak) + [
+            f"{pairs} pair{'s' * (pairs > 1)} hardly separable"
         ] * bool(pairs)
         return (
             f"{self.unknowns} shared unknowns adjusted to this recording"
@@ -209,17 +209,17 @@ def _held(adjustment: Adjustment, u: Unknowns) -> tuple[str, ...]:
     state, out = adjustment.state, []
     loose = bool(u.markers or u.targets)
     bodies = {bool(state.markers.on_platform[row]) for row in u.seen} if state.markers is not None else {False, True}
-    together = "the stated places of its markers, taken together" if loose else "the stated places of its markers"
+    together = "the stated positions of its markers as a whole" if loose else "the stated positions of its markers"
     out += [
-        f"the {name} frame is held by {together}" for on, name in ((False, "base"), (True, "platform")) if on in bodies
+        f"the {name} frame is fixed by {together}" for on, name in ((False, "base"), (True, "platform")) if on in bodies
     ]
     if False not in bodies:
-        out.append("the base frame is held by the stated poses of the cameras")
+        out.append("the base frame is fixed by the stated poses of the cameras")
     for i in u.poses:
         if u.prior[u.poses[i]].any():
             out.append(
-                f"camera {state.cameras[i].name!r} shows too little of the base to say where it stands: its "
-                "stated pose is taken to be "
+                f"camera {state.cameras[i].name!r} shows too little of the base to locate it: its "
+                "stated pose is assumed "
                 f"worth {POSE_SIGMA * 1e3:g} mm and {POSE_SIGMA * 1e3:g} mrad"
             )
     out += [
@@ -227,13 +227,13 @@ def _held(adjustment: Adjustment, u: Unknowns) -> tuple[str, ...]:
         for columns, what in (
             (u.poses, "camera poses"),
             (u.lenses, "lenses"),
-            (u.markers, "places of markers on their targets"),
+            (u.markers, "positions of markers on their targets"),
             (u.targets, "places of targets"),
         )
         if not columns
     ]
     if adjustment.printing is not None:
-        out.append(f"markers off that as they are printed: {adjustment.printing}")
+        out.append(f"printing errors of the markers: {adjustment.printing}")
     else:
-        out.append("sides of markers as stated, which set the scale")
+        out.append("sides of markers as stated, which fix the scale")
     return tuple(out)

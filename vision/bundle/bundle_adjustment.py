@@ -143,7 +143,7 @@ def adjust_bundle(
             damping = max(MORE * damping, LEAST)
             if damping > 1e8:
                 raise NoOptimum(
-                    f"the adjustment of {len(observations)} corners finds no way down from a cost of {cost:.6g}"
+                    f"the adjustment of {len(observations)} corners finds no descent from a cost of {cost:.6g}"
                 )
             continue
         done = cost - new <= CONVERGED * max(cost, 1.0)
@@ -222,5 +222,5 @@ def _inverse_root(information: Floats, u: Unknowns) -> Floats:
     values, vectors = np.linalg.eigh((information + information.T) / 2)
     if not values[0] > OPEN * values[-1]:
         worst = np.argsort(-np.abs(u.basis @ vectors[:, 0]))[:3]
-        raise NotEnoughData("the images leave open where this is: " + ", ".join(" ".join(u.names[i]) for i in worst))
+        raise NotEnoughData("the images do not determine: " + ", ".join(" ".join(u.names[i]) for i in worst))
     return vectors / np.sqrt(values)

@@ -23,7 +23,7 @@ KINDS = (
     slice(2, 3),
     slice(3, 6),
     slice(6, 7),
-)  # of NAMES that vary alike: on the face, off it, turned, larger
+)  # of NAMES that vary equally: on the face, off it, turned, larger
 SIDE = 6
 
 
@@ -45,13 +45,13 @@ class Printing:
         """In words, standard deviations."""
         um, kinds = self.place * PLACES.sigma * 1e6, []
         kinds += (
-            [f"places on their faces by {um:.1f} um"] * (self.place > 0)
+            [f"positions on their faces by {um:.1f} um"] * (self.place > 0)
             + [f"off their faces by {self.lift * PLACES.sigma * 1e6:.1f} um"] * (self.lift > 0)
             + [f"turned by {self.turn * PLACES.sigma * 1e6:.1f} um at their edges"] * (self.turn > 0)
         )
         return (
             ", ".join(kinds + [f"sides by {self.side * SIDES.sigma:.3%}"] * (self.side > 0))
-            + " (standard deviations, told by this recording)"
+            + " (standard deviations, estimated from this recording)"
         )
 
     @property

@@ -21,7 +21,7 @@ from vision.pose.frame_and_camera_poses import PLATFORM
 from vision.pose.pose_refinement_and_ambiguity import GATE, MEDIAN
 from vision.predict import State, predict_corners
 
-ROUNDS = 8  # of adjusting and sorting out; a corner that still wavers then stays as it was adjusted
+ROUNDS = 8  # of adjusting and sorting out; a corner that still wavers then remains as adjusted
 CLOSING = 0.3  # by which a wide first gate closes with every round
 TIGHT = 0.5  # px; a gate narrower than this is no longer a first one
 STANDING_GROUPS = 20  # repeated corners from which their standing error can be told
@@ -57,7 +57,7 @@ def adjust_robustly(
 
     state : over all frames; unsolved : {frame: reason}, added to; stated : State as its owner states it
     single_sighting_bodies : {(frame, body)} for which one sighting is enough; initial_gate : px within which no corner
-        is set aside at first
+        is rejected at first
     progress : called with (done, of) rounds, or None
     The inliers are those within GATE of where the optimum puts them, by the residuals' own scale; a frame whose inliers
     no longer hold it is given up; repeated until both stand. With a moving camera every frame and body has a scatter of

@@ -105,7 +105,7 @@ def adjustment_unknowns(
     if set(free) - set(GROUPS):
         raise ValueError(f"free takes {GROUPS}, got {free}")
     if {"markers", "targets"} & set(free) and state.markers is None:
-        raise ValueError("markers and targets can move only in a state that has its markers")
+        raise ValueError("markers and targets can be adjusted only in a state with markers")
     seen, anchored = set(observations.camera.tolist()), _anchored(observations)
     poses, lenses, local_poses, scale, prior, names = {}, {}, {}, [], [], []
     local = 6

@@ -13,7 +13,7 @@ from vision import lens
 from vision.checks.corner_convention_trials import SampledRecording
 
 Candidate = tuple[str, str, SampledRecording]
-BEFORE = "camera in base, OpenCV axes (x right, y down, z ahead): state it so"
+BEFORE = "camera in base, OpenCV axes (x right, y down, z ahead): state it in this form"
 ZOOMS = (
     0.6,
     1.7,

@@ -132,10 +132,10 @@ ORDERS = {
     (0, 3, 2, 1): "run counter-clockwise",
     (1, 0, 3, 2): "run counter-clockwise from the top right",
     (2, 1, 0, 3): "run counter-clockwise from the bottom right",
-    (1, 2, 3, 0): "begin one corner on (top right)",
+    (1, 2, 3, 0): "begin one corner later (top right)",
     (2, 3, 0, 1): "begin at the opposite corner",
-    (3, 0, 1, 2): "begin one corner back (bottom left)",
-    (0, 1, 3, 2): "are in rows (0 1 over 2 3), not around",
+    (3, 0, 1, 2): "begin one corner earlier (bottom left)",
+    (0, 1, 3, 2): "are in rows (0 1 over 2 3), not in a circle",
 }
 
 
@@ -182,7 +182,7 @@ def _of(seen: SampledRecording, parts: list[tuple[str, Floats]]) -> Iterator[Can
         yield f"corners.csv: u and v{who} are exchanged", "u runs to the right, v down", put(c.uv[:, ::-1])
         yield (
             f"corners.csv: images{who} are mirrored left to right (flipped)",
-            "Read the corners from images as the camera gives them",
+            "Read the corners from unflipped camera images",
             put(np.column_stack([wide[:, 0] - 1 - c.uv[:, 0], c.uv[:, 1]])),
         )
         yield (

@@ -77,7 +77,7 @@ def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
     if unstated is not None:
         return unstated
     sized, best = _sized(first)
-    unexplained = "no usual mistake explains it"
+    unexplained = "no common mistake explains it"
     if best.misfit > DONE and first.misfit > FINE:
         tried, through = _tried(first, most)
         rivals = [
@@ -87,7 +87,7 @@ def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
         ]
         if not through:
             unexplained = (
-                f"the search ended after {len(tried)} usual mistakes, none of which explains it, before all were tried"
+                f"the search ended after {len(tried)} common mistakes, none of which explains it, before all were tried"
             )
         if rivals:
             least = min(other.misfit for *_, other in rivals)
@@ -97,7 +97,7 @@ def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
             if other.misfit < 0.7 * best.misfit:
                 return [
                     Mistake(
-                        f"{what}: corners lie {first.misfit:.3g} px RMS from where they ought to as it "
+                        f"{what}: corners lie {first.misfit:.3g} px RMS from their expected positions as it "
                         f"stands, {other.misfit:.3g} px so" + (" (20 px: not at all)" if first.misfit == LOST else ""),
                         do,
                         not target_mistakes.is_correction_within_one_cube(first.seen, other.seen),
@@ -113,8 +113,8 @@ def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
     ):
         return [
             Mistake(
-                f"corners and rig.toml do not agree: corners lie {first.misfit:.3g} px RMS from where they "
-                f"ought to, and {unexplained}",
+                f"corners and rig.toml do not agree: corners lie {first.misfit:.3g} px RMS from their expected "
+                f"positions, and {unexplained}",
                 "Look at `rig view REC --frame N`: sides, edges, faces and poses of the targets, matrix and "
                 "size of the cameras",
                 first.misfit > 0.8 * LOST,
@@ -158,7 +158,7 @@ def _unstated(first: Trial) -> tuple[list[Mistake], Trial] | None:
     adjusted, stated = best.measured.design.cameras, first.seen.design.cameras
     if not are_lenses_plausible(adjusted, stated):
         return None
-    tail = f"corners lie {first.misfit:.3g} px RMS from where they ought to as it stands, {best.misfit:.3g} px"
+    tail = f"corners lie {first.misfit:.3g} px RMS from their expected positions as it stands, {best.misfit:.3g} px"
     read = cameras.find_matching_lens_convention(first.seen, adjusted)
     if read is not None:
         what, do, other = read
@@ -172,7 +172,7 @@ def _unstated(first: Trial) -> tuple[list[Mistake], Trial] | None:
         Mistake(
             f"rig.toml: {UNSTATED} of camera{'s' * (len(off) > 1)} {', '.join(off)}: {tail} with lenses of "
             "which nothing is known",
-            "Calibrate the lens (`rig lens`) and state matrix and distortion; until then leave distortion out",
+            "Calibrate the lens (`rig lens`) and state matrix and distortion; until then omit distortion",
             False,
             0.6,
         )
@@ -207,7 +207,7 @@ def _sized(first: Trial) -> tuple[list[Mistake], Trial]:
     said = target_mistakes.size_ratio_text(share, who) + (f", those on the {body}" if body else "")
     return [
         Mistake(
-            f"rig.toml: {said}: corners lie {first.misfit:.3g} px RMS from where they ought to as it stands, "
+            f"rig.toml: {said}: corners lie {first.misfit:.3g} px RMS from their expected positions as it stands, "
             f"{best.misfit:.3g} px so",
             "Measure the outer side of a black border and state it as marker (or side), in metres; print "
             "without fitting to the page",
@@ -294,10 +294,10 @@ def _posed(m: Measurement, design: Design) -> list[Mistake]:
     gap = max(np.linalg.norm(stated[k].pose.translation - seen[k].pose.translation) for k in far)
     cost = np.array([[_far(a.pose, b.pose) for b in stated] for a in seen])
     match = scipy.optimize.linear_sum_assignment(cost)[1]
-    tail = f" (as stated they are up to {gap * 1e3:.0f} mm off)"
+    tail = f" (the stated poses are up to {gap * 1e3:.0f} mm off)"
     if (match != np.arange(len(match))).any() and (cost[np.arange(len(match)), match] < 1).all():
         pairs = ", ".join(
-            f"{stated[k].name} is where rig.toml has {stated[j].name}" for k, j in enumerate(match) if k != j
+            f"{stated[k].name} is at the stated pose of {stated[j].name}" for k, j in enumerate(match) if k != j
         )
         return [
             Mistake(
@@ -330,7 +330,7 @@ def _posed(m: Measurement, design: Design) -> list[Mistake]:
         found.append(
             Mistake(
                 f"rig.toml: camera {stated[k].name}: {f'{what}: ' if named else ''}it stands {away * 1e3:.0f} mm and "
-                f"{np.degrees(turned):.0f} degrees from where it is stated",
+                f"{np.degrees(turned):.0f} degrees from its stated pose",
                 cameras.BEFORE,
                 False,
                 0.7,
@@ -374,7 +374,7 @@ def _lens(m: Measurement, design: Design) -> list[Mistake]:
     return [
         Mistake(
             f"rig.toml: {what}, of camera{'s' * (len(names) > 1)} {', '.join(names)}: adjusting them to the "
-            "images undoes it",
+            "images corrects it",
             do,
             False,
             0.6,

@@ -84,7 +84,7 @@ def _sights(recording: Recording, markers: MarkerMap, count: int) -> tuple[list[
         try:
             image = reader(frame, name)
         except FileError as error:
-            found.append(Mistake(str(error), "Replace the image, or leave its row out of frames.csv", True, 0.9))
+            found.append(Mistake(str(error), "Replace the image, or remove its row from frames.csv", True, 0.9))
             continue
         camera = recording.design.camera(name)
         if image is not None and image.shape == (camera.height, camera.width):
@@ -139,7 +139,7 @@ def _other_dictionary_mistakes(images: list[Pixels], seen: Counter[int], markers
         return out + [
             Mistake(
                 f"rig.toml: no marker of target {name} is seen in {len(images)} images",
-                "Look whether it is in view, and at its ids and dictionary",
+                "Check that it is in view, and its ids and dictionary",
                 False,
                 0.4,
             )
@@ -162,7 +162,7 @@ def _none(images: list[Pixels], markers: MarkerMap, votes: dict[str, Counter[int
             ):
                 yield Mistake(
                     "the images are mirrored (flipped): their markers are read only when flipped back",
-                    "Save images as the camera gives them, not as a mirror shows them",
+                    "Save unflipped camera images",
                     True,
                     0.95,
                 )
@@ -189,7 +189,7 @@ def _none(images: list[Pixels], markers: MarkerMap, votes: dict[str, Counter[int
     else:
         yield Mistake(
             "no marker of any dictionary is read in the images",
-            "Look at focus, light and size: a cell of a marker takes 3 px or more",
+            "Check focus, light and size: a cell of a marker requires at least 3 px",
             True,
             0.5,
         )
@@ -244,8 +244,8 @@ def _against(stated: Corners | None, seen: Corners) -> Iterator[Mistake]:
     else:
         what = "its corners are not those of the images (another size, order or recording)"
     yield Mistake(
-        f"corners.csv: {what}: they lie ({by[0]:+.2f}, {by[1]:+.2f}) px from what the images show",
-        "Write OpenCV's pixels, or leave corners.csv out and let the images be read",
+        f"corners.csv: {what}: they lie ({by[0]:+.2f}, {by[1]:+.2f}) px from those in the images",
+        "Write OpenCV's pixels, or omit corners.csv so that the images are read",
         bool(np.abs(by).max() > 2),
         0.9,
     )

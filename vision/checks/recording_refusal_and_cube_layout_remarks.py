@@ -39,7 +39,7 @@ def refuse_mistakes(mistakes: Iterable[Mistake], allow_mistakes: bool, notice: N
     """
     mistakes = tuple(mistakes)
     if any(one.spoils for one in mistakes) and not allow_mistakes:
-        raise RigError("\n".join([*map(str, mistakes), "Nothing was computed; --anyway does it nevertheless"]))
+        raise RigError("\n".join([*map(str, mistakes), "Nothing was computed; --anyway overrides this"]))
     for one in mistakes:
         notice(str(one))
 
@@ -49,9 +49,9 @@ def refuse_spoilt_files(recording: Recording, allow_mistakes: bool, notice: Noti
     refuse_mistakes(recording_file_mistakes(recording), allow_mistakes, notice)
     for name, quarters in quarter_turns_of_cubes(recording.design).items():
         notice(
-            f"{recording.folder}: cube {name} was taken off and put back, {WORDS[quarters]}; its place is "
-            "known only to what that may do, so its "
-            "markers hold no pose"
+            f"{recording.folder}: cube {name} was removed and remounted, {WORDS[quarters]}; its place is "
+            "known only within the tolerance of remounting, so its "
+            "markers determine no pose"
         )
     if recording.has_images and recording.corners is None and recording.design.targets:
         from vision.checks.image_sample import dictionary_and_identity_mistakes
@@ -130,7 +130,7 @@ def _circles(design: Design) -> Iterator[str]:
         far = int(np.abs(radius - np.median(radius)).argmax())
         if np.ptp(radius) > UNEVEN * radius.mean() or np.abs(gaps - even).max() > UNEVEN * even:
             yield (
-                f"rig.toml: the cubes on {words} are not evenly on a circle about its middle: radii "
+                f"rig.toml: the cubes on {words} are not evenly on a circle about its centre: radii "
                 f"{radius.min() * 1e3:.1f} to "
                 f"{radius.max() * 1e3:.1f} mm ({cubes[far][0]} is farthest from the others), gaps "
                 f"{gaps.min():.1f} to {gaps.max():.1f} degrees "
@@ -138,7 +138,7 @@ def _circles(design: Design) -> Iterator[str]:
             )
         if np.ptp(places[:, 2]) > HEIGHT * radius.mean():
             yield (
-                f"rig.toml: the cubes on {words} stand at heights from {places[:, 2].min() * 1e3:.1f} to "
+                f"rig.toml: the cubes on {words} are at heights from {places[:, 2].min() * 1e3:.1f} to "
                 f"{places[:, 2].max() * 1e3:.1f} mm"
             )
 
@@ -157,7 +157,7 @@ def _faces(target: Target) -> Iterator[str]:
     if aside:
         yield (
             f"rig.toml: faces of {target.name} are not centred: marker {'; '.join(aside)} mm (right, up) from "
-            "where the cube's middle looks out"
+            "the centre of the face"
         )
 
 
@@ -174,10 +174,10 @@ def _directions(found: MarkerMap) -> Iterator[str]:
             worst = int(nearest.argmax())
             if nearest[worst] > UNSEEN:
                 yield (
-                    f"rig.toml: {words} shows nothing towards {np.degrees(turn[worst]):.0f} degrees "
+                    f"rig.toml: {words} shows no face towards {np.degrees(turn[worst]):.0f} degrees "
                     f"({name}): the nearest face there looks "
                     f"{np.degrees(nearest[worst]):.0f} degrees away, {(nearest > UNSEEN).mean():.0%} of that "
-                    "ring are unseen"
+                    "circle are not visible"
                 )
 
 

@@ -176,7 +176,7 @@ def exchanged_target_trials(sample: SampledRecording, names: list[str] | None = 
         t = targets[i]
         yield (
             f"rig.toml: target {t.name} stands on the {other[t.body]}, not on the {t.body}",
-            "Mend its body",
+            "Correct its body",
             sample.with_targets((*targets[:i], replace(t, body=other[t.body]), *targets[i + 1 :])),
         )
     if names is not None:
@@ -242,7 +242,7 @@ def turned_face_trials(sample: SampledRecording, name: str) -> Iterator[Candidat
         for quarters in (2, 1, 3):
             yield (
                 f"rig.toml: face {face} of cube {name} (marker {number}) is turned by {90 * quarters} degrees",
-                "Turn the sheet on that face, or leave its marker out of rig.toml",
+                "Turn the sheet on that face, or remove its marker from rig.toml",
                 sample.with_corners(
                     corner=np.where(mine, (sample.corners.corner + quarters) % 4, sample.corners.corner)
                 ),

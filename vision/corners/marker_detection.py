@@ -35,7 +35,7 @@ MISFIT = 0.12  # of the contrast; residuals above it are no image of this marker
 COVERED = 0.3  # share of pixels that are no image of this marker, from which it is not trusted
 LEAST_CONTRAST = 6.0  # standard deviations of the noise
 _NEXT = [1, 2, 3, 0]
-_UNREAD = "its bits are not to be read where it is expected"
+_UNREAD = "its bits cannot be read at the expected place"
 _REASONS = {
     square_gauss_newton.NO_PIXELS: "too few pixels",
     square_gauss_newton.SINGULAR: "its corners are not determined",
@@ -185,7 +185,8 @@ def fit_read_markers(
     """Fit the squares of markers that were read in an image: their Detection, corners with covariance.
 
     full : (height, width) in 255ths of white; spread : Spread of the camera's edges
-    search_distance : px that the sides may be away from the guess; 0 for one that is better than what profiles across them show
+    search_distance : px that the sides may be away from the guess; 0 for one that is better than what profiles across
+        them show
     verify : whether a marker's bits are read before it is believed to be there; where they are not, nothing is said of
         it
     profile : see vision.corners.edge_spread, added to
@@ -316,7 +317,7 @@ def _reason(status: int, cell: float, wandered: bool, noise: float, contrast: fl
             else "covered or not this marker"
         )
     if doubted > COVERED:
-        return f"covered or not this marker: {doubted:.0%} of its pixels do not fit"
+        return f"covered or not this marker: {doubted:.0%} of its pixels disagree"
     if noise > MISFIT * contrast:
         return f"covered or not this marker: the fit leaves {noise / contrast:.0%} of the contrast"
     return "the fit left the place where it was read" if wandered else ""

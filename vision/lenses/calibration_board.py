@@ -76,17 +76,17 @@ def parse_board(text: str) -> Board:
     try:
         columns, rows = (parse_whole_number(part) for part in parts[1].lower().split("x"))
     except ValueError:
-        raise RigError(f"--board {text!r}: {parts[1]!r} is no size such as 5x7") from None
+        raise RigError(f"--board {text!r}: {parts[1]!r} is not a size such as 5x7") from None
     if not (columns * rows >= 2 and 1 <= columns <= 100 and 1 <= rows <= 100) or (
         kind == "charuco" and min(columns, rows) < 3
     ):
-        raise RigError(f"--board {text!r}: {columns}x{rows} is no size of a {kind} board")
+        raise RigError(f"--board {text!r}: {columns}x{rows} is not a valid size of a {kind} board")
     lengths = []
     for name, part in zip(("square", "marker") if kind == "charuco" else ("side", "gap"), parts[2:4]):
         try:
             lengths.append(parse_number(part))
         except ValueError:
-            raise RigError(f"--board {text!r}: {name} {part!r} is no number (m)") from None
+            raise RigError(f"--board {text!r}: {name} {part!r} is not a number (m)") from None
         if not 0 < lengths[-1] <= LARGEST:
             raise RigError(f"--board {text!r}: {name} = {part} m is implausible (lengths are in metres)")
     if parts[4] not in DICTIONARIES:
@@ -94,7 +94,7 @@ def parse_board(text: str) -> Board:
     if kind == "charuco" and not lengths[1] < lengths[0]:
         raise RigError(
             f"--board {text!r}: a marker of {lengths[1]} m does not fit into a square of {lengths[0]} m; "
-            "which comes first, the square"
+            "the square is stated first"
         )
     board = Board(
         kind,

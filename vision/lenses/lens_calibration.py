@@ -74,7 +74,7 @@ def observations_from_board_views(views: Sequence[BoardView], board: Board) -> O
     usable = [(f, view) for f, view in enumerate(views) if len(view.corner) >= LEAST_CORNERS]
     if len(usable) < LEAST_IMAGES:
         raise NotEnoughData(
-            f"{len(usable)} photographs show {LEAST_CORNERS} corners of the board or more; a lens takes at "
+            f"{len(usable)} photographs show {LEAST_CORNERS} corners of the board or more; a lens requires at "
             f"least {LEAST_IMAGES}"
         )
     corner = np.concatenate([view.corner for _, view in usable])

@@ -83,7 +83,7 @@ def calibrate_photographs(
             raise FileError(
                 path,
                 f"is {image.shape[1]} x {image.shape[0]} px, the first photograph {images[0].shape[1]} x "
-                f"{images[0].shape[0]} px: one camera has one size",
+                f"{images[0].shape[0]} px: all images of a camera have the same size",
             )
         images.append(image)
     height, width = images[0].shape[:2]
@@ -135,7 +135,7 @@ def _models(
         if terms in reasons:
             models[terms] = Model(None, None, reasons[terms])
         if progress:
-            progress("holding photographs out", k + 1, len(MODELS))
+            progress("cross-validating photographs", k + 1, len(MODELS))
     if not any(model.held for model in models.values()):
         raise NotEnoughData("no lens model can be held out: " + "; ".join(reasons.values()))
     return models, fits

@@ -132,7 +132,7 @@ def locate_body(view: View, marker_map: MarkerMap, finest: float = FINEST) -> Lo
     chosen = np.argmin(score)
     best = _refine(view, matrices[chosen], distance[chosen] < CONSENSUS, finest)
     if best is None:
-        return Unsolved(f"markers {seen} lead to no common pose")
+        return Unsolved(f"markers {seen} give no common pose")
     matrix, covariance, inliers, square, scale = best
     agreeing = sum(inliers[rows].sum() >= 3 for _, _, rows in sightings)
     if agreeing < 2 or 2 * agreeing < len(sightings):

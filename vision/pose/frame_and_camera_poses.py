@@ -217,7 +217,7 @@ def _decided(answers: dict[int, Located | Unsolved], t: Floats | None) -> tuple[
         }
         chosen = choose_poses_by_neighbours(found, doubtful, t)
         why.update(
-            {f: f"{why[f]}, and the frames before and after do not decide it" for f in doubtful if f not in chosen}
+            {f: f"{why[f]}, and the frames before and after do not resolve it" for f in doubtful if f not in chosen}
         )
     return found | chosen, set(chosen), {f: reason for f, reason in why.items() if f not in chosen}
 

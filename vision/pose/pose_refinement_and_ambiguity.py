@@ -71,7 +71,7 @@ def rotation_outliers(solved_poses: Poses, t: Floats) -> dict[int, str]:
             expected, limit = pose_from_neighbours(solved_poses, f, t, reach)
             if expected is not None and rotation_angle(expected, T) > max(2 * limit, MOST):
                 odd[f] = (
-                    f"it turns by {np.degrees(rotation_angle(expected, T)):.0f} degrees against the frames "
+                    f"it turns by {np.degrees(rotation_angle(expected, T)):.0f} degrees relative to the frames "
                     "before and after"
                 )
     return odd

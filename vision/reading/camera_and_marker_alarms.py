@@ -97,7 +97,7 @@ class Watch:
                 if chance < CHANCE:
                     found["covered", f"{name} {number}"] = (
                         f"frame {sight.frame}: marker {number} in camera {name!r} has not been seen in "
-                        f"{self._row[key]} frames, where it always was before: is it covered?"
+                        f"{self._row[key]} frames, but always before: is it covered?"
                     )
                 else:  # what explains a marker's absence is not counted as its habit
                     missing.append(number)
@@ -106,7 +106,7 @@ class Watch:
             if together < TOGETHER:
                 text = ", ".join(map(str, missing))
                 found["covered", name] = (
-                    f"frame {sight.frame}: markers {text} are not seen in camera {name!r}, all at once: does "
-                    "something stand in front?"
+                    f"frame {sight.frame}: markers {text} are not seen in camera {name!r}, all at once: is "
+                    "something in front?"
                 )
         return found

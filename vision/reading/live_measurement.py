@@ -108,7 +108,7 @@ class Live:
     def __init__(self, design: Design) -> None:
         if not design.cameras or not design.targets:
             raise NotEnoughData(
-                f"measuring takes a camera and a target at least; rig.toml has {len(design.cameras)} and "
+                f"measuring requires at least a camera and a target; rig.toml has {len(design.cameras)} and "
                 f"{len(design.targets)}"
             )
         self._held = has_hand_cameras(design)

@@ -70,11 +70,11 @@ class Suspect:
                 "turned": f"is {quarters}{share}",
                 "mirrored": f"has its corners in mirrored order{share}",
                 "elsewhere": f"sits where marker {self.other} should{turned}{share}",
-                "exchanged": f"is exchanged with marker {self.other}{turned}: it sits there{share}",
-                "twice": f"is there more than once in {self.like} images: which is meant cannot be told, none is used",
-                "other": f"is never seen; in {self.like} of {self.of} images looked at, marker {self.other} is in its "
+                "exchanged": f"is exchanged with marker {self.other}{turned} and found there{share}",
+                "twice": f"is present more than once in {self.like} images: which is meant is unclear, none is used",
+                "other": f"is never seen; in {self.like} of {self.of} images examined, marker {self.other} is in its "
                 "place",
-                "askew": f"is set aside{share}, and no place or turn of another explains it: a face askew, a wrong "
+                "askew": f"is rejected{share}, and no place or turn of another explains it: a tilted face, a wrong "
                 "size or position in rig.toml",
             }[self.kind]
         )
@@ -221,7 +221,7 @@ def no_marker_reason(images: Sequence[Pixels], marker_map: MarkerMap) -> str:
     for name in stated:
         seen = [_count(cv2.flip(image, 1), name, marker_map.id) for image in images]
         if sum(seen):
-            return f"{sum(seen)} markers of {name} are seen in a mirror: the images are mirrored, left to right"
+            return f"{sum(seen)} markers of {name} are seen mirrored: the images are mirrored, left to right"
     for name in stated:
         strange = {number for image in images for number in _numbers(image, name)} - set(marker_map.id.tolist())
         if strange:

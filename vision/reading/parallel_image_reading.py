@@ -97,7 +97,7 @@ def save_image(path: Path, image: Pixels) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise RigError(f"{path.parent} cannot be made: {error.strerror}") from None
+        raise RigError(f"{path.parent} cannot be created: {error.strerror}") from None
     write_bytes(path, data.tobytes())
 
 

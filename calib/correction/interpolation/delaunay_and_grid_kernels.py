@@ -56,16 +56,16 @@ class Delaunay(WeightedField):
         if n > MOST.get(axes, 0):
             raise RigError(
                 f"{n} samples in {axes} dimensions are too many to triangulate (at most {MOST.get(axes, 0)}); "
-                "simplex takes as many on a grid, radial anywhere"
+                "simplex accepts that number on a grid, radial anywhere"
             )
         if axes < 2:
-            raise RigError("delaunay takes two axes or more; on one axis linear is the same")
+            raise RigError("delaunay requires at least two axes; on one axis linear is equivalent")
         try:
             object.__setattr__(self, "_cut", Triangulation(self.samples))
             object.__setattr__(self, "_faces", ConvexHull(self.samples).equations)
         except QhullError as error:
             raise RigError(
-                f"the {n} samples span no simplex of {axes} dimensions, which delaunay takes: "
+                f"the {n} samples span no simplex of {axes} dimensions, which delaunay requires: "
                 f"{str(error).splitlines()[0]}"
             ) from None
 

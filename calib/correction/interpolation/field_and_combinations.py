@@ -181,7 +181,7 @@ class SpacePart:
                 f"{np.ravel(self.high).tolist()}"
             )
         if not np.isfinite(np.concatenate([self.low, self.high])).any():
-            raise ValueError("a part is bounded on one side at the least")
+            raise ValueError("a part must be bounded on at least one side")
 
     @property
     def fade(self) -> Floats:

@@ -207,7 +207,7 @@ class RadialMap:
         each = merge_repeats(known)
         x, axes = each.configurations, each.configurations.shape[1]
         if each.values.shape[1] > axes:
-            raise ValueError(f"radial takes no more outputs than axes, got {each.values.shape[1]} and {axes}")
+            raise ValueError(f"radial accepts at most as many outputs as axes, got {each.values.shape[1]} and {axes}")
         parts = tuple(
             None
             if like is not None and like.parts[i] is None

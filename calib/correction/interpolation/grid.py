@@ -89,7 +89,7 @@ class Grid(WeightedField):
     def __post_init__(self) -> None:
         for level in self.levels:
             if len(level) < 2 or not (np.diff(level) > 0).all():
-                raise ValueError(f"levels must be two or more and grow, got {np.asarray(level).tolist()}")
+                raise ValueError(f"levels must be at least two and increasing, got {np.asarray(level).tolist()}")
         vertices = int(np.prod([len(level) for level in self.levels]))
         if (
             self.values.shape != self.variances.shape
@@ -115,8 +115,8 @@ class Grid(WeightedField):
             raise RigError(
                 f"the {n} samples fill no grid of configurations, which {cls.__name__.lower()} takes (a plan "
                 "division:2 visits one; over "
-                f"{axes} axes it has {2**axes} vertices at the least); delaunay, axes, radial and polynomial "
-                "take samples anywhere"
+                f"{axes} axes it has {2**axes} vertices at least); delaunay, axes, radial and polynomial "
+                "accept samples anywhere"
             )
         on = found.vertex >= 0
         values, variances = average_samples(known.take(on), found.vertex[on])

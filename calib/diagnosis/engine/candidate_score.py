@@ -106,7 +106,8 @@ def best_node_score(
     """Score of the best node of a candidate's grid.
 
     solved : Solved, one for each node; weights_at : a function of the best node's index, its weights (F, a, q)
-    least_delta_chi2 : of delta chi-square; of what explains less no dispersion is asked, and its chance counts as certain
+    least_delta_chi2 : of delta chi-square; of what explains less no dispersion is asked, and its chance counts as
+        certain
     """
     best = int(np.argmax(solved.delta_chi2 - solved.rank * np.log(model.size)))
     if solved.delta_chi2[best] < least_delta_chi2:

@@ -236,8 +236,8 @@ def signed_rank_gain_in_standard_errors(square_reductions: Floats) -> float:
 def summed_gain_in_standard_errors(square_reductions: Floats, prior_reduction: float = 0.0) -> float:
     """Gain of held-out stretches in standard errors, by the sum of square reductions (n,).
 
-    prior_reduction : what squares fall by that belong to no frame: a misfit that the prior on a nuisance alone shows is no
-        stretch's, and has no rank
+    prior_reduction : what squares fall by that belong to no frame: a misfit that the prior on a nuisance alone shows
+        is no stretch's, and has no rank
     """
     by = np.bincount(
         time_block_folds(len(square_reductions), min(20, len(square_reductions) // 2)), weights=square_reductions

@@ -35,7 +35,7 @@ class UsualRange:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Candidate:
-    """Something that may be at a place. Candidates are told apart by identity.
+    """Something that may be at a place. Candidates are distinguished by identity.
 
     name; place; grid : [Node] in the order of the search; label : which variant
     extra : nonlinear parameters that the search chooses; tied : coefficients that the others determine
@@ -199,7 +199,7 @@ class LeftOut:
 
 @dataclass(frozen=True, slots=True)
 class Crowd:
-    """So many of a kind are far off that they are not wild: something is left out of the model. what : in the plural;
+    """So many of a kind are far off that they are not wild: the model is incomplete. what : in the plural;
     count, of : how many.
     """
 

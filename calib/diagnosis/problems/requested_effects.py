@@ -40,7 +40,7 @@ class RequestedEffects:
         assumed = tuple(f"{name} {place}" for name, place in given.assumed)
         out = [text for text, (name, _) in zip(assumed, given.assumed) if {name, text} & set(asked.without)]
         if out:
-            raise RigError(f"{' and '.join(out)} cannot be assumed and left out at once")
+            raise RigError(f"{' and '.join(out)} cannot be both assumed and excluded")
         return RequestedEffects((*asked.only, *assumed) if asked.only else (), asked.without, kinds)
 
     def name(self, name: str) -> bool:
@@ -104,7 +104,7 @@ def require_assumed_effects_testable(
         if (name, place) not in there:
             reasons = [s.reason for s in untestable_effects if s.effect == name]
             raise RigError(
-                f"{name} at {place} is assumed, but this recording cannot be asked for it"
+                f"{name} at {place} is assumed, but this recording cannot be tested for it"
                 + (f": {reasons[0]}" if reasons else "")
             )
     return stated_terms

@@ -14,7 +14,7 @@ from rig.recording.recording_folder import RecordingPart
 SCHEMA = "diagnosis/1"
 NOTHING = 0.2  # of the misfit held out, added in squares, that a finding must take away to be more than significant
 ASSUMED, SEEN_BEFORE = "assumed", "seen before"
-UNKNOWN = "unknown"  # name of a finding that nothing in the catalogue explains
+UNKNOWN = "unknown"  # name of a finding that no catalogued effect explains
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ class RemarkEntry:
 
 @dataclass(frozen=True, slots=True)
 class Unexplained:
-    """The largest of what nothing in the catalogue explains. depends_on : names of covariates, none for scatter."""
+    """The largest of what no catalogued effect explains. depends_on : names of covariates, none for scatter."""
 
     place: str
     magnitude: float

@@ -23,9 +23,9 @@ from rig.report.pages.plots import panel_row_html
 from vision.frame_and_effect_pictures import effect_sketch
 
 DOTS = (
-    "Small dots are residuals, large ones means of as many of them each with their 95 % interval. Without "
-    "it: the best that calibration can do "
-    "alone, which swallows part of it."
+    "Small dots are residuals, large ones means of equal numbers of them with their 95 % interval. Without "
+    "it: the best fit of the calibration "
+    "alone, which absorbs part of it."
 )
 
 
@@ -77,10 +77,8 @@ def diagnosis_page(path: Path, report: Report, view: View, links: Sequence[Link]
         parts += [heading_html(f"{number + 1}. {title}"), *_finding(finding, view)]
     if slight:
         parts += [
-            heading_html("Significant, and of little account"),
-            paragraph_html(
-                "These are there beyond chance; without them, what was held out would be predicted as well."
-            ),
+            heading_html("Significant but negligible"),
+            paragraph_html("These are significant, but held-out data would be predicted as well without them."),
         ]
     for finding in slight:
         title = report_sentences.finding_title(finding) + report_sentences.finding_size_text(finding)
@@ -91,29 +89,26 @@ def diagnosis_page(path: Path, report: Report, view: View, links: Sequence[Link]
     parts += _suggestions(report)
     if report.covariates:
         parts += [
-            heading_html("What it goes with"),
+            heading_html("Correlated covariates"),
             paragraph_html(
-                "Share of the squares left that smooth functions of one covariate explain, beyond what as "
+                "Share of the residual squares that smooth functions of one covariate explain, beyond what as "
                 "many numbers do by chance: "
-                "with nothing admitted, and with all that was found. Covariates that go together share what "
+                "with no finding admitted, and with all findings. Correlated covariates share what "
                 "they explain."
             ),
             table_html(*report_sentences.covariate_table(report.covariates)),
         ]
     if report.remarks:
         parts += [
-            heading_html("There, and nobody's fault"),
+            heading_html("Present, within tolerance"),
             paragraph_html(
-                "Beyond chance, and no more than parts and instruments may do on their own: nothing to be "
-                "done about it."
+                "Significant, but within the tolerance of parts and instruments: nothing to be done about it."
             ),
-            table_html(
-                ("what", "size", "why it is no finding"), [report_sentences.remark_row(r) for r in report.remarks]
-            ),
+            table_html(("what", "size", "reason"), [report_sentences.remark_row(r) for r in report.remarks]),
         ]
     parts += _left_out(report)
     parts += [
-        heading_html("What was asked"),
+        heading_html("Hypotheses tested"),
         *_asked(report),
         heading_html("The measurement"),
         table_html(("what", "value"), _measurement(report, view)),
@@ -142,9 +137,7 @@ def _sketched(name: str) -> list[str]:
     sketch, said = effect_sketch(BY_NAME[name]), f"What {BY_NAME[name].label()} does"
     return [
         folding_section_html(
-            said,
-            paragraph_html(f"As the catalogue of effects shows it: {sketch.words}."),
-            panel_row_html(*sketch.figures),
+            said, paragraph_html(f"From the catalogue of effects: {sketch.words}."), panel_row_html(*sketch.figures)
         )
     ]
 
@@ -158,16 +151,14 @@ def _alternatives(finding: FindingEntry) -> list[str]:
     others = finding.cannot_be_told_from
     if others:
         return [
-            paragraph_html(
-                "What else it could be, for all that this recording says, and the experiment that would tell:"
-            ),
+            paragraph_html("Alternatives that this recording does not exclude, and an experiment to distinguish them:"),
             table_html(
                 ("effect", "place", "worse by", "experiment"),
                 [(a.effect.replace("_", " "), a.place, f"{a.delta_bic:.1f}", a.experiment) for a in others],
             ),
         ]
     return (
-        [paragraph_html("Nothing else in the catalogue explains it as well.")]
+        [paragraph_html("No other catalogued effect explains it as well.")]
         if finding.evidence.delta_bic is not None
         else []
     )
@@ -179,7 +170,7 @@ def _remaining(report: Report, view: View) -> list[str]:
         return [
             levels,
             paragraph_html(
-                "What remains looks like noise: no dependence on pose, time, history, image position or a "
+                "What remains resembles noise: no dependence on pose, time, history, image position or a "
                 "logged channel was "
                 "found."
             ),
@@ -206,7 +197,7 @@ def _left_out(report: Report) -> list[str]:
     """The rows that were left out before anything was searched, each with its reason."""
     if not report.left_out and report.crowd is None:
         return []
-    parts = [heading_html("Left out before anything was searched")]
+    parts = [heading_html("Excluded before the search")]
     parts += (
         []
         if report.crowd is None
@@ -218,10 +209,10 @@ def _left_out(report: Report) -> list[str]:
         rows = [report_sentences.excluded_row_texts(one) for one in report.left_out]
         parts += [
             paragraph_html(
-                f"{report_sentences.row_count_text(len(rows))} far off all that the rest of the recording "
+                f"{report_sentences.row_count_text(len(rows))} far from all that the rest of the recording "
                 "allows, and no neighbour in time or "
                 f"configuration "
-                "shows the same. The findings do not rest on these rows."
+                "shows the same. The findings do not use these rows."
             ),
             table_html(("frame", "where", "how far off", "why"), rows),
         ]
@@ -233,7 +224,7 @@ def _suggestions(report: Report) -> list[str]:
     parts = []
     for entry in report.suggestions:
         parts += [
-            heading_html(f"A formula for what is at {entry.place}", 3),
+            heading_html(f"A formula for the residual at {entry.place}", 3),
             paragraph_html(report_sentences.formula_suggestion_sentences(entry)),
             table_html(("parameter", "value", "95 % interval"), report_sentences.suggested_formula_rows(entry)),
         ]
@@ -241,12 +232,12 @@ def _suggestions(report: Report) -> list[str]:
 
 
 def _asked(report: Report) -> list[str]:
-    asked = [paragraph_html(f"{report.asked} hypotheses, an effect at a place each, were held against the recording.")]
-    asked += [paragraph_html(f"Said by the operator beforehand: {'; '.join(report.said)}.")] if report.said else []
+    asked = [paragraph_html(f"{report.asked} hypotheses, an effect at a place each, were tested on the recording.")]
+    asked += [paragraph_html(f"Stated by the operator beforehand: {'; '.join(report.said)}.")] if report.said else []
     files = "; ".join(f"{f.file} ({', '.join(f.effects)}; sha256 {f.sha256})" for f in report.own_effects)
     asked += [paragraph_html(f"Effects of the operator's own: {files}.")] if files else []
     if not report.not_asked:
-        return [*asked, paragraph_html("The whole catalogue could be asked for.")]
+        return [*asked, paragraph_html("The whole catalogue could be tested.")]
     rows = [(s.effect.replace("_", " "), s.reason) for s in report.not_asked]
     return [*asked, folding_section_html(f"{len(rows)} could not be", table_html(("effect", "why"), rows))]
 

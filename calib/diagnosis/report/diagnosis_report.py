@@ -37,8 +37,8 @@ from rig.formats.output_files import write_text
 from rig.report.pages.html_and_svg_elements import result_html
 from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
 
-ROWS = "Look at the rows that were left out, below: record those configurations once more"
-TAKE_IN = "Let the calibration take it in: `rig calibrate REC --diagnosis DIR --out calibration.json`"
+ROWS = "Examine the excluded rows below: record those configurations again"
+TAKE_IN = "Include it in the calibration: `rig calibrate REC --diagnosis DIR --out calibration.json`"
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,21 +121,20 @@ def summary_sentence(report: Report) -> str:
     worst, left = report.unexplained, ""
     if worst is not None:
         left = (
-            f"something at {worst.place} that nothing in the catalogue explains, "
-            f"{value_text(worst.magnitude, worst.unit)}"
+            f"something at {worst.place} that no catalogued effect explains, {value_text(worst.magnitude, worst.unit)}"
         )
-        left += f", going with {' and '.join(worst.depends_on)}" if worst.depends_on else ""
+        left += f", correlated with {' and '.join(worst.depends_on)}" if worst.depends_on else ""
     if not report.named:
         return f"There is {left}." if left else _all_clear_sentence(report)
     main = report.mattering or report.named
     said = [f"{finding_title(f)}{finding_size_text(f)}{stated_beforehand_text(f)}" for f in main]
     fewer = len(report.named) - len(main)
-    slight = "1 more is significant and changes" if fewer == 1 else f"{fewer} more are significant and change"
-    said += [f"{slight} what was held out by next to nothing"] if fewer else []
+    slight = "1 more is significant but changes" if fewer == 1 else f"{fewer} more are significant but change"
+    said += [f"{slight} held-out errors negligibly"] if fewer else []
     text = "; ".join([*said, *([f"besides, {left}"] if left else [])])
     doubtful = [f.effect.replace("_", " ") for f in main if f.cannot_be_told_from]
     text += (
-        f". This recording alone cannot tell the {' and the '.join(doubtful)} from everything else: see there"
+        f". This recording alone cannot distinguish the {' and the '.join(doubtful)} from alternatives: see its entry"
         if doubtful
         else ""
     )
@@ -143,19 +142,17 @@ def summary_sentence(report: Report) -> str:
 
 
 def _all_clear_sentence(report: Report) -> str:
-    """What it is worth that nothing was found: nothing, where nobody states the noise."""
+    """What it is worth that nothing was found: nothing, where the noise is not stated."""
     if report.crowd is not None:
-        return f"Nothing in the catalogue was found, and {outliers_not_excluded_sentence(report.crowd)}."
+        return f"No catalogued effect was found, and {outliers_not_excluded_sentence(report.crowd)}."
     if report.noise_from == ASSUMED_NOISE:
         return (
-            "Nothing was found, which proves nothing: nobody states the noise of the poses, and what is left "
-            "of them was taken for it. State it: "
+            "Nothing was found, which is inconclusive: the noise is not stated, and the residual of the poses "
+            "was used instead. State it: "
             "position_sigma and rotation_sigma in [instrument] of rig.toml."
         )
-    whence = (
-        ", which what is left of the corners determines: nobody states it" if report.noise_from == RESIDUALS else ""
-    )
-    return f"Nothing is left out: the recording and the model of the rig agree within the noise{whence}."
+    whence = ", estimated from the residuals of the corners: not stated" if report.noise_from == RESIDUALS else ""
+    return f"Nothing is unmodelled: the recording and the model of the rig agree within the noise{whence}."
 
 
 def diagnosis_verdict(report: Report) -> Verdict:
@@ -186,12 +183,12 @@ def diagnosis_verdict(report: Report) -> Verdict:
 def unexplained_sentences(report: Report, known_physics: Collection[tuple[str, str]] = ()) -> tuple[str, ...]:
     """Sentences on what a Report leaves unexplained by the model. known_physics : (effect, place) already modelled"""
     named = [
-        f"the model leaves out {report_sentences.finding_title(f)}"
+        f"the model omits {report_sentences.finding_title(f)}"
         for f in report.mattering
         if (f.effect, f.place) not in known_physics
     ]
     unknown = [
-        f"nothing in the catalogue explains what is at {f.place}"
+        f"no catalogued effect explains the residual at {f.place}"
         for f in report.unknown
         if (f.effect, f.place) not in known_physics
     ]
@@ -200,9 +197,9 @@ def unexplained_sentences(report: Report, known_physics: Collection[tuple[str, s
         and report.unexplained is not None
         and (UNKNOWN, report.unexplained.place) not in known_physics
     ):
-        unknown = [f"nothing in the catalogue explains what is at {report.unexplained.place}"]
+        unknown = [f"no catalogued effect explains the residual at {report.unexplained.place}"]
     if report.crowd is not None:
-        unknown.append("too many rows agree with no others for any to be left out")
+        unknown.append("too many rows agree with no others for any to be excluded")
     return tuple(dict.fromkeys([*named, *unknown]))
 
 
@@ -210,9 +207,7 @@ def doubts_of_report(report: Report) -> tuple[MissingEvidence, ...]:
     """Doubts of a Report: what it assumes and nobody has shown."""
     missing = []
     if report.noise_from == ASSUMED_NOISE:
-        missing.append(
-            MissingEvidence("nobody states the noise of the poses, against which anything left out would show")
-        )
+        missing.append(MissingEvidence("the noise is not stated, so unmodelled effects cannot be tested"))
     if report.left_out:
         count = len(report.left_out)
         agreeing = f"{count} rows agree with no others and were" if count > 1 else "1 row agrees with no others and was"
@@ -241,11 +236,11 @@ def recommended_actions(report: Report) -> list[str]:
         return [*actions, TAKE_IN]
     if report.suggestions:
         return [
-            "Have the formula for it asked for, and edit it: `rig effects --new NAME --from DIR`, then `rig "
+            "Generate its formula and edit it: `rig effects --new NAME --from DIR`, then `rig "
             "diagnose --effects NAME.py`"
         ]
     if report.findings or report.crowd is not None:
-        return ["Look at what it goes with below, and record what may cause it: temperature, load, time"]
+        return ["See the correlated covariates below, and record possible causes: temperature, load, time"]
     if report.noise_from == ASSUMED_NOISE:
         return [
             "State the noise of the poses, position_sigma and rotation_sigma in [instrument] of rig.toml, "

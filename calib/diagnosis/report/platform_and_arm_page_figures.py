@@ -41,8 +41,8 @@ ARM_PLAYED = 4  # findings that are shown in three dimensions
 ROWS = (
     "geometry alone",
     "with effects",
-    "of these, every joint near angles it was fitted at",
-    "of these, a joint at angles never fitted",
+    "of these, every joint near fitted angles",
+    "of these, a joint at angles not fitted",
 )
 
 
@@ -147,11 +147,11 @@ class ArmView:
         ]
         if d.findings:
             parts += [
-                heading_html("What each finding brings on poses held out", 3),
+                heading_html("Gain of each finding on held-out poses", 3),
                 held_out_gain_table(d),
-                heading_html("What single poses suffer from", 3),
+                heading_html("Findings that affect individual poses", 3),
                 paragraph_html(
-                    "The poses that all findings together displace most, for each finding a bar, the biggest first. "
+                    "The poses most displaced by all findings, a bar for each finding, the largest first. "
                     "contributions.csv has them for every pose."
                 ),
                 residual_figures_and_contributions.worst_pose_contribution_figure(self.evidence, d.selection),
@@ -160,15 +160,15 @@ class ArmView:
         if len(aside):
             parts.append(
                 paragraph_html(
-                    f"{len(aside)} poses agree with no model and count for next to nothing: frames "
+                    f"{len(aside)} poses agree with no model and have negligible weight: frames "
                     f"{', '.join(map(str, aside))}."
                 )
             )
         if d.repeats is not None and any(u.depends_on == ("configuration",) for u in d.left):
             parts.append(
                 paragraph_html(
-                    f"The same command brings {d.repeats.recurring_share:.0%} of what remains again: that is "
-                    "no noise, and of no form that was tried."
+                    f"The same command brings {d.repeats.recurring_share:.0%} of the residual again: it is "
+                    "not noise, and has none of the forms tried."
                 )
             )
         return parts
@@ -197,7 +197,7 @@ class ArmView:
         ]
         if d.repeats is not None:
             ends = np.array([0.0, len(d.held[0].after) - 1.0])
-            series.append(Series(ends, np.full(2, d.repeats.mean * 1e6), "the same command again", "line", -1))
+            series.append(Series(ends, np.full(2, d.repeats.mean * 1e6), "the same command repeated", "line", -1))
         return plot_panel_svg("held-out errors", ("pose", "position error, µm"), series, log=True)
 
 
@@ -250,10 +250,7 @@ class PlatformView:
         struts, corners = residuals_without_effects(refined)
         parts: list[str] = [_levels(self.diagnosis, struts)]
         if self.diagnosis.findings and self.diagnosis.regions:
-            parts += [
-                heading_html("What each finding brings on frames held out", 3),
-                held_out_gain_table(self.diagnosis),
-            ]
+            parts += [heading_html("Gain of each finding on held-out frames", 3), held_out_gain_table(self.diagnosis)]
         for f in unknown[:PICTURED]:
             place = Place.parse(f.place)
             if place.kind == "strut":

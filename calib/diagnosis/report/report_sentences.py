@@ -69,7 +69,7 @@ def finding_size_text(finding: FindingEntry | RemarkEntry) -> str:
     """
     for name, p in finding.parameters.items():
         if isinstance(p.value, (int, float)) and p.ci95 is not None:
-            at = "; at the bound of what makes sense" if p.at_bound is not None else ""
+            at = "; at the bound of its plausible range" if p.at_bound is not None else ""
             sure = NOT_DETERMINED if p.open == "both" else f"95 %: {_ends(p, False)}"
             return f", {name.replace('_', ' ')} {value_text(p.value, p.unit, digits=_digits(p))} ({sure}{at})"
         if ", " in p.unit and len(p.value) % 3 == 0 and len(p.value):
@@ -110,9 +110,9 @@ def row_count_text(count: int) -> str:
 def outliers_not_excluded_sentence(crowd: Crowd) -> str:
     """Sentence on outliers that were not excluded, since they are too many."""
     return (
-        f"{crowd.count} of {crowd.of} {crowd.what} are far off all others: too many to be mistakes of their "
-        "own, so they were not left out, and "
-        "something is left out of the model"
+        f"{crowd.count} of {crowd.of} {crowd.what} are far off all others: too many to be individual "
+        "mistakes, so they were not excluded, and "
+        "the model is incomplete"
     )
 
 
@@ -123,11 +123,8 @@ def held_out_sentence(fit: FitEntry, has_named_findings: bool) -> str:
     )
     ratio = f", {fit.heldout_after / fit.noise_floor:.2f} times the noise" if fit.noise_floor else ""
     if not has_named_findings:
-        return f"On stretches of the recording that the fit had not seen, {after} are left over{ratio} ({floor})."
-    return (
-        f"On stretches of the recording that the fit had not seen, the misfit falls from {before} to "
-        f"{after}{ratio} ({floor})."
-    )
+        return f"On held-out stretches of the recording, {after} remain{ratio} ({floor})."
+    return f"On held-out stretches of the recording, the misfit falls from {before} to {after}{ratio} ({floor})."
 
 
 def probability_text(p: float | None) -> str:
@@ -152,14 +149,14 @@ def evidence_sentence(finding: FindingEntry) -> str:
     said = [
         f"held out, {value_text(e.heldout_before, e.unit)} without it and "
         f"{value_text(e.heldout_after, e.unit)} with it{errors}",
-        f"chance of such a finding where there is nothing: {probability_text(e.p_value)}",
+        f"probability of such a finding without an effect: {probability_text(e.p_value)}",
         f"information criterion better by {e.delta_bic:.0f} ({CONVINCING} is convincing)",
     ]
     if finding.said == ASSUMED:
         shown = e.p_value is not None and e.p_value <= SELDOM and e.delta_bic >= CONVINCING
         said.append(
             "it was assumed, and this recording "
-            + ("shows it by itself as well" if shown else "would not have shown it by itself")
+            + ("shows it independently as well" if shown else "would not have shown it independently")
         )
     return f"How sure: {'; '.join(said)}."
 
@@ -167,12 +164,12 @@ def evidence_sentence(finding: FindingEntry) -> str:
 def unexplained_sentence(unknown: Sequence[FindingEntry]) -> str:
     """Sentence on what is unexplained: functions that fit it, or scatter that none fits."""
     fitted = [f for f in unknown if f.parameters["depends_on"].value]
-    said = ["Something remains that nothing in the catalogue explains."]
-    said += ["A smooth function fits it; it is given no name."] if fitted else []
+    said = ["A residual remains that no catalogued effect explains."]
+    said += ["A smooth function fits it; its cause is not identified."] if fitted else []
     said += (
         [
-            "What scatters more than its noise is as likely left out of the model as the noise is stated too "
-            "small: this recording does not tell "
+            "Scatter above the noise may be an unmodelled effect as well as noise that is stated too "
+            "small: this recording does not distinguish "
             "which."
         ]
         if len(fitted) < len(unknown)
@@ -192,7 +189,7 @@ def formula_suggestion_sentences(entry: SuggestionEntry) -> str:
         f"and fitted without them: {before} "
         f"before, {after} after, {entry.heldout_after / entry.noise:.2f} times the noise ({floor}); {alike} "
         f"of {len(entry.parts)} times the same "
-        "covariates were chosen. It is a suggestion, and no name."
+        "covariates were chosen. It is a suggestion, not an identification."
     )
 
 
@@ -219,7 +216,7 @@ def covariate_table(covariates: Sequence[CovariateEntry]) -> tuple[tuple[str, ..
 
 
 def remark_row(remark: RemarkEntry) -> tuple[str, str, str]:
-    """(what, how large, why it is no finding) of a remark."""
+    """(what, how large, reason) of a remark."""
     text = finding_size_text(remark).removeprefix(", ")
     unknown = remark.parameters.get("magnitude")
     return finding_title(remark), text or (value_text(unknown.value, unknown.unit) if unknown else ""), remark.reason
@@ -254,7 +251,7 @@ def _interval(p: Value) -> str:
     if p.ci95 is None:
         return ""
     text = _ends(p)
-    return f"{text}; stands at its bound" if p.at_bound is not None else text
+    return f"{text}; at its bound" if p.at_bound is not None else text
 
 
 def finding_line(finding: FindingEntry, most_numbers: int = 6) -> str:

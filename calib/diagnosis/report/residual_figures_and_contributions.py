@@ -48,7 +48,7 @@ def worst_pose_contribution_figure(evidence: PoseContributions[Fit, C], selectio
     frames, names, sizes = evidence.contributions(selection)
     worst = np.argsort(-sizes[:, :-1].sum(axis=1))[:WORST]
     scale = (END - START) / float(sizes[worst].sum(axis=1).max())
-    parts = [svg_text(4, 14, "by frame, µm one beside the other", style="name")]
+    parts = [svg_text(4, 14, "by frame, µm side by side", style="name")]
     for row, pose in enumerate(worst):
         at, y = START, 22 + ROW * row
         parts.append(svg_text(START - 6, y + 12, str(frames[pose]), "end"))
@@ -68,7 +68,7 @@ def worst_pose_contribution_figure(evidence: PoseContributions[Fit, C], selectio
             svg_text(START + 16, y + 10, name.replace("_", " ")),
         ]
     return svg_figure(
-        int(40 + ROW * (len(worst) + len(names))), "what each finding does to the poses that suffer most", parts
+        int(40 + ROW * (len(worst) + len(names))), "contribution of each finding to the most affected poses", parts
     )
 
 
@@ -239,7 +239,7 @@ def repeatability_rows(diagnosis: Diagnosis) -> list[tuple[str, object]]:
     if diagnosis.repeats is None:
         return []
     text = f"{diagnosis.repeats.mean * 1e6:.1f} µm ({diagnosis.repeats.pairs} pairs)"
-    return [("the same command given again comes back within", text)]
+    return [("repeatability of the same command", text)]
 
 
 def held_out_gain_table(diagnosis: Diagnosis) -> str:
@@ -260,8 +260,8 @@ def held_out_gain_table(diagnosis: Diagnosis) -> str:
     places = [] if diagnosis.design is None else mechanisms.axis_places(diagnosis.design.mechanism)
     units = " or ".join(dict.fromkeys(UNITS.get(v.unit, v.unit) for v in diagnosis.cross_validations))
     said = note_html(
-        f"{units}, RMS along one axis, by which what was held out is predicted better with it than without. A curve of "
-        "an axis' own position is not told where that axis never stood: there, what it brings by that axis' own "
-        "regions may be a loss."
+        f"{units}, RMS along one axis, by which held-out data are predicted better with it than without. A curve of "
+        "an axis' own position is undetermined where that axis was never recorded: there, its gain by that axis' own "
+        "regions may be negative."
     )
     return table_html(("finding", "held out: time", *places[: len(diagnosis.regions)]), rows) + said

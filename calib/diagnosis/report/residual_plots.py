@@ -74,7 +74,7 @@ def effect_residual_figures(refinement: Refinement, number: int) -> str:
     size = np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
     return residual_scatter_figure(
         size[:, 0],
-        "displacement that it makes, px",
+        "displacement that it causes, px",
         [np.einsum("ni,ni->n", v[own], way / size) for v in (image_before, image_after)],
         "residual along it, px",
     )

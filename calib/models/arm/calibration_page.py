@@ -44,20 +44,20 @@ def write_arm_calibration_page(
     parts = [
         *evidence_html(calibration),
         *_held(certified),
-        heading_html("Before and after, pose by pose"),
-        note_html("All poses; the fit has seen these."),
+        heading_html("Errors before and after, by pose"),
+        note_html("All poses, including those fitted."),
         correction_error_figures(*errors_before_and_after_correction(calibration.correction, samples), samples.frame),
         *view_3d_html(recording, calibration, samples),
-        heading_html("What each joint is corrected by"),
-        note_html("Beyond its offset, along the configurations visited."),
+        heading_html("Correction of each joint"),
+        note_html("Excluding its offset, along the visited configurations."),
         _profiles(calibration, samples),
-        heading_html("Where the target went"),
+        heading_html("Positions of the target"),
         pose_coverage_figures(went),
         *workspace_section_html(calibration.workspace, "rad"),
         heading_html("Parameters"),
         *(paragraph_html(f"{line}.") for line in certified.found.rank.report()),
         folding_section_html("Every parameter's change", _arm_parameters(calibration)),
-        heading_html("Where this came from"),
+        heading_html("Provenance"),
         folding_section_html("Recording, versions, arguments", provenance_html(calibration)),
     ]
     judged = calibration_verdict(calibration)
@@ -76,7 +76,7 @@ def _held(done: CertifiedArm) -> list[str]:
         f"; {what} were not measured" for size, what in zip(held.floor, ("positions", "rotations")) if not size < 1
     )
     k, unit = (0, "mm") if held.floor[0] < 1 else (1, "mrad")
-    each = [("owner's model", held.before), ("geometry alone", done.geometry.after), ("corrected", held.after)]
+    each = [("nominal model", held.before), ("geometry alone", done.geometry.after), ("corrected", held.after)]
     each += [("corrected, random rows", done.scattered.after)] if done.scattered is not None else []
     rows = [(name, *_figures(f)) for name, f in each]
     return [
@@ -85,9 +85,9 @@ def _held(done: CertifiedArm) -> list[str]:
             f"{held.configurations} distinct "
             f"configurations): the mean error falls from {held.before.mean[k] * 1e3:.3f} {unit} to "
             f"{held.after.mean[k] * 1e3:.4f} {unit}. "
-            f"The measured poses themselves are uncertain by {floor}."
+            f"The uncertainty of the measured poses is {floor}."
             + (
-                " Rows drawn at random flatter: their neighbours in time were fitted."
+                " Randomly chosen rows are optimistic: their neighbours in time were fitted."
                 if done.scattered is not None
                 else ""
             )

@@ -64,7 +64,7 @@ PARTS = 3
 FEW = 30  # configurations below which one at a time is held out, or a tenth of them
 ROUNDS = 2  # of fitting the geometry and the profiles in turn
 UNPLACED = {
-    "orientation": "orientations alone were measured, which tell nothing of lengths and places",
+    "orientation": "orientations alone were measured, which do not determine lengths and positions",
     "distance": "a wire's length alone was measured, which does not tell how the arm's base is turned",
 }
 
@@ -88,7 +88,7 @@ class CertifiedArm:
 
 
 class _Way(NamedTuple):
-    """How held-out poses are predicted: with the physics that was found, with joint profiles on top."""
+    """How held-out poses are predicted: with the identified effects, with joint profiles on top."""
 
     physics: bool
     profiles: bool
@@ -333,7 +333,7 @@ def _held_out(
             before[part == k], _ = errors_before_and_after_correction(correction, samples.take(part == k))
             _, after[part == k] = errors_before_and_after_correction(correction, told[asked].take(part == k))
         said(
-            "holding configurations out" + (", joints corrected" if any(way.profiles for way in ways) else ""),
+            "cross-validating configurations" + (", joints corrected" if any(way.profiles for way in ways) else ""),
             int(k) + 1,
             part.max() + 1,
         )
@@ -356,7 +356,7 @@ def arm_workspace_claim(samples: Samples, certified: CertifiedArm, rng: np.rando
             fitted,
             fitted,
             found.rank.asked,
-            "what is told at all is fitted without one",
+            "all determined parameters are fitted without one",
             "none",
             None,
             None,
@@ -369,10 +369,10 @@ def arm_workspace_claim(samples: Samples, certified: CertifiedArm, rng: np.rando
     each = mean_sample_per_configuration(
         kept, label, error_model_and_observations.joint_jacobian(kept.commanded, found.arm)
     )
-    words = f"the middle {FILL * 100:.0f} % of the angles recorded, all joints free of each other"
+    words = f"the middle {FILL * 100:.0f} % of the recorded angles, all joints independent"
     fitted = int(found.rank.free.sum())
     told = ConfigurationInformation(
-        len(each), fitted, fitted, found.rank.asked, "what is told at all is fitted without one"
+        len(each), fitted, fitted, found.rank.asked, "all determined parameters are fitted without one"
     )
     if certified.held_out is None:
         return empty_claim_of_too_few_configurations(told, words)

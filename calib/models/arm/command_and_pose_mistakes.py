@@ -177,9 +177,8 @@ def _mistakes(reached: ReachedPoses) -> Iterator[Mistake]:
         )
     else:
         yield Mistake(
-            f"{said}, and no usual mistake explains it",
-            "Look at the joints' zeros, signs and order, at mechanism.joints, and at whether poses and "
-            "commands belong together",
+            f"{said}, and no common mistake explains it",
+            "Check the joints' zeros, signs and order, mechanism.joints, and whether poses and commands match",
             bool(before > 10 * AWAY[0]),
             0.3,
         )
@@ -189,7 +188,7 @@ def _candidates(reached: ReachedPoses) -> Iterator[tuple[str, str, ReachedPoses]
     yield from _axes(reached)
     yield from _links(reached)
     frames = len(reached.q)
-    do = "Look at how poses were numbered: one missing or one too many at the start shifts all"
+    do = "Check how poses were numbered: one missing or extra at the start shifts all"
     for by in (-2, -1, 1, 2):
         kept = (reached.index + by >= 0) & (reached.index + by < frames)
         yield (
@@ -233,11 +232,11 @@ def _axes(reached: ReachedPoses) -> Iterator[tuple[str, str, ReachedPoses]]:
             "State them in metres",
             replace(reached, q=np.where(slides, q / 1e3, q)),
         )
-    yield "commands.csv: all joints turn the other way (sign)", "Turn their sign", replace(reached, q=-q)
+    yield "commands.csv: all joints turn backwards (sign)", "Reverse their sign", replace(reached, q=-q)
     for j in range(n):
         turned = q.copy()
         turned[:, j] *= -1
-        yield f"commands.csv: joint {j + 1} turns the other way (sign)", "Turn its sign", replace(reached, q=turned)
+        yield f"commands.csv: joint {j + 1} turns backwards (sign)", "Turn its sign", replace(reached, q=turned)
         if slides[j]:
             continue
         for by in (90, -90, 180, 45, -45, 30, -30):
@@ -245,7 +244,7 @@ def _axes(reached: ReachedPoses) -> Iterator[tuple[str, str, ReachedPoses]]:
             moved[:, j] += np.radians(by)
             yield (
                 f"commands.csv: joint {j + 1} has another zero, {abs(by)} degrees off (offset)",
-                f"Add {by} degrees to it, or mend theta in rig.toml",
+                f"Add {by} degrees to it, or correct theta in rig.toml",
                 replace(reached, q=moved),
             )
         single = q.copy()
@@ -256,18 +255,18 @@ def _axes(reached: ReachedPoses) -> Iterator[tuple[str, str, ReachedPoses]]:
         order[i], order[j] = j, i
         yield (
             f"commands.csv: joints {i + 1} and {j + 1} are exchanged (order)",
-            "Put the columns in the order of the joints",
+            "Order the columns as the joints",
             replace(reached, q=q[:, order]),
         )
     yield (
         "commands.csv: the joints are in reverse order",
-        "Put the columns in the order of the joints",
+        "Order the columns as the joints",
         replace(reached, q=q[:, ::-1]),
     )
     for by in (1, n - 1):
         yield (
             "commands.csv: the joints' columns are shifted by one (order)",
-            "Put the columns in the order of the joints",
+            "Order the columns as the joints",
             replace(reached, q=np.roll(q, by, axis=1)),
         )
 
@@ -302,4 +301,4 @@ def _links(reached: ReachedPoses) -> Iterator[tuple[str, str, ReachedPoses]]:
     for i, j in combinations(range(len(rows)), 2):
         order = list(range(len(rows)))
         order[i], order[j] = j, i
-        yield put(f"rows {i + 1} and {j + 1} are exchanged", "Put the rows in the order of the joints", rows[order])
+        yield put(f"rows {i + 1} and {j + 1} are exchanged", "Order the rows as the joints", rows[order])

@@ -83,10 +83,10 @@ class ArmCorrection(Correction[Arm, Profile]):
         return len(self.nominal.joints) < deficient.WHOLE
 
     def summand(self, commands: Floats) -> Floats:
-        """KSF (..., joints) rad or m at commands: commanded less what the owner's model says for the pose that it
+        """KSF (..., joints) rad or m at commands: commanded less what the nominal model says for the pose that it
         gives.
 
-        Raises Unreachable with the index of commands near which the owner's model does not take that pose
+        Raises Unreachable with the index of commands near which the nominal model does not take that pose
         """
         if self.deficient:
             return (
@@ -100,7 +100,7 @@ class ArmCorrection(Correction[Arm, Profile]):
         far = np.flatnonzero(left > mechanism.GOOD)
         if len(far):
             raise Unreachable(
-                f"the owner's model does not take {len(far)} of {len(flat)} corrected poses in their own posture:",
+                f"the nominal model does not take {len(far)} of {len(flat)} corrected poses in their posture:",
                 far,
                 [f"pose {i}: it comes no nearer than {left[i]:.3g} m or rad" for i in far.tolist()],
             )
@@ -112,7 +112,7 @@ class ArmCorrection(Correction[Arm, Profile]):
         return mechanism.joint_value_difference(commands, self.near(T_base_platform, commands), self.nominal)
 
     def uncorrected(self, T_base_platform: RigidTransform) -> Floats:
-        """Commands (..., joints) rad or m that the owner's model gives for wanted poses (m,), as the nearest visited
+        """Commands (..., joints) rad or m that the nominal model gives for wanted poses (m,), as the nearest visited
         ones took them.
         """
         if self.deficient:

@@ -40,7 +40,9 @@ def joint_zero_indices(arm: Arm) -> Integers:
 
 
 def parameter_names(arm: Arm) -> tuple[str, ...]:
-    """Names of the parameters, in order: base x .. base rz, theta 1, d 1, a 1, alpha 1, beta 1, theta 2 .., tool x .."""
+    """Names of the parameters, in order: base x .. base rz, theta 1, d 1, a 1, alpha 1, beta 1, theta 2 .., tool x
+    ..
+    """
     rows = [f"{name} {i + 1}" for i in range(len(arm.joints)) for name in ROW]
     return tuple([f"base {name}" for name in TANGENT] + rows + [f"tool {name}" for name in TANGENT])
 
@@ -244,7 +246,7 @@ NAMED = 0.1  # share of the greatest coefficient from which a parameter is named
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rank:
-    """free : (p,) bool, parameters fitted; dependent : pairs (held parameter, those it cannot be told from)
+    """free : (p,) bool, parameters fitted; dependent : pairs (held parameter, those it cannot be distinguished from)
     condition : of the columns that were fitted, scaled by what is plausible; asked : parameters asked for."""
 
     free: Booleans
@@ -255,12 +257,12 @@ class Rank:
     def report(self) -> list[str]:
         """Lines for a reader."""
         if not self.asked:
-            return ["no parameters were sought"]
+            return ["no parameters were fitted"]
         lines = [f"{self.free.sum()} of {self.asked} parameters fitted; condition number {self.condition:.0f}"]
         lines += [
-            f"{name} cannot be told from {', '.join(others)} and stays as stated"
+            f"{name} cannot be distinguished from {', '.join(others)} and remains as stated"
             if others
-            else f"{name} has no effect on what was measured and stays as stated"
+            else f"{name} has no effect on what was measured and remains as stated"
             for name, others in self.dependent
         ]
         return lines

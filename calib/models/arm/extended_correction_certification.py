@@ -1,6 +1,6 @@
 """Certification of an arm's correction extended over the joint space, on held-out configurations.
 
-KSF_PM(x) = x - IK(GDK(x)), IK of the owner's model or of the fitted geometry, as near x as may be; KSF_KR is its Field
+KSF_PM(x) = x - IK(GDK(x)), IK of the nominal model or of the fitted geometry, as near x as may be; KSF_KR is its Field
 over the joint space, by the same ways as of machines on struts. Source: configuration-space patent, [0026] to [0030],
 [0130]
 """
@@ -110,7 +110,7 @@ def joint_correction_summands(samples: Samples, arm: Arm, shared: Floats) -> Cor
     else:
         worst_of = int(np.abs(step).max(axis=1).argmax())
         raise RigError(
-            f"frame {samples.frame[worst_of]}: the model takes the measured pose nowhere near its joint "
+            f"frame {samples.frame[worst_of]}: the model does not reach the measured pose near its joint "
             "values; is it that machine's?"
         )
     variances = np.full((len(q), Vt.shape[1]), limit**2)
@@ -133,7 +133,7 @@ def certify_extended_arm(
     """
     if samples.measured in UNPLACED:
         raise RigError(
-            "--extend takes an arm's poses, or its positions, as joint values are found from them; here "
+            "--extend takes an arm's poses, or its positions, since joint values are computed from them; here "
             f"{UNPLACED[samples.measured]}"
         )
     said = progress or silent_progress
@@ -229,9 +229,9 @@ def claim_without_geometry(samples: Samples, certified: CertifiedArm, rng: np.ra
     )
     way = "nothing at all" if correction.extension is None else correction.extension.kind
     told = ConfigurationInformation(
-        len(each), 0, 0, 0, f"no parameters were sought: the summands are extended by {way}"
+        len(each), 0, 0, 0, f"no parameters were fitted: the summands are extended by {way}"
     )
-    middle = f"the middle {FILL * 100:.0f} % of the angles recorded, all joints free of each other"
+    middle = f"the middle {FILL * 100:.0f} % of the recorded angles, all joints independent"
     if len(each) < LEAST:
         return empty_claim_of_too_few_configurations(told, middle)
     q = _places(correction)
@@ -267,7 +267,7 @@ def single_step_correction_errors(correction: ArmCorrection) -> tuple[float, flo
 
 def _summand(correction: ArmCorrection, q: Floats) -> Floats:
     """KSF (m, joints) of the correction at commands q (m, joints); NaN where no way from them leads to the pose by the
-    owner's model: of a stretched arm it lies beyond its reach by micrometres, or on another branch."""
+    nominal model: of a stretched arm it lies beyond its reach by micrometres, or on another branch."""
     if correction.deficient:
         return correction.summand(q)
     found, rest = mechanism.solve_inverse(correction.predict(q), correction.nominal, q, starts=0)

@@ -30,16 +30,17 @@ from rig.model.mechanism_geometry_classes import Arm
 
 MAX_ITERATIONS = 60
 CONVERGED = 1e-10  # m and rad; largest step
-ROUNDS = 12  # of weighing anew; one that still wavers then stays as it was
+ROUNDS = 12  # of weighing anew; one that still wavers then remains unchanged
 SETTLED = 1e-3  # share by which the scatter may still change
 GATE = 6.0  # standard deviations beyond which an observation is left out
-FARTHEST = 0.1  # m; an owner's model that misses by more is of another arm, or stands elsewhere
+FARTHEST = 0.1  # m; an nominal model that misses by more is of another arm, or stands elsewhere
 LONGEST_STEP = 0.5  # m and rad, of one iteration
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identified:
-    """What a fit of an arm found, p = 12 + 5 n parameters in the order of calib.models.arm.error_model_and_observations.
+    """What a fit of an arm found, p = 12 + 5 n parameters in the order of
+    calib.models.arm.error_model_and_observations.
 
     arm : Arm with the fitted geometry, base and tool; covariance : (p, p), 0 where held; free : (p,) bool
     rank : Rank, which columns depend and were held; shared : (j,) draw of the common errors
@@ -104,9 +105,9 @@ def identify_arm(
     if far > largest_median_error:
         unit = "mrad" if observations.kind == "orientation" else "mm"
         raise RigError(
-            f"what was measured is {far * 1e3:.0f} {unit} (median) from where the owner's model has it: are "
+            f"what was measured is {far * 1e3:.0f} {unit} (median) from where the nominal model has it: are "
             "these the joint angles of "
-            'these poses, with these senses and zeros, and is [instrument] base or tool unknown ("free")?'
+            'these poses, with these signs and zeros, and is [instrument] base or tool unknown ("free")?'
         )
     inliers, arm, total = np.ones(len(observations), bool), nominal, 0
     scatter = _scatter(
@@ -132,9 +133,9 @@ def require_enough_observations(count: int, numbers_each: int, parameter_count: 
     if numbers_each * count <= parameter_count:
         raise NotEnoughData(
             f"{count} observations give {numbers_each * count} equations, too few for {parameter_count} "
-            "parameters; it takes "
+            "parameters; minimum "
             f"{parameter_count // numbers_each + 1} different "
-            f"poses at the least, better {3 * (parameter_count // numbers_each + 1)}"
+            f"poses, better {3 * (parameter_count // numbers_each + 1)}"
         )
 
 

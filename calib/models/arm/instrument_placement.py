@@ -60,14 +60,14 @@ def place_arm(observations: Observations, arm: Arm, base: bool, tool: bool) -> A
     """Arm placed by observations: base and tool solved for; base, tool : whether they are unknown.
 
     Good to what the arm's own errors leave; least squares goes on from there. With distances, what cannot be told in
-    closed form stays as stated. Raises NotEnoughData for too few observations, RigError where no placement fits or two
+    closed form is as stated. Raises NotEnoughData for too few observations, RigError where no placement fits or two
     different ones fit alike
     """
     if not (base or tool):
         return arm
     if len(observations) < LEAST[observations.kind]:
         raise NotEnoughData(
-            f"{len(observations)} observations of a {observations.kind} cannot place the instrument; "
+            f"{len(observations)} observations of a {observations.kind} cannot locate the instrument; "
             f"it takes {LEAST[observations.kind]}"
         )
     if observations.kind == "distance":
@@ -90,15 +90,15 @@ def place_arm(observations: Observations, arm: Arm, base: bool, tool: bool) -> A
         raise RigError(
             f"no place of {_unknown(base, tool)} fits: the best of {len(rough)} starts still leaves "
             f"{best.left * 1e3:.0f} mm "
-            "(median). Are these the joint angles of these poses, in this order, with these senses and zeros (within "
+            "(median). Are these the joint angles of these poses, in this order, with these signs and zeros (within "
             f"{ZERO} rad), and are [mechanism] joints the maker's figures, in metres and radians?{hint}"
         )
     for other in found[1:]:
         if other.left < TWOFOLD * best.left + 1e-6 and not _same(other.arm, best.arm):
             raise RigError(
-                f"{_unknown(base, tool)} can be placed in two ways that fit alike ({best.left * 1e3:.2f} and "
+                f"{_unknown(base, tool)} can be located in two ways that fit equally well ({best.left * 1e3:.2f} and "
                 f"{other.left * 1e3:.2f} mm, "
-                "median): the poses differ too little; move every joint, or state one of the two places"
+                "median): the poses differ too little; move every joint, or state one of the two poses"
             )
     return best.arm
 
@@ -289,9 +289,9 @@ def _from_orientations(observations: Observations, arm: Arm, base: bool, tool: b
         X, Z, told = solve_rotation_placement(M, F)
         if told < TELLS:
             raise RigError(
-                "orientations of a hand that turns about one axis alone leave a family of places of base and "
+                "orientations of a hand that turns about one axis only leave a family of poses of base and "
                 "target; move more joints, or "
-                "state one of the two places"
+                "state one of the two poses"
             )
         return replace(
             arm, base=rigid_transform(X, arm.base.translation), tool=rigid_transform(Z, arm.tool.translation)

@@ -341,7 +341,7 @@ def unexplained_scatter_sentences(scatter: Floats, covariance: Floats) -> tuple[
         if np.hypot(beyond, stated) > UNSTATED * stated:
             out.append(
                 f"{name} of the hand scatter by {beyond * 1e3:.3g} {unit} beyond the {stated * 1e3:.3g} "
-                f"{unit} that is stated for them, which "
-                "nothing in this calibration explains"
+                f"{unit} stated for them, which "
+                "this calibration does not explain"
             )
     return tuple(out)

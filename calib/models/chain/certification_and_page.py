@@ -124,14 +124,14 @@ def chain_workspace_claim(samples: Samples, certified: CertifiedChain, rng: np.r
     kept = samples.take(found.inliers)
     label = np.unique(certified.label[found.inliers], return_inverse=True)[1]
     each = mean_sample_per_configuration(kept, label, mechanism.jacobian(kept.commanded, nominal))
-    words = f"the middle {FILL * 100:.0f} % of every travel, all axes free of each other"
+    words = f"the middle {FILL * 100:.0f} % of every travel, all axes independent"
     asked = int((error_model.parameter_tolerances(nominal) > 0).sum())
     told = ConfigurationInformation(
         len(each),
         asked - len(found.undetermined),
         asked - len(found.undetermined),
         asked,
-        "what no pose tells stays as stated",
+        "parameters that no pose determines remain as stated",
     )
     if len(each) < LEAST:
         return empty_claim_of_too_few_configurations(told, words)
@@ -169,16 +169,16 @@ def write_chain_calibration_page(
     """
     parts = [
         *evidence_html(calibration),
-        heading_html("Before and after, pose by pose"),
-        note_html("All poses; the fit has seen these."),
+        heading_html("Errors before and after, by pose"),
+        note_html("All poses, including those fitted."),
         correction_error_figures(*errors_before_and_after_correction(calibration.correction, samples), samples.frame),
         *view_3d_html(recording, calibration, samples),
         heading_html("Stage by stage"),
         *(paragraph_html(line) for line in certified.found.report()),
         _chain_parameters(certified),
-        heading_html("Where the last platform went"),
+        heading_html("Positions of the last platform"),
         pose_coverage_figures(pose_to_vector(samples.T_base_platform)),
-        heading_html("Where this came from"),
+        heading_html("Provenance"),
         folding_section_html("Recording, versions, arguments", provenance_html(calibration)),
     ]
     judged = calibration_verdict(calibration)

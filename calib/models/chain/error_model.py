@@ -1,8 +1,8 @@
 """Error model of a chain: parameters of its stages, their Jacobian, and least-squares equations by stage.
 
 Parameters stand in one vector, stage after stage, as changes from the owner's figures: of a hexapod its 42, of two
-struts their 6, of an arm base, rows and tool in the order of calib.models.arm.error_model_and_observations. tangent = sum over stages
-of Ad(T_k+1 .. T_n)^-1 J_k dp_k.
+struts their 6, of an arm base, rows and tool in the order of calib.models.arm.error_model_and_observations. tangent =
+sum over stages of Ad(T_k+1 .. T_n)^-1 J_k dp_k.
 """
 
 from dataclasses import dataclass, replace

@@ -73,20 +73,20 @@ class Identified:
     def report(self) -> list[str]:
         """Lines for a reader, stage by stage, then what cannot be told apart."""
         lines = [
-            f"stage {k + 1} ({stage.kind}): {told} of {asked} combinations of its parameters are told"
+            f"stage {k + 1} ({stage.kind}): {told} of {asked} combinations of its parameters are determined"
             for k, (stage, (told, asked)) in enumerate(zip(self.chain.stages, self.determined_by_stage))
         ]
-        lines += [f"stage {k}: {agree} of {of} poses of its own take part" for k, agree, of in self.below]
+        lines += [f"stage {k}: {agree} of {of} of its own poses are used" for k, agree, of in self.below]
         for upper, lower in sorted({one.base_stages for one in self.undetermined if one.base_stages is not None}):
             count = sum(one.base_stages == (upper, lower) for one in self.undetermined)
             lines.append(
-                f"{count} of 6 figures of where stage {upper} stands on stage {lower} cannot be told from "
+                f"{count} of 6 figures of the pose of stage {upper} on stage {lower} cannot be distinguished from "
                 f"stage {lower}'s own: its "
-                f"base moved as a whole, the last platform stays; they stay as stated"
+                f"base moved as a whole, the last platform fixed; they remain as stated"
             )
         rest = [one for one in self.undetermined if one.base_stages is None]
         if rest:
-            lines.append(f"{len(rest)} more combinations that no pose tells stay as stated:")
+            lines.append(f"{len(rest)} more combinations that no pose determines remain as stated:")
         return lines + [f"  {one}" for one in rest]
 
 
@@ -100,9 +100,7 @@ def identify_chain(samples: Samples, nominal: Chain) -> Identified:
     sigma = error_model.parameter_tolerances(nominal)
     free = sigma > 0
     if len(samples) < 3:
-        raise NotEnoughData(
-            f"{len(samples)} poses say nothing of a chain; it takes 3 at the least, better {int(free.sum())}"
-        )
+        raise NotEnoughData(f"{len(samples)} poses do not determine a chain; minimum 3, better {int(free.sum())}")
     measured = measured_stages(samples)
     rows: list[Integers] = np.split(
         np.arange(sum(len(one.values) for one in measured)), np.cumsum([len(one.values) for one in measured])[:-1]

@@ -27,7 +27,7 @@ from rig.model.mechanism_kinds_and_hexapod_properties import Struts
 from rig.model.mechanisms import hexapod, two_strut_plane
 
 PRIOR = 5e-3  # m; how far a joint or a zero may be from where its owner states it: ten times what rigs show
-ROUNDS = 8  # of weighing struts and poses anew; one that still wavers then stays as it was
+ROUNDS = 8  # of weighing struts and poses anew; one that still wavers then remains unchanged
 LEAST = 7  # poses from which struts may scatter, and on which a geometry must stand where there are so many
 GATE = 6.0  # standard deviations of one strut's closure beyond which a pose is left out
 ROWS = 4  # poses for each parameter of a strut's loop, from which a robust start is taken
@@ -98,8 +98,8 @@ def identify_platform(
 
     samples : Samples; nominal : where the fit starts and where its prior holds what the poses do not tell
     similar_fit : Identified of nearly the same, to start from instead: the same optimum in fewer steps
-    strut_deviations : (n, axes) m or None, known deviations of the struts (commanded less effective), taken off the commands
-        first
+    strut_deviations : (n, axes) m or None, known deviations of the struts (commanded less effective), taken off the
+        commands first
     prior : (p,) m, standard deviation that the owner's figures are given, 5 mm each by default
     Returns Identified. Raises NotEnoughData where too few poses agree, RigError where the fit does not settle.
     """
@@ -190,7 +190,7 @@ class Loops:
             raise RigError(
                 f"frame {self.samples.frame[bad]}: the commanded lengths "
                 f"{self.lengths[bad].round(6).tolist()} m close on no pose, "
-                "or its covariance is none"
+                "or covariance is invalid"
             )
         return Linear(right[..., 0], J, right[..., 1:])
 

@@ -73,7 +73,8 @@ def choose_d_optimal_configurations(
     )
     if count + len(existing_configurations) < 7:
         raise RigError(
-            f"{count + len(existing_configurations)} configurations cannot determine 42 parameters; it takes 7, better 30"
+            f"{count + len(existing_configurations)} configurations cannot determine 42 parameters; "
+            "minimum 7, better 30"
         )
     candidates, G = _candidates(hexapod, sigmas, seed, exclusion)
     known = (
@@ -152,7 +153,7 @@ def allowed_configurations(commands: Floats, exclusion: ConfigurationExclusion |
     kept = commands if exclusion is None else commands[~exclusion(commands)]
     if not len(kept):
         raise RigError(
-            f"none of {len(commands)} configurations all over the strokes may be visited: the calibration "
+            f"none of {len(commands)} configurations within the strokes may be visited: the calibration "
             "leaves no pose of the owner's "
             "model in reach"
         )
@@ -240,7 +241,7 @@ def fewest_configurations(
         if len(chosen) == MOST:
             raise RigError(
                 f"{MOST} poses leave {left[-1] * 1e6:.3g} um, not the {promise * 1e6:.3g} um promised: poses "
-                "must be measured better"
+                "must be measured more accurately"
             )
         half = G @ covariance  # (c, 6, 42)
         inner = np.eye(6) + half @ np.swapaxes(G, 1, 2)

@@ -23,7 +23,7 @@ SHARED = (
 )  # work for many
 
 INVALID = re.compile(r"invalid parse_(\w+) value")  # as argparse names what parses an argument
-NEGATIVE = re.compile(r"-\.?\d[^,]*,")  # figures joined by commas, of which the first is negative
+NEGATIVE = re.compile(r"-\.?\d[^,]*,")  # figures separated by commas, of which the first is negative
 if TYPE_CHECKING:
     from _typeshed import SupportsWrite
 
@@ -72,7 +72,7 @@ class Parser(ArgumentParser):
         return [name for action in self._actions for name in action.option_strings if name.startswith("--")]
 
     def unknown(self, word: str, commands: Iterable[str]) -> NoReturn:
-        """Say that there is no such command, and which was probably meant, and end with status 2."""
+        """Report that there is no such command, and the nearest one, and end with status 2."""
         self.exit(
             2,
             f"{self.prog}: error: there is no command {word!r}{suggestion_text(word, commands) or '.'} "
@@ -105,15 +105,13 @@ def add_common_options(parser: ArgumentParser, command: str) -> None:
     if command in PRINTED:
         return
     parser.add_argument(
-        "--quiet",
-        action="store_true",
-        help="say nothing but what is wrong, and results asked for on the standard output",
+        "--quiet", action="store_true", help="print only errors, and results requested on the standard output"
     )
     parser.add_argument(
         "--progress",
         choices=PROGRESS,
         default="auto",
         metavar="|".join(PROGRESS),
-        help="how far a command has come and the "
+        help="progress of a command and the "
         "time left: bars on a terminal (auto), lines on the error output, pipes too, or none",
     )

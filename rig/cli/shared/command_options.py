@@ -39,7 +39,7 @@ def add_overwrite_option(parser: ArgumentParser, name: str = "--force") -> None:
         name,
         dest="overwrite",
         action="store_true",
-        help="write over what this command did not make; what it reads it never writes over",
+        help="overwrite files that this command did not make; it never overwrites its inputs",
     )
 
 
@@ -64,7 +64,7 @@ def page_links(arguments: Namespace, page_file: Path) -> list[Link]:
 
 def add_json_option(parser: ArgumentParser) -> None:
     """Add the option --json."""
-    parser.add_argument("--json", action="store_true", help="print the result as JSON (SI units, rad) instead of words")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON (SI units, rad) instead of text")
 
 
 def add_json_result_option(parser: ArgumentParser) -> None:
@@ -72,7 +72,7 @@ def add_json_result_option(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--json",
         action="store_true",
-        help="print the result as JSON (SI units, rad) when all is done; words go to the error output",
+        help="print the result as JSON (SI units, rad) when all is done; text goes to the error output",
     )
     parser.set_defaults(result=None)
 
@@ -107,7 +107,7 @@ def parse_numbers(texts: list[str], count: int, option: str) -> list[float]:
     except ValueError:
         found = []
     if len(found) != count or not all(abs(value) < 1e6 for value in found):
-        raise RigError(f"{option} takes {count} numbers, apart by commas or spaces, not {' '.join(texts)!r}")
+        raise RigError(f"{option} takes {count} numbers, separated by commas or spaces, not {' '.join(texts)!r}")
     return found
 
 
@@ -120,7 +120,7 @@ def add_controller_arguments(parser: ArgumentParser) -> None:
 def add_port_options(parser: ArgumentParser) -> None:
     """Add the options --port of the controller, and --trace FILE of the bytes exchanged."""
     parser.add_argument(
-        "--port", help="where the controller is, instead of what [controller] says: a device, socket://.., rfc2217://.."
+        "--port", help="controller address, instead of the one in [controller]: a device, socket://.., rfc2217://.."
     )
     parser.add_argument("--trace", metavar="FILE", type=Path, help="write every byte there, with its time")
 
@@ -139,7 +139,7 @@ def add_speed_option(parser: ArgumentParser, usual: float) -> None:
 def add_trust_option(parser: ArgumentParser) -> None:
     """Add the option --trust."""
     parser.add_argument(
-        "--trust", action="store_true", help="believe the position that the controller reads, though it was not homed"
+        "--trust", action="store_true", help="trust the position that the controller reports, though it was not homed"
     )
 
 
@@ -158,7 +158,7 @@ def print_held_out_errors(held_out: HeldOut, title: str) -> None:
     print(f"{title}, N = {held_out.after.n}, {held_out.configurations} distinct configurations:")
     print(f"{'':14}{'position, mm':>40}{'rotation, mrad':>43}")
     print(f"{'':14}" + "".join(f"{name:>10}" for name in names) + "   " + "".join(f"{name:>10}" for name in names))
-    for name, figures in (("owner's model", held_out.before), ("corrected", held_out.after)):
+    for name, figures in (("nominal model", held_out.before), ("corrected", held_out.after)):
         position, rotation = (figures.mean[0], *figures.position), (figures.mean[1], *figures.rotation)
         print(f"{name:14}" + "".join(map(_cell, position)) + "   " + "".join(map(_cell, rotation)))
     turned = "; rotations were not measured"
@@ -206,7 +206,7 @@ R = TypeVar("R")
 
 def add_worker_options(parser: ArgumentParser) -> None:
     """Add the worker options --workers and --scheduler."""
-    group = parser.add_argument_group("who does the work; results are the same to the last byte")
+    group = parser.add_argument_group("worker processes; results are identical to the last byte")
     group.add_argument(
         "--workers",
         "--jobs",

@@ -48,11 +48,9 @@ def add_recordings_argument(parser: ArgumentParser) -> None:
 
 
 def _add_left_out(parser: ArgumentParser) -> None:
+    parser.add_argument("--skip-unreadable", action="store_true", help="exclude, and list, unusable images")
     parser.add_argument(
-        "--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used"
-    )
-    parser.add_argument(
-        "--mask", metavar="FRAMES", help="leave these frames out, for example 3,7-9: what you know to be spoilt"
+        "--mask", metavar="FRAMES", help="exclude these frames, for example 3,7-9: those known to be spoilt"
     )
 
 
@@ -62,7 +60,7 @@ def read_recording(arguments: Namespace, path: Path | None = None) -> Recording:
 
     found = rig.load(path or arguments.recording, arguments.skip_unreadable, arguments.mask)
     for image in found.skipped:
-        print(f"left out, as asked: {image.path}: {image.problem}", file=sys.stderr)
+        print(f"excluded, as requested: {image.path}: {image.problem}", file=sys.stderr)
     return found
 
 
@@ -71,7 +69,7 @@ def add_anyway_option(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--anyway",
         action="store_true",
-        help="go on though the recording shows a mistake that makes results meaningless",
+        help="continue although the recording shows a mistake that makes results meaningless",
     )
 
 
@@ -108,7 +106,7 @@ def add_limb_options(parser: ArgumentParser) -> None:
         "--check",
         type=parse_whole_number,
         metavar="N",
-        help=f"with --limbs: vision looks at every Nth pose at least (default {EVERY})",
+        help=f"with --limbs: vision measures every Nth pose at least (default {EVERY})",
     )
 
 
@@ -131,7 +129,7 @@ def add_effects_option(parser: ArgumentParser) -> None:
         type=Path,
         action="append",
         default=[],
-        help="a file with effects of your own, as `rig effects --new` writes one; it is run; may be given again",
+        help="a file with user-defined effects, as `rig effects --new` writes one; it is run; may be repeated",
     )
 
 
@@ -164,9 +162,7 @@ def load_calibration(path: Path, effect_files: tuple[Plugin, ...]) -> Calibratio
     used = {effect.name for effect in found.physics.effects} if found.physics is not None else set()
     for plugin in effect_files:
         if plugin.sha256 not in hashes and used & {kind.name for kind in plugin.kinds}:
-            raise RigError(
-                f"{plugin.path} is not as it was when {path} was made from it; take that file, or calibrate again"
-            )
+            raise RigError(f"{plugin.path} has changed since {path} was made from it; use that file, or recalibrate")
     return found
 
 
@@ -203,7 +199,7 @@ def write_refutation(arguments: Namespace, path: Path, recording: str, finding: 
     try:
         add_refutation(arguments.outputs.file(path.parent / NAME, own=True), path.parent, new)
     except RigError as error:
-        print(f"warning: {path} was {new.line}; that could not be written beside it: {error}", file=sys.stderr)
+        print(f"warning: {path} was {new.line}; that could not be written next to it: {error}", file=sys.stderr)
         return
     print(
         f"{path} is marked as {'refuted' if state == State.BAD else 'doubted'} in {path.parent / NAME}", file=sys.stderr

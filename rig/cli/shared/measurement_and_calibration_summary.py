@@ -30,7 +30,7 @@ def print_measurement(result: MeasurementResult) -> None:
     if result.suspects:
         print(
             f"{len(result.suspects)} marker{'s are' if len(result.suspects) > 1 else ' is'} not what rig.toml "
-            "says; what disagrees is left out of the "
+            "states; disagreeing rows are excluded from the "
             "poses:"
         )
         for suspect in result.suspects:
@@ -48,7 +48,8 @@ def print_limb_pose_uncertainty(limb_measurement: MeasuredLimbPoses) -> None:
     print(
         f"poses to {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad (standard uncertainty, RMS), of "
         "which readings "
-        f"{rms_uncertainty(limb_measurement.poses.own)[0] * 1e3:.4f} mm, the limbs' geometry the rest; it agreed with vision "
+        f"{rms_uncertainty(limb_measurement.poses.own)[0] * 1e3:.4f} mm, the limbs' geometry the rest; "
+        "it agreed with vision "
         f"over {limb_measurement.accepted.agreement.n} poses"
     )
 
@@ -88,7 +89,7 @@ def _print_stages(result: MeasurementResult) -> None:
 
 
 def _print_cameras(result: MeasurementResult) -> None:
-    """Print how far each camera stands from where its owner has it."""
+    """Print how far each camera is from its stated pose."""
     for stated, camera in zip(result.recording.design.cameras, result.measurement.design.cameras):
         step = pose_to_vector(stated.pose.inv() * camera.pose)
         print(
@@ -160,7 +161,7 @@ def print_calibration(result: CalibrationResult, promise: float | None) -> None:
 def _held_out_title(result: CalibrationResult) -> str:
     """How poses were held out."""
     if result.extended is not None:
-        return "held-out poses (whole levels of a grid, poses beside it, or whole stretches in turn)"
+        return "held-out poses (whole levels of a grid, poses next to it, or whole stretches in turn)"
     if isinstance(result.done, arm_certification.CertifiedArm):
         return "held-out poses (a third at a time or less, whole stretches of configurations)"
     return "held-out poses (whole stretches of configurations in turn)"
@@ -174,9 +175,9 @@ def _print_struts(done: platform_certification.Certified, physics: Physics | Non
         + (
             f"struts {', '.join(map(str, struts))} corrected over the configuration space"
             if struts
-            else "nothing that pays on held-out poses"
+            else "nothing that improves held-out poses"
             if done.held_out
-            else "not asked, for want of held-out poses"
+            else "not tested, for lack of held-out poses"
         )
     )
     _print_physics(physics)
@@ -185,13 +186,13 @@ def _print_struts(done: platform_certification.Certified, physics: Physics | Non
 def _print_extension(found: ExtendedCorrection) -> None:
     """Print what was tried and what was made of it."""
     for one in found.tried:
-        words = f"not tried: {one.reason}" if one.reason else "not held out, for want of poses"
+        words = f"not tried: {one.reason}" if one.reason else "not held out, for lack of poses"
         if one.held_out is not None:
             turned = one.held_out.after.rotation[0]
             words = f"held out {one.held_out.after.position[0] * 1e3:.4f} mm" + (
                 f", {turned * 1e3:.4f} mrad RMS" if turned == turned else " RMS"
             )
-            words += f"; not taken: {one.reason}" if one.reason else ""
+            words += f"; not chosen: {one.reason}" if one.reason else ""
         print(f"{'->' if one.chosen else '  '} {one.kind:10} {words}")
     correction = found.done.correction
     field = correction.extension
@@ -210,11 +211,11 @@ def _print_extension(found: ExtendedCorrection) -> None:
 
 
 def _print_promise(promise: float | None, claim: Claim | None) -> None:
-    """Print whether a promise (m) is kept by the upper end of what is claimed; nothing where none was made."""
+    """Print whether a promise (m) is met by the upper end of the claim; nothing where none was made."""
     if promise is None or claim is None:
         return
     if claim.after is None:
-        print(f"the promise of {promise * 1e6:.4g} um cannot be said to be met: {claim.reason}")
+        print(f"the promise of {promise * 1e6:.4g} um cannot be confirmed as met: {claim.reason}")
         return
     middle, _, most = claim.after[0]
     met = (
@@ -240,7 +241,7 @@ def _print_joints(done: arm_certification.CertifiedArm, physics: Physics | None)
         kept = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
         beyond = [
             *(
-                ["the physics that was found, refitted without the poses held out"]
+                ["the identified effects, refitted without the held-out poses"]
                 if physics is not None and physics.effects
                 else []
             ),
@@ -253,7 +254,7 @@ def _print_joints(done: arm_certification.CertifiedArm, physics: Physics | None)
                 "mm mean on the "
                 "same poses"
                 if beyond
-                else "nothing that pays on held-out poses"
+                else "nothing that improves held-out poses"
             )
         )
         flattered = done.scattered.after
@@ -264,7 +265,7 @@ def _print_joints(done: arm_certification.CertifiedArm, physics: Physics | None)
             else (flattered.mean[1], flattered.rotation[0], "mrad")
         )
         print(
-            f"the same with single rows held out at random, which flatters: {mean * 1e3:.4f} {unit} mean, "
+            f"the same with single rows held out at random, which is optimistic: {mean * 1e3:.4f} {unit} mean, "
             f"{rms * 1e3:.4f} RMS"
         )
     _print_physics(physics)
@@ -275,10 +276,10 @@ def _print_physics(physics: Physics | None) -> None:
     if physics is None:
         return
     again, known = physics.compensable_effects(), [f"{e.label()} at {e.place}" for e in physics.compensable_effects()]
-    print("physics that is undone by commands: " + (", ".join(known) or "none"))
+    print("effects compensated by commands: " + (", ".join(known) or "none"))
     left = [f"{e.label()} at {e.place}" for e in physics.effects if e not in again]
     if left:
-        print(f"taken out of what was measured, and not the commands' to undo: {', '.join(left)}")
+        print(f"removed from the measurements, and not the commands' to undo: {', '.join(left)}")
     for u in physics.unknown:
         print(
             f"unknown at {u.place}: "

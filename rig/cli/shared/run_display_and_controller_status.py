@@ -33,16 +33,16 @@ def print_status(status: ControllerStatus, design: Design) -> None:
     fault = f" ({status.fault})" if status.fault not in ("", status.activity) else ""
     print(f"{status.activity}{fault}{operator_advice(status.activity, homing)}")
     if not status.known:
-        print("position not known: " + ("home it" if homing else "see that it is true, then say --trust"))
+        print("position not known: " + ("home it" if homing else "verify it, then use --trust"))
     print(f"lengths {lengths_text(status.lengths)}")
     if design.mechanism.plates is not None and status.known:
         try:
             v = pose_to_vector(mechanisms.kinematics_of(design.mechanism).forward(status.lengths, design.mechanism))
         except NotConverged:
-            print("these lengths close on no pose of the owner's model")
+            print("these lengths close on no pose of the nominal model")
             return
         print(
-            f"pose by the owner's model {' '.join(f'{x * 1e3:.4f}' for x in v[:3])} mm, "
+            f"pose by the nominal model {' '.join(f'{x * 1e3:.4f}' for x in v[:3])} mm, "
             f"{' '.join(f'{x * 1e3:.4f}' for x in v[3:])} mrad"
         )
 
@@ -134,7 +134,7 @@ def _pose_lines(seen: MeasuredFrame) -> list[str]:
     if seen.learnt is not None:
         error = seen.learnt.error
         lines.append(
-            f"off what was expected by {np.linalg.norm(error[:3]) * 1e6:.1f} um, "
+            f"off the prediction by {np.linalg.norm(error[:3]) * 1e6:.1f} um, "
             f"{np.linalg.norm(error[3:]) * 1e6:.1f} urad "
             f"({seen.learnt.innovation:.2f} of what the learner expects by now)"
         )
@@ -158,5 +158,5 @@ def run_displays(port: int | None, observer: RunObserver) -> Iterator[list[RunDi
         yield [terminal_display()]
         return
     with RunPage(observer, port) as page:
-        print(f"the run's page, for this computer alone: {page.url}", flush=True)
+        print(f"the run's page, for this computer only: {page.url}", flush=True)
         yield [terminal_display(), page]

@@ -1,4 +1,4 @@
-"""Camera interface and its clock, synchronised grabbing of all cameras, exposure, and the check that a scene has settled.
+"""Camera interface and its clock, synchronised grabbing of all cameras, exposure, and the check that a scene settled.
 
 Each pair of readings of the host's clock, before and after something that the camera stamped, says that offset = host
 - camera lies between them. Bounds of several meet in a narrower one (Cristian, Distributed Computing 3, 1989); old
@@ -71,7 +71,7 @@ class ClockOffset:
 
 
 class CameraError(RigError):
-    """A camera that gives no image, or one that cannot be used; names the camera and what it said."""
+    """A camera that gives no image, or one that cannot be used; names the camera and its message."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,7 +199,7 @@ MOST = 30.0  # s after which what has not settled is an error
 
 
 class NotSettled(RigError):
-    """The platform does not come to rest; says by how much it still moved."""
+    """The platform does not come to rest; states by how much it still moved."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +214,7 @@ class Settling:
     def wait(
         self, clock: Clock, images: Callable[[], list[Pixels]] | None = None, limbs: Callable[[], Floats] | None = None
     ) -> None:
-        """Return once the platform stands. images : one of each camera; limbs : (6,) m readings; whichever `by` asks
+        """Return once the platform rests. images : one of each camera; limbs : (6,) m readings; whichever `by` asks
         for.
 
         Raises NotSettled after MOST seconds, ValueError where what it goes by is not given.
@@ -266,7 +266,7 @@ def _by_images(clock: Clock, images: Callable[[], list[Pixels]]) -> None:
         still, before = still + 1 if most <= 1 else 0, now
         if clock.now() - start > MOST and still < PAIRS:
             raise NotSettled(
-                f"images still change after {MOST:g} s, {most:.1f} times what noise comes to: does the "
+                f"images still change after {MOST:g} s, {most:.1f} times the noise: does the "
                 "platform move, or the light?"
             )
 

@@ -139,7 +139,7 @@ class EmulatedSource:
         self._stream = self._socket.makefile("rb")
 
     def grab(self) -> Frame:
-        """A picture of the rig as it now stands. Raises CameraError where the emulator does not answer."""
+        """A picture of the rig in its present state. Raises CameraError where the emulator does not answer."""
         asked = self._clock.now()
         try:
             self._socket.sendall(f"expose {self.name} {self._exposure!r}\n".encode())

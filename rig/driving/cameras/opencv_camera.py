@@ -43,7 +43,7 @@ def gstreamer_pipeline_problem(pipeline: str) -> str | None:
         wrong = next((one for one in settings if not SETTING.fullmatch(one)), None)
         if wrong is not None:
             return f"has {wrong!r} after {element}, which is no setting NAME=VALUE"
-    return None if len(parts) > 1 else f"must name where images come from, then ! {END}"
+    return None if len(parts) > 1 else f"must name an image source, then ! {END}"
 
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ class VideoSource:
             if begin >= asked:
                 return Frame(self._image(), t, sigma)
         raise CameraError(
-            f"camera {self.name!r} gave {FLUSHED + 3} frames, none of them known to be exposed after it was asked for"
+            f"camera {self.name!r} gave {FLUSHED + 3} frames, none of them known to be exposed after the request"
         )
 
     def _time(self, before: float, after: float, last: float | None) -> tuple[float, float, float]:

@@ -1,4 +1,4 @@
-"""Controllers that are not there: axes that move in time, dialects that answer as the real ones do, and the faults seen
+"""Emulated controllers: axes that move in time, dialects that answer as the real ones do, and the faults seen
 in the field.
 """
 

@@ -204,7 +204,7 @@ class TrueCommandsLog:
     """Appends rows t, l1..ln to a file up to now whenever `record` is called; t is the clock's."""
 
     def __init__(self, emulator: Emulator, path: Path) -> None:
-        """Raises FileError where the file is there already or cannot be written."""
+        """Raises FileError where the file already exists or cannot be written."""
         try:
             self._file = path.open("x", encoding="utf-8")
         except OSError as error:

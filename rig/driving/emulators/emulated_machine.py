@@ -48,7 +48,7 @@ class MovingAxes:
     def go(self, t: float, target: Floats, duration: float = 0.0) -> float:
         """Begin a straight move at t (s), or when what is told already is done; returns when it ends.
 
-        target : (n,) m; duration : s that it takes at least, without ramps. All axes start and arrive together, none
+        target : (n,) m; duration : s that it requires at least, without ramps. All axes start and arrive together, none
             beyond its limits.
         """
         t = max(t, self.until)
@@ -130,7 +130,7 @@ MOTOR = "motor"  # what is wrong with an axis in error
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExecutedMove:
-    """A move that was carried out: when it began (s), to which true lengths (n,) m it was told."""
+    """A move that was executed: when it began (s), to which true lengths (n,) m it was commanded."""
 
     t: float
     target: Floats
@@ -164,7 +164,7 @@ class EmulatedMachine:
         return self.axes.at(t) + self._off + lie
 
     def moving(self, t: float) -> bool:
-        """Whether the controller says that it moves."""
+        """Whether the controller reports that it moves."""
         self.settle(t)
         return t < (self.axes.until if self._busy_until is None else self._busy_until)
 
@@ -217,7 +217,7 @@ class EmulatedMachine:
         self._off = self._off + WANDER * np.eye(len(self._off))[self.faults.rng.integers(len(self._off))]
 
     def halt(self, t: float) -> float:
-        """Slow down and drop what is queued; returns when it stands."""
+        """Decelerate and drop what is queued; returns at standstill."""
         self._busy_until, self._homing = None, None
         return self.axes.halt(t)
 

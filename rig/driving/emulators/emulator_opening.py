@@ -39,7 +39,7 @@ def emulator_of_design(
     """
     c = design.controller
     if c is None:
-        raise RigError("the rig.toml has no [controller]; its speeds and zeros are what an emulator needs")
+        raise RigError("the rig.toml has no [controller]; an emulator needs its speeds and zeros")
     m = require_struts(design.mechanism)
     home = c.home if c.home is not None else home_lengths(m)
     start_lengths = home if start_lengths is None else np.array(start_lengths, float)

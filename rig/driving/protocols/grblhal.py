@@ -55,7 +55,7 @@ _PINS = {"M": "a motor driver is in fault", "E": "emergency stop is pressed"}
 _WAITS = {
     "Door": "a safety door is open",
     "Tool": "it waits for a tool change",
-    "Check": "it checks what it is sent and moves nothing ($C): rig stop ends that",
+    "Check": "it checks its input and moves nothing ($C): rig stop ends that",
     "Sleep": "it sleeps: rig stop wakes it, and its position is not known then",
 }
 _DEAF = {"Hold", "Door", "Tool"}  # takes no line until it is told to go on
@@ -67,7 +67,7 @@ ERRORS = {
     5: _HOMING_OFF,
     8: "not while it moves",
     9: "locked by an alarm: home, or unlock",
-    10: "soft limits take homing: $22=1",
+    10: "soft limits require homing: $22=1",
     11: "line too long",
     13: "a safety door is open",
     14: "line too long",
@@ -115,7 +115,7 @@ class GrblHAL:
         )
         if report is not None and report[1].split(":")[0] in _DEAF:
             raise ControllerFault(
-                f"the controller is held and takes nothing ({report[0]}): see why, then rig stop drops what is held"
+                f"the controller is in hold, accepts nothing ({report[0]}): see why, then rig stop drops what is held"
             )
         build = yield from _told(b"$I\n", patience=STANDS)
         version = next((line[5:-1].rstrip(":") for line in build if line.startswith("[VER:")), "unknown version")
@@ -129,7 +129,7 @@ class GrblHAL:
             raise ControllerFault(
                 f"the controller has the axes {self._letters}, not {''.join(missing)}: [controller] axes "
                 "names one for each strut "
-                "in their order, and the firmware must be built with so many"
+                "in their order, and the firmware must be built with that many"
             )
         settings = yield from _told(b"$$\n", patience=STANDS)
         self._settings = {

@@ -2,7 +2,7 @@
 
 "joint": each axis word is a strut (trivkins, identity kinematics). "world": poses go through the controller's own
 inverse kinematics (genhexkins with this rig.toml's geometry); what is read back are the joints all the same. An
-emergency stop is never taken off by itself.
+emergency stop is never released automatically.
 Source: linuxcncrsh(1), genhexkins(9); G93 gives every move its time, whichever of its words are lengths and whichever
     angles.
 """
@@ -105,7 +105,7 @@ class LinuxCNC:
         values = self._unit * segment.target
         if self.kinematics == "world":
             if segment.pose is None:
-                raise ValueError("a controller that is told poses takes segments with theirs")
+                raise ValueError("a controller commanded in poses requires segments with poses")
             values = np.r_[self._unit * segment.pose.translation, segment.pose.rotation.as_euler("xyz", degrees=True)]
         words = " ".join(f"{axis}{value:.6f}" for axis, value in zip(self.axes, values))
         line = f"SET MDI G{20 if self._inch else 21} G90 G93 G53 G1 {words} F{60 / max(segment.duration, 1e-3):.6f}"
@@ -113,7 +113,7 @@ class LinuxCNC:
 
     def home(self, timeout: float) -> Dialogue[Verdict]:
         if (yield from self._get("ESTOP", "ON|OFF")) == "ON":
-            return Verdict(False, "emergency stop; take it off, then unlock")
+            return Verdict(False, "emergency stop; release it, then unlock")
         for line in ("SET MACHINE ON", "SET MODE MANUAL", "SET TELEOP_ENABLE OFF"):
             verdict = yield from self._set(line, 4)
             if not verdict.accepted:

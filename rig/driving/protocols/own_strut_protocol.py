@@ -35,7 +35,7 @@ ERRORS = {
     7: "in fault",
 }
 FAULTS = {
-    "silent": "it stopped because it heard nothing for too long",
+    "silent": "it stopped because it received nothing for too long",
     "motor": "a motor driver is in fault",
     "home": "an axis could not be homed",
     "critical": "only switching it off and on helps",
@@ -129,7 +129,7 @@ class Struts:
             if state.fault or state.activity == "alarm":
                 return Verdict(False, state.fault or state.said)
             if state.activity == "idle":
-                return Verdict(bool(state.homed), "" if state.homed else "it stands and is not homed")
+                return Verdict(bool(state.homed), "" if state.homed else "it is at rest and not homed")
             yield from pause_dialogue()
         return Verdict(None, f"not home after {timeout:g} s")
 

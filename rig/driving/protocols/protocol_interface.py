@@ -71,7 +71,7 @@ class Segment:
 
 
 class Protocol(Interface):
-    """Commands of one kind of controller as dialogues; it knows what the controller has told of itself, and no port.
+    """Commands of one kind of controller as dialogues; it knows what the controller reported, and no port.
 
     name : as rig.toml has it; urgent_stop : bytes that slow every axis down at once, sent past any request in flight
     """
@@ -88,7 +88,7 @@ class Protocol(Interface):
         """
 
     def state(self) -> Dialogue[State]:
-        """What it does, and where its axes stand. Raises NoAnswer."""
+        """Its activity, and the positions of its axes. Raises NoAnswer."""
 
     def move(self, segment: Segment) -> Dialogue[Verdict]:
         """Begin a move; it is sent once."""
@@ -103,7 +103,7 @@ class Protocol(Interface):
         """Clear an alarm without homing."""
 
     def event(self, line: str) -> str:
-        """What a line says that nobody asked for: "restarted", an alarm or an error in words, or "" for nothing."""
+        """Content of an unsolicited line: "restarted", an alarm or an error in words, or "" for nothing."""
 
 
 def pause_dialogue(seconds: float = POLL) -> Dialogue[None]:

@@ -1,1 +1,1 @@
-"""The catalogue of left-out physics, one file an effect; effect_list names them all."""
+"""The catalogue of unmodelled effects, one file an effect; effect_list names them all."""

@@ -42,7 +42,7 @@ class AxisCoupling(Effect):
         if not 1 <= self.other <= len(motion.places):
             return f"takes another axis, 1 to {len(motion.places)}, not {self.other:g}"
         return (
-            "takes another axis than its own"
+            "requires an axis other than its own"
             if self.scale and self.place == motion.places[int(self.other) - 1]
             else None
         )

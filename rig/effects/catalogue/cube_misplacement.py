@@ -23,7 +23,7 @@ class CubeMisplacement(Effect):
     places: ClassVar = ("target",)
     parameters: ClassVar = (Parameter("motion", "m, rad", (-1, 1), (5e-5, 1e-3), 6),)
     experiment: ClassVar = "see that cube together with others of its body"
-    action: ClassVar = "Seat that cube anew, or measure it and state its true pose."
+    action: ClassVar = "Reseat that cube, or measure it and state its true pose."
     view: ClassVar = "targets"
     tolerance: ClassVar = SEAT
 

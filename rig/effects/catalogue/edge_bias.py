@@ -22,9 +22,7 @@ class EdgeBias(Effect):
     places: ClassVar = ("camera", "cameras")
     parameters: ClassVar = (Parameter("bias", "px", (-3, 3), (0.05, 0.5), signed=True),)
     experiment: ClassVar = "vary the range: constant in pixels it is this, constant in millimetres it is the print"
-    action: ClassVar = (
-        "Lower the exposure and focus anew; the detector's threshold or the printer's ink moves every edge."
-    )
+    action: ClassVar = "Lower the exposure and refocus; the detector's threshold or the printer's ink moves every edge."
     view: ClassVar = "outward"
     tolerance: ClassVar = FINDER
 

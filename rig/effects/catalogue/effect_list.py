@@ -188,13 +188,13 @@ def _flat(text: str) -> str:
 
 
 STAGES = {
-    "command": "what the axes are told, and when",
+    "command": "axis commands and their times",
     "struts": "what the axes do beyond their command",
     "structure": "what the frame and the platform do",
     "targets": "where markers sit",
-    "view": "what a camera makes of it",
+    "view": "how a camera images it",
 }
-HEAD = """# The catalogue of left-out physics
+HEAD = """# The catalogue of unmodelled effects
 
 This page is made from the effects themselves (`rig catalogue`). An effect is one file in `rig/effects`: its model, its
 parameters, the places where it can sit, what is tried of it, what shows it, the experiment that would expose it and \

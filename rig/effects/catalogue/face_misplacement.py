@@ -27,7 +27,7 @@ class FaceMisplacement(Effect):
         Parameter("rotation", "rad", (-3.2, 3.2), (1e-3, 2e-2), 3),
     )
     experiment: ClassVar = "see that face from several cameras and poses"
-    action: ClassVar = "Glue that face anew or leave its marker out of rig.toml."
+    action: ClassVar = "Reglue that face or omit its marker from rig.toml."
     view: ClassVar = "markers"
     tolerance: ClassVar = PLACES
 

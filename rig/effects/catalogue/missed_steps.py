@@ -28,7 +28,7 @@ class MissedSteps(Effect):
     )
     sudden: ClassVar = True
     form: ClassVar = "step"
-    experiment: ClassVar = "return to one pose again and again, and home the axis: homing takes a lost step away"
+    experiment: ClassVar = "return to one pose repeatedly, and home the axis: homing removes a lost step"
     action: ClassVar = (
         "Home the {axis}; then look for an overload, a loose coupling or a current set too low at that moment."
     )

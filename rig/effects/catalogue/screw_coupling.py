@@ -25,7 +25,7 @@ class ScrewCoupling(Effect):
     stage: ClassVar = "struts"
     places: ClassVar = ("rig", "axis")
     parameters: ClassVar = (Parameter("gain", "", (-3, 3), (0.1, 1)),)
-    experiment: ClassVar = "turn the platform about its axis and tilt it, far out: the pose alone tells it"
+    experiment: ClassVar = "turn the platform about its axis and tilt it, far out: the pose alone determines it"
     action: ClassVar = "Correct lengths by the twist of the joints, or guide the nut so that it cannot turn."
     on_pose: ClassVar = True
 

@@ -29,7 +29,7 @@ class TimeOffset(Effect):
     moving: ClassVar = True
     experiment: ClassVar = (
         "expose while moving, at several speeds; reversals at full speed (plan zigzag) or an external clock "
-        "tell it from a lag of all drives"
+        "distinguish it from a lag of all drives"
     )
     action: ClassVar = "Trigger cameras and controller from one clock, or shift the exposures' times."
 

@@ -1,8 +1,8 @@
 """Effect, the base class: name, place, parameters with units and bounds, and a hook at the stage where it acts.
 
-Stages, in the order in which a command becomes a corner: `command` (what the axes are told, and when), `struts` (what
+Stages, in the order in which a command becomes a corner: `command` (axis commands and their times), `struts` (what
 the axes, struts or joints, do beyond that), `structure` (what the frame and platform do), `targets` (where markers
-sit), `view` (what a camera makes of it). Every hook of the base class changes nothing; an effect overrides the ones
+sit), `view` (how a camera images it). Every hook of the base class changes nothing; an effect overrides the ones
 that it needs.
 """
 
@@ -139,7 +139,7 @@ class Effect:
         return t
 
     def follow(self, path: Path, places: tuple[str, ...]) -> Path:
-        """Path that the axes (their places) follow when told to follow a path."""
+        """Path that the axes (their places) follow when commanded to follow a path."""
         return path
 
     @classmethod
@@ -154,7 +154,7 @@ class Effect:
         return 0.0
 
     def deviation(self, motion: Motion) -> Floats:
-        """(n, axes) m or rad that the axes stand beyond their command, by this effect."""
+        """(n, axes) m or rad that the axes are beyond their command, by this effect."""
         return np.zeros(motion.lengths.shape)
 
     def sway(self, motion: Motion) -> Floats:
@@ -199,7 +199,7 @@ class Effect:
         return None
 
     def covariate(self, motion: Motion) -> Covariate:
-        """What the residuals of the axes show it against; by default what the model itself says."""
+        """What the residuals of the axes show it against; by default the prediction of the model."""
         words = " or ".join(dict.fromkeys(f"µ{unit}" for unit in motion.units))
         return Covariate(self.deviation(motion) * 1e6, f"what the model says, {words}")
 

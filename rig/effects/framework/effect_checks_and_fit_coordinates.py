@@ -88,7 +88,7 @@ class Coordinate:
         return (low, high) if self.role != "inverse" else (high, low)
 
     def written(self, effect: Effect, value: float) -> Effect:
-        """The effect with the coordinate at a value within its bounds; what rounding takes over them is taken back."""
+        """The effect with the coordinate at a value within its bounds; rounding beyond them is clipped."""
         number = float(np.clip(self.parameter(value), *self.bounds))
         if self.index is None:
             return _changed(effect, self.name, number)
@@ -117,7 +117,7 @@ class Coordinate:
         return ((*others, self.written(own, high)), (*others, self.written(own, low))), high - low
 
     def at_bound(self, effect: Effect) -> float | None:
-        """The bound that the parameter of an effect stands at, or None."""
+        """The bound that the parameter of an effect is at, or None."""
         value = getattr(effect, self.name)
         value = value if self.index is None else value[self.index]
         return next((end for end in self.bounds if value == end), None)

@@ -58,7 +58,7 @@ def quantity_by_name(name: str, axis_word: str) -> Quantity:
             "s",
             "motion.t[:, None]",
             lambda m: m.t[:, None],
-            "come back to the same poses again and again",
+            "return to the same poses repeatedly",
             waves=True,
         )
     kind, _, number = name.removeprefix("travel of ").partition(" ")
@@ -101,12 +101,12 @@ def _own(name: str, unit: str, word: str) -> Quantity:
             unit,
             "motion.path.last_step",
             lambda m: m.path.last_step,
-            "come by small and by large steps",
+            "approach by small and by large steps",
             2,
         )
     if name == "own direction":
         return Quantity(
-            name, "direction", "", "motion.path.direction", lambda m: m.path.direction, "come from both sides", 1
+            name, "direction", "", "motion.path.direction", lambda m: m.path.direction, "approach from both sides", 1
         )
     if name == "own speed":
         return Quantity(
@@ -115,7 +115,7 @@ def _own(name: str, unit: str, word: str) -> Quantity:
             f"{unit}/s",
             "motion.path.speed",
             lambda m: m.path.speed,
-            "expose on the way at several speeds",
+            "expose during motion at several speeds",
             2,
         )
     if name == "own way":

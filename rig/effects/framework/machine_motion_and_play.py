@@ -232,7 +232,7 @@ class Motion:
     def posed(self) -> RigidTransform:
         """T, the poses (n,). Raises ValueError for a Motion that has none."""
         if self.T is None:
-            raise ValueError("this takes a motion with its poses")
+            raise ValueError("this requires a motion with its poses")
         return self.T
 
     def loads(self) -> Floats:

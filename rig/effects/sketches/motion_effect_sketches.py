@@ -214,7 +214,7 @@ def draw_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
 
 
 def _strut_errors(way: ExampleRun) -> Floats:
-    """(n,) m by which the strut that is looked at stands beyond its command, at the exposures of a Way."""
+    """(n,) m by which the strut shown is beyond its command, at the exposures of a Way."""
     T = way.motion.T
     assert T is not None
     found = motion_simulation.effective_commands(way.design, way.commands, way.t, T, [way.effect], way.sensors)
@@ -222,7 +222,7 @@ def _strut_errors(way: ExampleRun) -> Floats:
 
 
 def _through_time(way: ExampleRun, error: Floats) -> str:
-    """Where the strut is told to be, and where it is, its error enlarged."""
+    """Commanded and actual position of the strut, its error enlarged."""
     told = way.motion.stroke[:, AXIS]
     much = enlargement_factor(np.abs(error).max(), SHARE * FAR)
     scale, unit = largest_suitable_unit(way.t[-1], TIMES)
@@ -248,7 +248,7 @@ def _over_covariate(way: ExampleRun, error: Floats) -> str:
 
 
 def _displaced(way: ExampleRun) -> str:
-    """The platform where it should stand and where it does, at the exposure at which these lie farthest apart,
+    """The platform at its commanded and at its actual pose, at the exposure at which these differ most,
     enlarged.
     """
     T = way.motion.T

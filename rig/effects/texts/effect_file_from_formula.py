@@ -152,7 +152,7 @@ class Written:
         )
         uses = "REFERENCE_TEMPERATURE" in "".join(q.code for q in self.quantities)
         lines = [
-            '"""An effect of your own: a formula to be edited, and to be named after what it is once that is known."""',
+            '"""A user-defined effect: a formula to be edited, and to be named after its cause once that is known."""',
             "",
             "from dataclasses import dataclass",
             "from typing import ClassVar",
@@ -297,12 +297,12 @@ def load_suggestion(folder: Path, place: str | None) -> tuple[str, Written]:
     }
     if not found:
         raise RigError(
-            f"{folder} suggests no formula: where something has no name, a formula for it is in the "
+            f"{folder} suggests no formula: a formula for an unidentified effect is in the "
             "diagnosis' page and under "
             "'suggestions' in diagnosis.json"
         )
     if place is None and len(found) > 1:
-        raise RigError(f"{folder} suggests formulas at {', '.join(found)}: say with --place which")
+        raise RigError(f"{folder} suggests formulas at {', '.join(found)}: select one with --place")
     if place is not None and place not in found:
         raise RigError(f"{folder} suggests nothing at {place!r}; it does at {', '.join(found)}")
     place = place or next(iter(found))

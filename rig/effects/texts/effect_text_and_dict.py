@@ -92,7 +92,7 @@ def effect_from_dict(tree: Json, known_effects: Kinds = BY_NAME) -> Effect:
         or not isinstance(tree.get("place"), str)
         or not isinstance(tree.get("parameters"), dict)
     ):
-        raise RigError(f"{short_repr(tree)} is no effect: it takes effect, place and parameters")
+        raise RigError(f"{short_repr(tree)} is not an effect: it requires effect, place and parameters")
     kind = _named(tree["effect"], tree["effect"], known_effects)
     own = {parameter.name for parameter in kind.parameters}
     values = {}
@@ -113,7 +113,7 @@ def effect_from_dict(tree: Json, known_effects: Kinds = BY_NAME) -> Effect:
 def _named(name: str, text: str, known: Kinds) -> type[Effect]:
     if name not in known:
         near = nearest_known_word(name, known)
-        every = f"there are {', '.join(known)}; of your own, those in files that --effects names"
+        every = f"there are {', '.join(known)}; user-defined ones are in files named by --effects"
         told = f"is {near!r} meant? `rig effects` lists them" if near else every
         raise RigError(f"effect {short_repr(text)}: there is no effect {short_repr(name)}; {told}")
     return known[name]
@@ -154,7 +154,7 @@ def parse_effect_and_place(text: str, design: Design, known_effects: Kinds = BY_
     kind = _named(name, text, known_effects)
     if kind.discrete:
         raise RigError(
-            f"{short_repr(text)}: a {name} is looked for before all else and cannot be assumed; state it in rig.toml"
+            f"{short_repr(text)}: a {name} is searched for first and cannot be assumed; state it in rig.toml"
         )
     try:
         effect = require_existing_place(check_effect(kind(_place(place.strip(), kind))), design)

@@ -1,7 +1,7 @@
 """Loading of a user's effect files: Python files checked, run, and added to the catalogue.
 
 The file is run: it is a program, to be trusted as one. What is wrong with it, when it is read or while its model is
-worked out, is told with file and line.
+computed, is reported with file and line.
 """
 
 import ast
@@ -60,7 +60,7 @@ def load_effect_file(path: Path) -> Plugin:
     except OSError as error:
         raise FileError(path, f"cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
-        raise FileError(path, f"is no text in UTF-8: {error.reason}", raw[: error.start].count(b"\n") + 1) from None
+        raise FileError(path, f"is not text in UTF-8: {error.reason}", raw[: error.start].count(b"\n") + 1) from None
     return Plugin(path, sha256(raw).hexdigest(), effects_of_source(text, path))
 
 
@@ -97,7 +97,7 @@ def effects_of_source(text: str, path: Path) -> tuple[type[Effect], ...]:
         if isinstance(kind, type) and issubclass(kind, Effect) and kind.__module__ == module.__name__
     ]
     if not found:
-        raise FileError(path, "defines no effect: a dataclass that stands on rig.effects.base.Effect")
+        raise FileError(path, "defines no effect: a dataclass derived from rig.effects.base.Effect")
     for kind in found:
         taken = next((name for name in _field_names(kind) if name in RESERVED), None)
         if taken is not None:
@@ -119,7 +119,7 @@ def effect_name_problem(name: str) -> str | None:
     """Problem with the name of an effect, in words; None for a valid name."""
     if not name.isidentifier() or keyword.iskeyword(name) or name != name.lower() or name.startswith("_"):
         return f"takes a name of small letters, digits and underscores, not {name!r}"
-    return f"collides with the catalogue's {name}: take another name" if name in BY_NAME else None
+    return f"collides with the catalogue's {name}: choose another name" if name in BY_NAME else None
 
 
 def _field_names(kind: type[Effect]) -> tuple[str, ...]:
@@ -138,7 +138,7 @@ def _problem(kind: type[Effect]) -> str | None:
     if not isinstance(kind.places, tuple) or not kind.places or set(kind.places) - set(KINDS):
         return f"sits at {kind.places!r}; places are a tuple of {', '.join(KINDS)}"
     if (kind.__doc__ or "").startswith(f"{kind.__name__}("):
-        return "has no docstring, which is what its model is told by"
+        return "has no docstring, which describes its model"
     for name in ("experiment", "action"):
         if not getattr(kind, name):
             return f"says nothing of its {name}"
@@ -169,7 +169,7 @@ def _parameters_problem(kind: type[Effect]) -> str | None:
         if not p.bounds[0] < p.bounds[1]:
             return f"has {p.name} within {p.bounds}, the smaller first"
         if p.role not in ("choice", "moment", "phase") and not 0 < max(map(abs, p.usual)) < np.inf:
-            return f"must say how large {p.name} usually is, two numbers, not {p.usual}"
+            return f"must state how large {p.name} usually is, two numbers, not {p.usual}"
         if p.role in ("log", "size") and not p.usual[0] > 0:
             return f"has {p.name} on a scale of logarithms, where what is usual is above 0, not {p.usual}"
     return None
@@ -220,12 +220,10 @@ def _guarded(hook: Callable[..., T], name: str, path: Path) -> Callable[..., T]:
         if name in ARRAYS:
             expected = np.shape(getattr(Effect, name)(effect, *given))
             if np.shape(found) != expected or not np.isfinite(found).all():
-                said = (
-                    f"numbers of shape {np.shape(found)}" if np.shape(found) != expected else "what is no finite number"
-                )
+                said = f"numbers of shape {np.shape(found)}" if np.shape(found) != expected else "no finite number"
                 raise FileError(
                     path,
-                    f"{effect.name}.{name} answers {said}; it takes finite numbers of shape {expected}",
+                    f"{effect.name}.{name} answers {said}; it must return finite numbers of shape {expected}",
                     hook.__code__.co_firstlineno,
                 )
         return found

@@ -237,7 +237,7 @@ def correction_grid_csv(configurations: Floats, corrections: Floats, axes: tuple
     unit : of both, "m" or "rad".
     """
     lines = [
-        f"# command = x + k: where the owner's model says x, x + k is to be commanded; unit of both {unit}; "
+        f"# command = x + k: where the nominal model says x, x + k is to be commanded; unit of both {unit}; "
         "between rows n-linear",
         f"# x: {' '.join(axes)} as commands.csv has them; the last axis runs fastest",
         ",".join([*(f"x_{axis}" for axis in axes), *(f"k_{axis}" for axis in axes)]),

@@ -1,4 +1,4 @@
-"""A recording out of what people have: their tables, their names of images, their units, said in plain words and kept
+"""A recording from existing files: their tables, their names of images, their units, said in plain words and kept
 as a recipe.
 """
 

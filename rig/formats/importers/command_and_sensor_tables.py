@@ -165,15 +165,13 @@ def _once(commanded: ImportedCommands, cells: Cells) -> ImportedCommands:
     odd = next((k for k in again if not np.array_equal(values[k], values[k - 1])), None)
     if odd is not None:
         raise FileError(
-            cells.path,
-            f"two rows are of one time, {t[odd]:f} s, and say different things; take one of them out",
-            cells.lines[odd],
+            cells.path, f"two rows are of one time, {t[odd]:f} s, and differ; remove one of them", cells.lines[odd]
         )
     if not again:
         return commanded
     keep = np.setdiff1d(np.arange(len(t)), again)
     told = (
-        f"{cells.path.name}: {len(again)} rows are there twice, with their times, and are taken once; the "
+        f"{cells.path.name}: {len(again)} rows occur twice, with their times, and are used once; the "
         f"first is line {cells.lines[again[0]]}",
     )
     return replace(
@@ -203,7 +201,7 @@ def _values(
     kind = ANGLES if design.mechanism.axis_unit == "rad" else LENGTHS
     if unit is not None and unit not in (*kind, "steps"):
         raise RigError(
-            f"{table.file}: {unit} is no unit of {'angles' if kind is ANGLES else 'lengths'}; "
+            f"{table.file}: {unit} is not a unit of {'angles' if kind is ANGLES else 'lengths'}; "
             f"there are {', '.join(kind)}, steps"
         )
     if kind is ANGLES:
@@ -229,7 +227,7 @@ def _sliding(
         known, si = (LENGTHS, "m") if slide else (ANGLES, "rad")
         if unit is not None and unit not in known:
             raise RigError(
-                f"{table.file}: {unit} is no unit of {arm.axes[i]}, which {'slides' if slide else 'turns'}; "
+                f"{table.file}: {unit} is not a unit of {arm.axes[i]}, which {'slides' if slide else 'turns'}; "
                 f"there are {', '.join(known)}"
             )
         q[:, i] /= known[unit or si]

@@ -42,13 +42,13 @@ def read_foreign_table(table: ForeignTable, section: str) -> Cells:
                 table.file,
                 f"its last line is not like the {len(whole[0].rows)} before it, of {len(whole[0].header)} "
                 "cells each: the "
-                f"file is cut off; mend the line or take it out: {short_repr(lines[-1][1])}",
+                f"file is cut off; correct the line or remove it: {short_repr(lines[-1][1])}",
                 lines[-1][0],
             )
         _no_names(table, section, lines)
         raise FileError(
             table.file,
-            "is no table with a header line and rows of as many cells, separated by comma, semicolon, tab or "
+            "is not a table with a header line and rows of as many cells, separated by comma, semicolon, tab or "
             "spaces, with "
             "decimal points or commas; its separator and decimal can be stated: "
             f"--set {section}.separator=semicolon --set {section}.decimal=comma",
@@ -123,8 +123,8 @@ def _decoded(path: Path) -> tuple[str, tuple[str, ...]]:
     try:
         content = data.decode("cp1252")
     except UnicodeDecodeError:
-        raise FileError(path, "is no text in UTF-8, UTF-16 or Windows-1252") from None
-    return content, (f"{path.name} is taken as Windows-1252 text, as it is no UTF-8",)
+        raise FileError(path, "is not text in UTF-8, UTF-16 or Windows-1252") from None
+    return content, (f"{path.name} is read as Windows-1252 text, as it is not UTF-8",)
 
 
 def _lines(path: Path, content: str, commented: bool) -> list[tuple[int, str]]:
@@ -132,7 +132,7 @@ def _lines(path: Path, content: str, commented: bool) -> list[tuple[int, str]]:
     counts
     """
     if "\0" in content:
-        raise FileError(path, "is no text: it holds a NUL byte")
+        raise FileError(path, "is not text: it contains a NUL byte")
     lines, comment = [], None
     for number, line in enumerate(content.splitlines(), 1):
         bare = line.strip(" \r\n")
@@ -244,7 +244,7 @@ def _no_groups(table: ForeignTable, found: Cells, lines: list[tuple[int, str]], 
             [
                 (f"{cells[0].replace(',', '.')}, a decimal comma", f"{name}.decimal=comma"),
                 (
-                    f"{cells[0].replace(',', '')}, thousands parted (take the commas out of the file)",
+                    f"{cells[0].replace(',', '')}, thousands separated (remove the commas from the file)",
                     f"{name}.decimal=point",
                 ),
             ],

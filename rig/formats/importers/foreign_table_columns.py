@@ -68,7 +68,7 @@ class Cells:
         if len(cell) > LONGEST or not NUMBER["point"].fullmatch(cell) or abs(float(cell)) > LARGEST_NUMBER:
             raise FileError(
                 self.path,
-                f"column {short_repr(self.header[at])} is no number that can be meant: {short_repr(cell)}",
+                f"column {short_repr(self.header[at])} is not a valid number: {short_repr(cell)}",
                 line,
                 at + 1,
                 cell,
@@ -176,7 +176,7 @@ def lines_with_header(table: ForeignTable, section: str, lines: list[tuple[int, 
     if lost and not _sample_column(table.header.replace(",", " ").split()):
         raise FileError(
             table.file,
-            "samples were lost here and nothing tells how many: log with halsampler -t, and name the first "
+            "samples were lost here and nothing states how many: log with halsampler -t, and name the first "
             "column sample",
             lost[0],
         )
@@ -203,7 +203,7 @@ def add_time_column(
     for number in numbers:
         if not re.fullmatch(r"\d{1,15}", number):
             raise FileError(
-                table.file, f"column {count} counts samples, and {number!r} is no whole number", value=number
+                table.file, f"column {count} counts samples, and {number!r} is not a whole number", value=number
             )
     return (*header, "t [s]"), [
         [*row, f"{DIGITS.multiply(Decimal(number), by):f}"] for row, number in zip(rows, numbers)

@@ -54,9 +54,9 @@ class ImportedExposures:
     said: tuple[str, ...]
 
     def times(self) -> list[Decimal]:
-        """t. Raises RigError where nothing has told it."""
+        """t. Raises RigError where it is not stated."""
         if self.t is None:
-            raise RigError("nothing tells when the images were taken")
+            raise RigError("nothing states when the images were taken")
         return self.t
 
 
@@ -111,7 +111,7 @@ def image_files_of_folder(
         raise FileError(
             next(iter(unknown.values())),
             f"of which camera is it? rig.toml has {', '.join(rig_cameras) or 'none'}; {settings}, or the other "
-            "way about, says what a word stands for, --set 'images.names={camera}_{frame}' how names are built",
+            "way about, states the meaning of a word, --set 'images.names={camera}_{frame}' how names are built",
         )
     return [
         _picture(path, cameras[word.lower()], word, rest, parts if name_pattern else None)
@@ -161,7 +161,7 @@ def _by_pattern(path: Path, name: str, names: str) -> dict[str, str]:
     if r"\{" in wanted or not set(re.findall(r"\?P<(\w+)>", wanted)) & {"frame", "time"}:
         raise RigError(
             f"images.names = {short_repr(names)}: a pattern has {{frame}} or {{time}}, {{camera}} where "
-            "folders do not say it, and * for "
+            "folders do not state it, and * for "
             "anything"
         )
     found = re.fullmatch(wanted, name if "/" in names else name.rsplit("/", 1)[-1])
@@ -188,7 +188,7 @@ def _figures(path: Path, stem: str) -> tuple[int | None, str | None]:
         )
     if stamp is None and not figures:
         raise FileError(
-            path, "its name tells neither frame nor time; number the images, or give a table of them: --frames FILE.csv"
+            path, "its name has neither frame nor time; number the images, or give a table of them: --frames FILE.csv"
         )
     if figures and "." in figures[0]:
         figures = []
@@ -238,7 +238,7 @@ def group_images_into_exposures(
     numbers = [p.frame for p in image_files if p.frame is not None]
     if len(numbers) < len(image_files):
         if t is None:
-            raise FileError(image_files[0].path, "its name tells neither a frame nor a time")
+            raise FileError(image_files[0].path, "its name has neither a frame nor a time")
         return _grouped(image_files, t, images, said)
     order = sorted(range(len(image_files)), key=lambda k: (numbers[k], image_files[k].camera))
     _once([(numbers[k], image_files[k].camera, image_files[k].path) for k in order])
@@ -283,7 +283,7 @@ def _grouped(found: list[ImageFile], t: list[Decimal], images: Images, said: tup
             raise RigError(
                 f"{found[group[0]].path}: within {within:g} s camera {twice} has several images, so they are "
                 "not of one frame; a smaller "
-                "tolerance parts them: --set images.tolerance=S"
+                "tolerance separates them: --set images.tolerance=S"
             )
         widest = max(widest, float(t[group[-1]] - t[group[0]]))
         frame += [number] * len(group)

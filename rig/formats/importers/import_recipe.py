@@ -256,7 +256,7 @@ def recipe_toml(recipe: Recipe, folder: Path) -> str:
         return os.path.relpath(os.path.realpath(given), os.path.realpath(folder))
 
     document = tomlkit.document()
-    for line in ("`rig import --recipe THIS --out REC` does it again. What was found out:", *recipe.said):
+    for line in ("`rig import --recipe THIS --out REC` repeats it. Determined from the files:", *recipe.said):
         document.add(tomlkit.comment(" ".join(line.split())))
     document.add("schema", SCHEMA)
     document.add("rig", path(recipe.rig))

@@ -139,7 +139,7 @@ def _rotations(
         ways = _angles(values, names, {cells.unit(found[name]) for name in names}, group is EULERS, table)
     if not ways:
         raise RigError(
-            f"{table.file}: {', '.join(names)} are no rotations as stated; --set poses.rotation= takes "
+            f"{table.file}: {', '.join(names)} are not rotations as stated; --set poses.rotation= takes "
             "rotvec, quaternion-wxyz, "
             "quaternion-xyzw, or an order of Euler angles as zyx (fixed axes) or ZYX (moving axes)"
         )
@@ -158,7 +158,7 @@ def _name(rotation: str, unit: str | None) -> str:
 
 def _quaternions(values: Floats, names: list[str], named: bool, table: ForeignTable) -> list[Reading]:
     if values.shape[1] != 4 or (np.abs(np.linalg.norm(values, axis=1) - 1) > UNIT).any():
-        raise RigError(f"{table.file}: {', '.join(names)} are no quaternions: four figures whose squares sum to one")
+        raise RigError(f"{table.file}: {', '.join(names)} are not quaternions: four figures whose squares sum to one")
     if named:
         return [("quaternion-wxyz", None, Rotation.from_quat(values[:, [1, 2, 3, 0]]))]
     ways = {"quaternion-wxyz": values[:, [1, 2, 3, 0]], "quaternion-xyzw": values}

@@ -89,7 +89,7 @@ def assemble_recording(recipe: Recipe, skip_unreadable: bool = False) -> Importe
     if recipe.bag is not None:
         of_cameras = (*of_cameras, *recipe.bag.said)
     if recipe.images is None and recipe.poses is None:
-        raise RigError("there is nothing that was seen: give folders of images, or --poses FILE.csv")
+        raise RigError("there are no observations: give folders of images, or --poses FILE.csv")
     commanded = read_commands(recipe.commands, design) if recipe.commands else None
     like = _like(commanded.t if commanded else None)
     exposed = (
@@ -107,7 +107,7 @@ def assemble_recording(recipe: Recipe, skip_unreadable: bool = False) -> Importe
         posed = read_poses(recipe.poses, design, partial(_commanded, exposed, commanded), like)
         exposed, posed = _placed(exposed, posed, commanded)
     if exposed is None:
-        raise RigError("there is nothing that was seen")
+        raise RigError("there are no observations")
     commanded = _clocked(exposed, commanded)
     logged = read_sensors(recipe.sensors, _like(exposed.t)) if recipe.sensors else None
     require_one_clock(exposed, commanded)
@@ -139,7 +139,7 @@ def _usable(exposed: ImportedExposures, design: Design, skip: bool) -> ImportedE
     bad = [f"{path}: {problem}" for path, problem in zip(exposed.path, problems) if problem]
     if bad and (not skip or len(bad) == len(problems)):
         more = f"; {len(bad)} images cannot be used" if len(bad) > 1 else ""
-        more += "" if skip else " (--skip-unreadable leaves out what cannot be used)"
+        more += "" if skip else " (--skip-unreadable excludes them)"
         raise RigError("\n".join([bad[0] + more, *(f"  {line}" for line in bad[1:LISTED])]))
     keep = [k for k, problem in enumerate(problems) if not problem]
     t = exposed.times()
@@ -181,7 +181,7 @@ def _commanded(
 def _placed(
     exposed: ImportedExposures | None, posed: ImportedPoses, commanded: ImportedCommands | None
 ) -> tuple[ImportedExposures, ImportedPoses]:
-    """Poses on frames: by number, by time, or row for row; where there are no images each pose is a frame."""
+    """Poses assigned to frames: by number, by time, or row for row; without images each pose is a frame."""
     n = len(posed.T)
     if exposed is None:
         t = posed.t or (
@@ -192,14 +192,14 @@ def _placed(
             t = [Decimal(k) for k in range(n)]
             said = (
                 *said,
-                "nothing tells times, so a row is taken as a second: nothing that depends on time can be "
-                "told from this",
+                "no times are stated, so a row is assumed to be a second: nothing that depends on time can be "
+                "determined from this",
             )
         if t is None:
-            raise RigError(f"{posed.table.file}: the poses have no times, and the commands are not as many as they")
+            raise RigError(f"{posed.table.file}: the poses have no times, and the number of commands differs")
         numbers = list(range(n)) if posed.frame is None else posed.frame.astype(int).tolist()
         if len(set(numbers)) < n:
-            raise RigError(f"{posed.table.file}: a frame is there twice")
+            raise RigError(f"{posed.table.file}: a frame occurs twice")
         order = sorted(range(n), key=lambda k: (t[k], numbers[k]))
         if [numbers[k] for k in order] != sorted(numbers):
             numbers = [
@@ -244,7 +244,7 @@ def _clocked(exposed: ImportedExposures, commanded: ImportedCommands | None) -> 
     if len(at) != len(commanded.values):
         raise RigError(
             f"{commanded.table.file} has no times, and {len(commanded.values)} rows for {len(at)} frames; "
-            "state which column says when with --set 'commands.columns.t=HEADER'"
+            "state the time column with --set 'commands.columns.t=HEADER'"
         )
     return replace(
         commanded,

@@ -92,12 +92,12 @@ def _opened(files: tuple[Path, ...]) -> Iterator["AnyReader"]:
     except (RigError, MemoryError):
         raise
     except AnyReaderError as error:
-        raise FileError(files[0], f"is no bag that can be read: {error}") from None
+        raise FileError(files[0], f"is not a readable bag: {error}") from None
     except (
         Exception
     ) as error:  # a damaged file makes the reader fail in ways of its own, none of them the user's concern
         raise FileError(
-            files[0], f"is no bag that can be read, or it is damaged: {type(error).__name__}: {short_repr(str(error))}"
+            files[0], f"is not a readable bag, or it is damaged: {type(error).__name__}: {short_repr(str(error))}"
         ) from error
 
 

@@ -164,7 +164,7 @@ def read_times(
         return _iso(cells, section, subject, time_zone, by, () if unit else (f"{subject}: times are ISO 8601",))
     if not numeric:
         bad = next(cell for cell in cells if not re.fullmatch(r"[+-]?\d{1,30}(\.\d{0,30})?([eE][+-]?\d{1,2})?", cell))
-        raise RigError(f"{subject}: {short_repr(bad)} is no time in {NAMES[unit or 's']}")
+        raise RigError(f"{subject}: {short_repr(bad)} is not a time in {NAMES[unit or 's']}")
     values = [Decimal(cell) for cell in cells]
     found, said = _unit(values, section, subject, are_plausible) if unit is None else (unit, ())
     return Times([DIGITS.add(DIGITS.divide(value, TIMES[found]), by) for value in values], found, None, said)
@@ -193,7 +193,7 @@ def _iso(cells: list[str], name: str, what: str, zone: str | None, by: Decimal, 
     if len(found) < len(cells):
         bad = next(cell for cell, one in zip(cells, read) if one is None)
         raise RigError(
-            f"{what}: {short_repr(bad)} is no time: times are numbers, or ISO 8601 as 2026-01-31T12:00:00.25Z"
+            f"{what}: {short_repr(bad)} is not a time: times are numbers, or ISO 8601 as 2026-01-31T12:00:00.25Z"
         )
     zones = {one[3] is None for one in found}
     if len(zones) > 1:
@@ -201,7 +201,7 @@ def _iso(cells: list[str], name: str, what: str, zone: str | None, by: Decimal, 
     if zones == {True} and zone is None:
         zone, said = (
             "UTC",
-            (*said, f"{what}: times state no time zone and are taken as UTC (--set {name}.zone=+01:00 says otherwise)"),
+            (*said, f"{what}: times state no time zone and are read as UTC (--set {name}.zone=+01:00 changes it)"),
         )
     seconds = [_seconds(one, zone, what) for one in found]
     return Times([DIGITS.add(t, by) for t in seconds], "iso", zone if zones == {True} else None, said)
@@ -213,7 +213,7 @@ def _seconds(found: re.Match[str], zone: str | None, what: str) -> Decimal:
         at = at.replace(tzinfo=_zone(found[3] or zone or "UTC"))
         whole = at - EPOCH
     except (ValueError, OverflowError) as error:
-        raise RigError(f"{what}: {short_repr(found[0])} is no time: {error}") from None
+        raise RigError(f"{what}: {short_repr(found[0])} is not a time: {error}") from None
     return Decimal(whole.days * 86400 + whole.seconds) + Decimal((found[2] or ".0").replace(",", "."))
 
 

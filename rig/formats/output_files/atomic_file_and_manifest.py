@@ -39,7 +39,7 @@ def write_text(path: str | PathLike[str], text: str) -> None:
 def write_bytes(path: str | PathLike[str], data: bytes) -> None:
     """Write a file atomically and flush it to disk.
 
-    Links are followed, a file that is there keeps its mode and owner. What is no regular file (a device, a FIFO) and
+    Links are followed, a file that is there keeps its mode and owner. What is not a regular file (a device, a FIFO) and
     what this process's standard output or error goes to is written straight to. Raises FileError with path and reason
     where that cannot be done; what stood there then stands there still and no temporary is left.
     """
@@ -274,7 +274,7 @@ def load_manifest(folder: Path) -> FolderManifest:
         )
         for name in tree["files"]:
             if not name or name.startswith("/") or "\0" in name or {"", ".", ".."} & set(name.split("/")):
-                raise FileError(path, f"names {name!r}, which is no file of its folder")
+                raise FileError(path, f"names {name!r}, which is not a file of its folder")
         return FolderManifest(
             origin,
             {
@@ -286,9 +286,7 @@ def load_manifest(folder: Path) -> FolderManifest:
         return FolderManifest()
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise FileError(
-            path,
-            f"is no manifest of what was made in its folder ({type(error).__name__}: {error}); where it is "
-            "nobody's, delete it",
+            path, f"is not a manifest of its folder ({type(error).__name__}: {error}); where it is nobody's, delete it"
         ) from None
 
 
@@ -298,7 +296,7 @@ def require_complete_folder(folder: Path) -> None:
     """
     origin = load_manifest(Path(folder)).origin
     if origin is not None and not origin.complete:
-        raise FileError(folder, f"is not complete: `rig {origin.command}` was ended while it wrote it; run that again")
+        raise FileError(folder, f"is not complete: `rig {origin.command}` was ended while writing it; run that again")
 
 
 def file_digest(path: Path) -> str:

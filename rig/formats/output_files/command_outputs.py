@@ -97,14 +97,14 @@ class CommandOutputs:
             real = Path(os.path.realpath(given))
             if staged.place in real.parents and str(real.relative_to(staged.place)) in staged.known.files:
                 raise RigError(
-                    f"{path} holds {given}, which this command reads; it stays as it was, name another folder"
+                    f"{path} holds {given}, which this command reads; it remains unchanged, name another folder"
                 )
         staged.whole = True
         staged.mark(self._origin(False))
         return staged.folder
 
     def file(self, path: Path, own: bool = False) -> Path:
-        """Where to write a file: it is at `path` once the command is done. What is no regular file is written straight
+        """Where to write a file: it is at `path` once the command is done. A non-regular file is written straight
         to.
 
         own : whether the command itself sees to it that a file that is there is its own, as one that goes on from a
@@ -123,11 +123,11 @@ class CommandOutputs:
             self._no_input(path, "what this command reads")
         place = Path(os.path.realpath(path))
         if not place.parent.is_dir() and place.parent not in self._staged:
-            raise RigError(f"{path.parent} is no folder; make it first")
+            raise RigError(f"{path.parent} is no folder; create it first")
         if is_recording_table(place.name) and any(
             place.parent == Path(os.path.realpath(given)) for given in self.inputs
         ):
-            raise RigError(f"{path} is a file of the recording, which stays as it was; name another")
+            raise RigError(f"{path} is a file of the recording, which remains unchanged; name another")
         staged = self._beside(place.parent, path)
         if (
             place.exists()
@@ -170,7 +170,7 @@ class CommandOutputs:
         try:
             path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise RigError(f"{path} cannot be made: {error.strerror}") from None
+            raise RigError(f"{path} cannot be created: {error.strerror}") from None
         self.in_use = True
         remove_stale_staged_files(path)
         (path / GROWING).mkdir(exist_ok=True)
@@ -200,7 +200,7 @@ class CommandOutputs:
             if os.path.realpath(path) == os.path.realpath(given) or (
                 there and other and os.path.samestat(there, other)
             ):
-                raise RigError(f"{path} is {what}; it stays as it was, name another place to write to")
+                raise RigError(f"{path} is {what}; it remains unchanged, name another place to write to")
 
     def _own(self, path: Path, going_on: bool = False) -> None:
         """Raise RigError where a folder holds what this command did not make or somebody changed since."""

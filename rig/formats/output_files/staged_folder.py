@@ -151,7 +151,7 @@ class StagedFolder:
             if any(os.path.samestat(there, other) for other in given) or any(
                 real in (path, *path.parents) for real in inner
             ):
-                raise FileError(path, "is what this command reads; it stays as it was, name another place to write to")
+                raise FileError(path, "is read by this command; it remains unchanged, name another place to write to")
             if not (force or name in self.allowed or known.untouched(self.place, name, self.command)):
                 raise FileError(
                     path,

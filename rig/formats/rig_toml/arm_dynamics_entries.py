@@ -42,7 +42,7 @@ class ArmDynamics:
         """
         value: Floats | None = getattr(self, name)
         if value is None:
-            raise RigError(f"{path}: [dynamics] states no {name}, and this takes it")
+            raise RigError(f"{path}: [dynamics] states no {name}, and this requires it")
         return value
 
 

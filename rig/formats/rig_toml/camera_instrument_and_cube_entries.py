@@ -91,7 +91,7 @@ def check_hand_mounted_cameras(
             )
         if mine and camera.shutter != "global":
             table.fail(
-                f"camera {camera.name!r} is in the hand, where rows of a rolling shutter cannot be told from "
+                f"camera {camera.name!r} is in the hand, where rows of a rolling shutter cannot be distinguished from "
                 "the hand's own way",
                 "shutter",
             )
@@ -204,7 +204,7 @@ def turned_targets(table: Entries, targets: tuple[Target, ...]) -> tuple[Target,
         body = targets[at].body
         if all(target.turned is not None for target in out if target.body == body):
             table.fail(
-                f"turned: all targets of the {body} were taken off, so that nothing holds its frame", key, value=key
+                f"turned: all targets of the {body} were removed, so that nothing defines its frame", key, value=key
             )
     return tuple(out)
 
@@ -234,7 +234,7 @@ def camera_toml(camera: Camera, has_pose: bool = False) -> str:
     has_pose : whether its pose is known; else it is a place to fill in
     """
     place = np.round(pose_to_vector(camera.pose), 10) if has_pose else np.zeros(6)
-    remark = "" if has_pose else "   # camera in base: put in where it stands"
+    remark = "" if has_pose else "   # camera in base: enter its pose"
     matrix, distortion = np.round(camera.matrix, 6).tolist(), np.round(camera.distortion, 9).tolist()
     return (
         f'[[camera]]\nname = "{camera.name}"\nwidth = {camera.width}\nheight = {camera.height}\nmatrix = {matrix}\n'

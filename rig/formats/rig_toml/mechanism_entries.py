@@ -126,7 +126,7 @@ def joint_limits(table: Entries, is_prismatic: Booleans) -> Floats:
     twice = [i for i, row in enumerate(rows) if isinstance(row, dict) and "limits" in row and "limits" in table.tree]
     if twice:
         table.fail(
-            f"{table.name('joints')}.{twice[0] + 1}.limits is stated, and so is {table.name('limits')}: which holds?",
+            f"{table.name('joints')}.{twice[0] + 1}.limits is stated, and so is {table.name('limits')}: which applies?",
             "joints",
             twice[0],
             "limits",

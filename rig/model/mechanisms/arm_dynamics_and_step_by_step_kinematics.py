@@ -159,8 +159,8 @@ def forward_steps(q: Floats, arm: Arm) -> list[KinematicsStep]:
 def inverse_steps(T_base_platform: RigidTransform, six_arm: SixJointArm, q: Floats) -> list[KinematicsStep]:
     """[Step] of the closed-form inverse of a pose for a solution q (6,) rad, from joint 1 to 6.
 
-    q : of rig.model.mechanisms.closed_form_and_numerical_arm_inverse.inverse: of two readings the one near it is taken, and what a singular
-        pose leaves free
+    q : of rig.model.mechanisms.closed_form_and_numerical_arm_inverse.inverse: of two readings the one near it is
+        taken, and what a singular pose leaves free
     """
     way = _Way(six_arm, np.asarray(q, float), T_base_platform)
     way.back(0, way.shoulder())

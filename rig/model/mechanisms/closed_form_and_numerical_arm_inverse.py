@@ -28,7 +28,7 @@ from rig.model.pose import pose_difference
 
 EXACT = 1e-9  # m and rad; by so much axes may miss what the closed form takes for granted
 REASONS = {
-    joint_angle_kernels.OFF_AXIS: "the wrist would stand nearer to axis 1 than the arm's offset allows, by",
+    joint_angle_kernels.OFF_AXIS: "the wrist would be nearer to axis 1 than the arm's offset allows, by",
     joint_angle_kernels.TOO_FAR: "too far, by",
     joint_angle_kernels.TOO_NEAR: "too near the shoulder, by",
     joint_angle_kernels.TURNED_AWAY: "the wrist cannot point there, by",
@@ -214,7 +214,7 @@ def nearest_closed_form_solution(T_base_platform: RigidTransform, six_arm: SixJo
             f"pose {i}: {found.why(i) if found.reason.ravel()[i] else 'every solution leaves the joint limits'}"
             for i in failed.tolist()
         ]
-        raise Unreachable(f"{len(failed)} of {far[..., 0].size} poses cannot be taken:", failed, lines)
+        raise Unreachable(f"{len(failed)} of {far[..., 0].size} poses cannot be reached:", failed, lines)
     return np.take_along_axis(q, np.argmin(far, axis=-1)[..., None, None], axis=-2)[..., 0, :]
 
 

@@ -126,7 +126,7 @@ def axis_changes(T: RigidTransform, lengths: Floats, hexapod: Hexapod) -> Floats
 
 
 def singularity_rows(T: RigidTransform, lengths: Floats, hexapod: Hexapod) -> Floats:
-    """(n, 6, 6) the rows of the Jacobian at poses T (n,), which fall together where the machine is singular."""
+    """(n, 6, 6) the rows of the Jacobian at poses T (n,), which coincide where the machine is singular."""
     return jacobian(T, hexapod)
 
 

@@ -73,7 +73,7 @@ class Kind(Protocol[M]):
         ...
 
     def singularity_rows(self, T: RigidTransform, values: Floats, mechanism: M, /) -> Floats:
-        """(n, axes, 6) a row for each axis, that fall together where the machine is singular, at poses T (n,), values
+        """(n, axes, 6) a row for each axis, that coincide where the machine is singular, at poses T (n,), values
         (n, axes).
         """
         ...

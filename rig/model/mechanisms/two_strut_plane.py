@@ -100,7 +100,7 @@ def axis_changes(T: RigidTransform, lengths: Floats, planar: Planar2) -> Floats:
 
 
 def singularity_rows(T: RigidTransform, lengths: Floats, planar: Planar2) -> Floats:
-    """(n, 2, 6) the rows of the Jacobian at poses T (n,), which fall together where the machine is singular."""
+    """(n, 2, 6) the rows of the Jacobian at poses T (n,), which coincide where the machine is singular."""
     return jacobian(T, planar)
 
 

@@ -19,7 +19,7 @@ FILLED = 1.6  # times that reach what fills the image
 
 
 class CubeRing(NamedTuple):
-    """Where cubes stand around a body. centre : (3,) m; radius, edge : m, of the circle and of a cube; turn : rad, of
+    """Placement of cubes around a body. centre : (3,) m; radius, edge : m, of the circle and of a cube; turn : rad, of
     the first cube
     """
 

@@ -31,7 +31,7 @@ from rig.planning.layout.hexapod_layout_and_camera_placement import (
 
 INSTRUMENT = """
 [instrument]            # a laser tracker with a probe of six degrees of freedom
-base = "free"           # where it stands is unknown and solved for; "rig" where poses.csv is in the arm's own base
+base = "free"           # its pose is unknown and estimated; "rig" where poses.csv is in the arm's own base
 tool = "free"           # where its target sits on the hand, likewise
 position_sigma = 2e-5   # m
 rotation_sigma = 1e-4   # rad

@@ -183,9 +183,9 @@ def view_3d_html(scene: Scene) -> list[str]:
     ]
     told += ['<span class="box c3"></span>what the effect does'] if scene.effects else []
     thinned = "" if len(chosen) == len(scene.frames) else f" Of {len(scene.frames)} frames {len(chosen)} are shown."
-    enlarged = " Errors and effects are as many times as large as the slider says." if told else ""
+    enlarged = " Errors and effects are enlarged by the factor of the slider." if told else ""
     return [
-        note_html(f"Drag or use the arrow keys to turn, the wheel or + and - to come nearer.{enlarged}{thinned}"),
+        note_html(f"Drag or use the arrow keys to turn, the wheel or + and - to zoom.{enlarged}{thinned}"),
         '<figure class="stage">'
         '<canvas id="stage-view" role="img" tabindex="0" aria-label="the rig in three dimensions; arrow keys '
         'turn it"></canvas>'

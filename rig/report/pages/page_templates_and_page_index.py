@@ -39,7 +39,7 @@ class Link(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """What a page says. kind : of page, "measure"; title : what it is of; verdict; parts : HTML as
+    """Content of a page. kind : of page, "measure"; title : what it is of; verdict; parts : HTML as
     rig.report.pages.html_and_svg_elements and its figures make it
     next_steps : what to do next, commands between backticks; links : to other pages; scripts : of this page's own,
         JavaScript"""
@@ -135,7 +135,7 @@ SAID = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class PageSummary:
-    """A page. path; kind, title, state, why : as it says them, and as later recordings have it; changed : s, when it
+    """A page. path; kind, title, state, why : as it states them, and as later recordings have it; changed : s, when it
     was written
     """
 

@@ -75,7 +75,7 @@ class PageServer:
         self._thread.start()
 
     def show(self, event: Callable[[], Json], images: dict[str, Callable[[], bytes]] | None = None) -> None:
-        """Have every browser told. Both are called only if one looks, once for all of them, and from any thread.
+        """Notify every browser. Both are called only if one looks, once for all of them, and from any thread.
 
         event : makes what JSON can hold; images : {camera: makes its JPEG} in place of those before, or None
         """
@@ -250,13 +250,13 @@ class _Handler(BaseHTTPRequestHandler):
             url = urlsplit(self.path)
             query = parse_qs(url.query, max_num_fields=MOST_FIELDS)
         except ValueError:  # no URL, or more fields than any of ours has
-            self._refuse(HTTPStatus.FORBIDDEN, "that is no request for this page")
+            self._refuse(HTTPStatus.FORBIDDEN, "that is not a request for this page")
             return None
         origin = self.headers.get("Origin")
         if self.client_address[0] != HOST:
             reason = "only this computer"
         elif self.headers.get("Host") not in here:
-            reason = "another host was asked for"
+            reason = "another host was requested"
         elif (post and origin is None) or (
             origin is not None and origin not in tuple(f"http://{name}" for name in here)
         ):
@@ -271,7 +271,7 @@ class _Handler(BaseHTTPRequestHandler):
             or self.headers.get("Content-Length", "0") != "0"
             or "Transfer-Encoding" in self.headers
         ):
-            reason = "that is no request for this page"
+            reason = "that is not a request for this page"
         elif not self.server.admit(self.connection):
             self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections")
             return None

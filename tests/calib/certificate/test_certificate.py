@@ -177,7 +177,7 @@ def test_the_promise_is_so(held, design):
 
 def test_the_first_line_says_whose_scale_it_is(held):
     assert (
-        held.out.splitlines()[1].startswith("Nobody certified the scale") and held.tree["scale"]["certified"] is False
+        held.out.splitlines()[1].startswith("The scale is not certified") and held.tree["scale"]["certified"] is False
     )
     out = rig(
         "certify",
@@ -321,7 +321,7 @@ def test_decisions_are_guarded(held):
 def test_the_page_says_it_all(held):
     page = (held.folder / "made" / "certificate.html").read_text()
     assert (
-        "Nobody certified the scale" in page and page.count("<svg") == 2 and "ISO 230-2" in page and "ISO 9283" in page
+        "The scale is not certified" in page and page.count("<svg") == 2 and "ISO 230-2" in page and "ISO 9283" in page
     )
     assert "inputs_sha256" in page
 
@@ -445,7 +445,7 @@ def test_paper_has_every_page(held):
 @pytest.mark.parametrize(
     "words, said",
     [
-        (("--tolerance", "20"), "is no tolerance"),
+        (("--tolerance", "20"), "is not a tolerance"),
         (("--tolerance", "20um", "3mm"), "one length and one angle"),
         (("--country", "de"), "two capital letters"),
         (("--scale-source", "x"), "--scale-uncertainty says"),

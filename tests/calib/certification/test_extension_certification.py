@@ -34,7 +34,7 @@ def coupled(commands):
 
 @pytest.fixture(scope="module")
 def gridded(design):
-    """(Samples on the grid 2x1x1x1x1x2 and at 30 configurations beside it, true Hexapod)."""
+    """(Samples on the grid 2x1x1x1x1x2 and at 30 configurations besides it, true Hexapod)."""
     strokes = design.mechanism.strut_range
     commands = np.concatenate(
         [divided_grid_configurations(strokes, "2x1x1x1x1x2@0.6"), sobol_configurations(strokes, 30, 0.5, 8)]

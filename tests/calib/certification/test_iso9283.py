@@ -63,13 +63,13 @@ def test_visits_are_counted_by_moves(design):
 def test_another_order_is_named(full_test):
     order = np.arange(len(full_test))
     order[[6, 7]] = 7, 6
-    assert "not visited in one order" in met(replace(full_test, t=full_test.t[order]))
+    assert "not visited in a consistent order" in met(replace(full_test, t=full_test.t[order]))
 
 
 def test_other_sides_are_named(full_test):
     before = full_test.before.copy()
     before[7] *= -1
-    assert met(replace(full_test, before=before)) == "1 of them were come to from more than one side"
+    assert met(replace(full_test, before=before)) == "1 of them were approached from more than one side"
 
 
 @pytest.mark.parametrize("stretch, name", [((1, 1, 1.6), "no diagonal plane"), ((1, 1, 1), "")])

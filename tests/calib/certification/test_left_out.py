@@ -72,7 +72,7 @@ def test_a_claim_holds_where_physics_is_left_out_and_the_claim_names_it(tmp_path
 
 
 def test_ellipsoids_hold_what_all_struts_do_together(tmp_path):
-    """Heat and warm-up lengthen all struts alike: with each strut by itself, 95 % ellipsoids of these three hold some
+    """Heat and warm-up lengthen all struts equally: with each strut by itself, 95 % ellipsoids of these three hold some
     75 %.
     """
     inside = []

@@ -130,7 +130,7 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
     rig("insitu", tmp_path / "rec", "--tolerance", "1e-4", "4e-4", "--out", limbs)
     said = capsys.readouterr().out
     rows = re.findall(r"^m(\d) +\S+ +(\S+) +(\S+)$", said, re.MULTILINE)
-    assert "tell the pose; what the others read less what it says, um:" in said and len(rows) == 2
+    assert "give the pose; the others minus prediction, um:" in said and len(rows) == 2
     assert all(0.3 < float(rms) / float(expected) < 2 for _, rms, expected in rows)
     kept = measuring_limbs_file.load_limbs(limbs)
     assert (
@@ -160,7 +160,7 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
         == 1
     )
     said = capsys.readouterr().err
-    assert "The measuring limbs no longer agree with each other: their acceptance is withdrawn" in said
+    assert "The measuring limbs no longer agree with one another: their acceptance is withdrawn" in said
     assert 30 <= int(re.search(r"frame (\d+)", said)[1]) < 35 and f"limb {limb} is longer" in said
     assert measuring_limbs_file.load_limbs(limbs).verdict == "withdrawn"
     rig(

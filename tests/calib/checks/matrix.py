@@ -387,7 +387,7 @@ simple("payload in grams", "corners", "payload_mass_kg is in grams", lambda f: a
 
 
 # -- images
-@case("an image twice", "images", "an image is there twice")
+@case("an image twice", "images", "an image occurs twice")
 def _(f: Path) -> None:
     body = rows(f / "frames.csv")[1]
     shutil.copy(f / body[0][3], f / body[9][3])
@@ -454,7 +454,7 @@ simple("arm: poses in degrees", "arm", "in degrees", poses(degrees))
 simple(
     "arm: joint 3 with the other sign",
     "arm",
-    "joint 3 turns the other way",
+    "joint 3 turns backwards",
     lambda f: column(f / "commands.csv", "q3", lambda q: -q),
 )
 simple(

@@ -44,12 +44,12 @@ def test_a_rig_laid_out_evenly_is_left_in_peace(tmp_path):
 def test_a_cube_off_its_circle_is_told_with_radii_and_gaps(tmp_path):
     said = told(tmp_path, moved("P2", [0.02, 0.03, 0.0]))
     assert (
-        said.startswith("rig.toml: the cubes on the platform are not evenly on a circle about its middle: radii ")
+        said.startswith("rig.toml: the cubes on the platform are not evenly on a circle about its centre: radii ")
         and "(P2 is farthest" in said
     )
     assert "where 90.0 are even" in said and "heights" not in said
     high = told(tmp_path, moved("B1", [0, 0, 0.05]))
-    assert "the cubes on the base stand at heights from" in high and "circle" not in high
+    assert "the cubes on the base are at heights from" in high and "circle" not in high
 
 
 def listed(name, aside):
@@ -89,7 +89,7 @@ def test_directions_and_cameras_that_see_nothing_are_told(tmp_path):
     one = "[[target]]".join(block for block in blind.split("[[target]]") if not re.search('name = "P[234]"', block))
     said = told(tmp_path, one)
     found = re.search(
-        r"the platform shows nothing towards (\d+) degrees \(level\): the nearest face there looks (\d+) "
+        r"the platform shows no face towards (\d+) degrees \(level\): the nearest face there looks (\d+) "
         r"degrees away, (\d+)% of",
         said,
     )

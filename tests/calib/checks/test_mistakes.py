@@ -171,7 +171,7 @@ def test_an_unlikely_thing_is_a_remark(good, tmp_path):
 def test_measuring_says_first_how_well(good, tmp_path):
     text = said("measure", good("corners"), "--out", tmp_path / "out")[1]
     assert text.splitlines()[0].startswith("good: 60 of 60 frames solved")
-    assert "hardly told apart (" not in text and "hardly told apart (" in (tmp_path / "out" / "report.html").read_text()
+    assert "hardly separable (" not in text and "hardly separable (" in (tmp_path / "out" / "report.html").read_text()
 
 
 def test_what_spoils_is_said_before_what_is_likely():

@@ -296,7 +296,7 @@ def test_diagnosed_calibrated_corrected_driven_verified(tmp_path, seen, capsys):
     (tmp_path / "rig.toml").write_text(text)
     run(capsys, "diagnose", tmp_path / "rec", "--out", tmp_path / "d", "--only", "backlash")
     said = run(capsys, "calibrate", tmp_path / "rec", "--diagnosis", tmp_path / "d", "--out", tmp_path / "c.json")
-    assert "undone by commands: backlash at strut 5" in said
+    assert "compensated by commands: backlash at strut 5" in said
     T, t, log = wanted(design, 20)
     clock = 1_700_000_000
     rows = [
@@ -360,7 +360,7 @@ def test_diagnosed_calibrated_corrected_driven_verified(tmp_path, seen, capsys):
         "0,0",
         ok=False,
     )
-    assert "--start takes home or 6 values" in refused
+    assert "--start must be home or 6 values" in refused
     assert "is in time" in run(
         capsys,
         "simulate",
@@ -374,7 +374,7 @@ def test_diagnosed_calibrated_corrected_driven_verified(tmp_path, seen, capsys):
 
 
 def test_what_another_recording_told_counts_beside_this_one(tmp_path, seen):
-    """A recording in one room says nothing of its warmth: what is known of it from another stays as it was, and as
+    """A recording in one room says nothing of its warmth: what is known of it from another remains unchanged, and as
     sure.
     """
     text, design = seen

@@ -123,7 +123,7 @@ def test_command_line_writes_diagnosis_and_page(tmp_path, capsys):
     assert (first["effect"], first["place"]) == ("scale_error", "joint 4") and low < 3e-3 < high
     assert tree["fit"]["heldout_after"] < 0.5 * tree["fit"]["heldout_before"]
     page = (tmp_path / "out" / "diagnosis.html").read_text()
-    assert "Scale error at joint 4" in page and "What single poses suffer from" in page
+    assert "Scale error at joint 4" in page and "Findings that affect individual poses" in page
     table = np.genfromtxt(tmp_path / "out" / "contributions.csv", delimiter=",", names=True)
     lever = np.linalg.norm(secret_arms.error_model.joint_jacobian(samples.commanded, true)[:, :3, 3], axis=1)
     q = samples.commanded[:, 3]

@@ -80,13 +80,13 @@ def test_the_page_says_what_was_found(diagnosed, tmp_path):
 def test_without_a_finding_nothing_is_claimed(diagnosed, tmp_path):
     found, diagnosis = diagnosed
     still = diagnosis_of(found, ["missed_steps strut 1"])
-    assert "Nothing is left out" in made(tmp_path, found, replace(still, left=[]))[1]
+    assert "Nothing is unmodelled" in made(tmp_path, found, replace(still, left=[]))[1]
     left = [
         LackOfFit("strut 3", 4e-5, "m", ("history",), 1e-9, 80.0),
         LackOfFit("camera cam1", 0.2, "px", ("image position",), 1e-9, 70.0),
     ]
     text = made(tmp_path, found, replace(still, left=left))[1]
-    assert "There is something at strut 3 that nothing in the catalogue explains, 40 µm, going with history." in text
+    assert "There is something at strut 3 that no catalogued effect explains, 40 µm, correlated with history." in text
     assert "image position" in text and "below 1 in a million" in text
     assert "Backlash" not in text and "backlash" not in text
 
@@ -101,7 +101,7 @@ def test_alternatives_and_what_was_not_asked_are_listed(diagnosed, tmp_path):
     page_text(tmp_path / "page.html", found, diagnosis, told)
     page, text = text_of(tmp_path / "page.html")
     assert "a &lt;ladder&gt;" in page and "1.2" in text and "thermal expansion" in text and "no channel" in text
-    assert "This recording alone cannot tell the backlash" in text
+    assert "This recording alone cannot distinguish the backlash" in text
 
 
 def test_taking_an_effect_away_brings_its_residual_back(diagnosed):
@@ -162,7 +162,7 @@ def test_what_is_only_significant_comes_after_what_matters(diagnosed, tmp_path):
     assert [f.matters for f in told.findings] == [False, True] and told.mattering == [strong]
     page_text(tmp_path / "page.html", found, diagnosis, told)
     text = text_of(tmp_path / "page.html")[1]
-    assert text.index("1. backlash at strut 3") < text.index("of little account") < text.index("hysteresis at strut 5,")
+    assert text.index("1. backlash at strut 3") < text.index("but negligible") < text.index("hysteresis at strut 5,")
     assert "1 more is significant" in text
 
 

@@ -53,7 +53,7 @@ def test_the_command_writes_the_best_plan_or_says_that_none_does(tmp_path, capsy
     assert command_line.main([*argv, "--out", str(out)]) == 0
     assert "best: zigzag" in capsys.readouterr().out and out.read_text().startswith("t,l1,l2,l3,l4,l5,l6\n")
     assert command_line.main([*argv[:3], "edge_bias:cameras:bias=0.1", argv[4], "--out", str(out)]) == 1
-    assert "changes what is seen" in capsys.readouterr().err
+    assert "changes the images" in capsys.readouterr().err
 
 
 def test_reversals_at_speed_tell_a_lag_from_a_clock(design):

@@ -61,7 +61,7 @@ def test_a_scatter_thirty_times_the_stated_noise_is_unexplained(tmp_path, again)
     )
     assert tree["unexplained"]["magnitude"] == pytest.approx(np.sqrt(2) * 6e-4, rel=0.25)
     assert [f["effect"] for f in tree["findings"]] == ["unknown"] and tree["noise_from"] == STATED
-    assert diagnosis_verdict(report).state is State.CHECK and "Nothing is left out" not in summary_sentence(report)
+    assert diagnosis_verdict(report).state is State.CHECK and "Nothing is unmodelled" not in summary_sentence(report)
 
 
 def test_a_mount_within_its_noise_is_all_clear(tmp_path):
@@ -79,7 +79,7 @@ def test_noise_that_nobody_states_proves_nothing(tmp_path):
     )
     assert report.noise_from == ASSUMED_NOISE and not report.findings
     assert diagnosis_verdict(report).state is State.CHECK and any(
-        "nobody states the noise" in reason for reason in diagnosis_verdict(report).rests_on
+        "the noise is not stated" in reason for reason in diagnosis_verdict(report).rests_on
     )
 
 

@@ -187,7 +187,7 @@ def test_commands_write_what_is_to_be_edited(tmp_path, capsys, monkeypatch):
         (["--new", "My own"], "small letters"),
         (["--new", "mine", "--from", "nothing"], "nothing/diagnosis.json: no such file"),
         (["--out", "mine.py"], "--new"),
-        (["--new", "mine", "backlash"], "leave out NAME"),
+        (["--new", "mine", "backlash"], "omit NAME"),
         (["--new", "mine", "--place", "rig"], "--from"),
     ):
         assert main(["effects", *words]) == 1 and said in capsys.readouterr().err
@@ -231,7 +231,7 @@ def test_a_law_is_suggested_by_its_covariates(tmp_path, measured, number, monkey
     page = "".join(_suggestions(told))
     assert (
         f"{found.after / found.noise:.2f} times the noise" in page
-        and "a suggestion, and no name" in page
+        and "a suggestion, not an identification" in page
         and recommended_actions(told) != recommended_actions(replace(told, suggestions=()))
     )
     write_diagnosis_json(tmp_path, told)
@@ -282,7 +282,7 @@ def test_what_was_suggested_is_found_calibrated_and_undone(tmp_path, measured, m
         and "a formula for it at" in capsys.readouterr().out
     )
     tree = json.loads((tmp_path / "first" / "diagnosis.json").read_text())
-    assert [s["place"] for s in tree["suggestions"]] == [effect.place] and "a suggestion, and no name" in (
+    assert [s["place"] for s in tree["suggestions"]] == [effect.place] and "a suggestion, not an identification" in (
         tmp_path / "first" / "diagnosis.html"
     ).read_text()
     assert main(["effects", "--new", "swing", "--from", "first"]) == 0
@@ -317,9 +317,7 @@ def test_what_was_suggested_is_found_calibrated_and_undone(tmp_path, measured, m
     )
     assert 5e-6 < np.ptp(done - plain) < 1e-3
     (tmp_path / "swing.py").write_text((tmp_path / "swing.py").read_text() + "# edited\n")
-    assert (
-        main([*correct, "--effects", "swing.py", "--force"]) == 1 and "is not as it was when" in capsys.readouterr().err
-    )
+    assert main([*correct, "--effects", "swing.py", "--force"]) == 1 and "has changed since" in capsys.readouterr().err
 
 
 MOUNTED = '''"""A mount that swings."""

@@ -93,7 +93,7 @@ def test_regions_and_repeats_are_of_every_machine(tmp_path, design):
     assert len(found.findings) == 1 and min(gains) > 2 and found.regions[0][0].unit == "m"
     assert tree["repeats"]["pairs"] >= FEWEST and 0 < tree["repeats"]["mean_m"] < 2e-4
     text = page_text(tmp_path / "page.html", rec, found)
-    assert "What each finding brings on frames held out" in text and "the same command given again" in text
+    assert "Gain of each finding on held-out frames" in text and "repeatability of the same command" in text
 
 
 def test_repeats_tell_noise_from_what_comes_again():

@@ -42,7 +42,7 @@ def test_what_is_assumed_stays_and_is_said_to_be_so(quiet):
     assert places(told) == [(*STRUT_2, "assumed")]
     gap = told.findings[0].parameters["gap"]
     assert gap.value < 15e-6 and gap.ci95[0] <= gap.value <= gap.ci95[1]
-    assert "would not have shown it by itself" in evidence_sentence(told.findings[0]) and told.findings[0].matters
+    assert "would not have shown it independently" in evidence_sentence(told.findings[0]) and told.findings[0].matters
 
 
 def test_what_was_seen_before_has_to_stand(loose):
@@ -50,7 +50,7 @@ def test_what_was_seen_before_has_to_stand(loose):
     assert places(told) == [(*STRUT_2, "seen before")]
     assert told.findings[0].parameters["gap"].value == pytest.approx(100e-6, rel=0.05)
     told = diagnosis_report(diagnosis_of(loose, ["backlash"], given=StatedTerms((STRUT_2,))))
-    assert places(told) == [(*STRUT_2, "assumed")] and "shows it by itself as well" in evidence_sentence(
+    assert places(told) == [(*STRUT_2, "assumed")] and "shows it independently as well" in evidence_sentence(
         told.findings[0]
     )
 
@@ -63,15 +63,15 @@ def test_what_cannot_be_assumed_is_refused(design):
         ("backlash strut 9", "no strut '9'"),
         ("backlash", "cannot sit at ''"),
         ("backlsh strut 2", "is 'backlash' meant"),
-        ("marker_swap marker 8", "looked for before all else"),
+        ("marker_swap marker 8", "searched for first"),
     ):
         with pytest.raises(RigError, match=said):
             parse_effect_and_place(text, design)
-    with pytest.raises(RigError, match="backlash strut 2 cannot be assumed and left out at once"):
+    with pytest.raises(RigError, match="backlash strut 2 cannot be both assumed and excluded"):
         RequestedEffects.of(None, ["backlash"], StatedTerms((STRUT_2,)))
     with pytest.raises(
         RigError,
-        match="backlash at strut 2 is assumed, but this recording cannot be asked for it: nothing was commanded",
+        match="backlash at strut 2 is assumed, but this recording cannot be tested for it: nothing was commanded",
     ):
         require_assumed_effects_testable(StatedTerms((STRUT_2,)), [], [NotAsked("backlash", "nothing was commanded")])
 

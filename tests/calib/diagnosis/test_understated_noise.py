@@ -64,5 +64,5 @@ def test_scatter_beyond_the_stated_noise_is_no_all_clear(tmp_path, capsys, name,
         return
     assert states == ["check", "check"]
     assert found["unexplained"]["place"] == "rig" and found["unexplained"]["magnitude"] > 2 * case.sigma[0] / times
-    assert "nothing in the catalogue explains" in pages[0]
-    assert made["claim"]["unexplained"] and "nothing in this calibration explains" in pages[1]
+    assert "no catalogued effect explains" in pages[0]
+    assert made["claim"]["unexplained"] and "this calibration does not explain" in pages[1]

@@ -116,7 +116,7 @@ def test_rows_that_were_left_out_are_listed_with_why(tmp_path, design):
     page_text(tmp_path / "page.html", rec, found, told)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert (
-        "Left out before anything was searched" in page
+        "Excluded before the search" in page
         and entry["reason"] in page
         and diagnosis_verdict(told).state is State.CHECK
     )

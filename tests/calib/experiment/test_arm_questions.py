@@ -130,7 +130,7 @@ def test_what_of_arms_cannot_be_investigated_is_refused(tmp_path, capsys):
     text = shipped_arm_layout.shipped_arm_rig_toml("puma560")
     (tmp_path / "rig.toml").write_text(text[: text.index("[instrument]")])
     assert main(["investigate", str(tmp_path / "rig.toml"), "--by-hand", "--out", str(tmp_path / "out")]) == 1
-    assert "takes an [instrument] that measures its poses" in capsys.readouterr().err
+    assert "requires an [instrument] that measures its poses" in capsys.readouterr().err
     (tmp_path / "rig.toml").write_text(text)
     assert (
         main(
@@ -184,7 +184,7 @@ def test_play_is_told_from_friction_by_one_experiment(tmp_path, capsys, effect, 
         == 0
     )
     notebook = (out / "notebook.md").read_text()
-    assert "alike:" in notebook and "settled: yes" in notebook and f"alone: {name} at joint 2" in notebook
+    assert "ambiguous:" in notebook and "settled: yes" in notebook and f"alone: {name} at joint 2" in notebook
     (finding,) = json.loads((out / "diagnosis2" / "diagnosis.json").read_text())["findings"]
     assert (finding["effect"], finding["place"], finding["cannot_be_told_from"]) == (name, "joint 2", [])
     assert not (out / "rec3").exists() and (out / "certificate" / "certificate.json").exists()
@@ -215,7 +215,7 @@ def test_a_quiet_arm_is_left_in_peace(tmp_path, capsys):
         == 0
     )
     assert main(["investigate", str(rig), "--machine", str(truth), "--out", str(out), "--budget", "1h"]) == 0
-    assert "Nothing is left out." in (out / "notebook.md").read_text() and not (out / "rec2").exists()
+    assert "Nothing is unmodelled." in (out / "notebook.md").read_text() and not (out / "rec2").exists()
 
 
 @pytest.mark.slow
@@ -262,7 +262,7 @@ def test_what_a_camera_in_the_hand_leaves_alike_is_told_apart(tmp_path, capsys):
         == 0
     )
     notebook = (out / "notebook.md").read_text()
-    assert "alike:" in notebook and "settled: yes" in notebook and "alone: backlash at joint 2" in notebook
+    assert "ambiguous:" in notebook and "settled: yes" in notebook and "alone: backlash at joint 2" in notebook
     assert (
         "calibration.json: of 2 recordings, with backlash at joint 2" in notebook
         and (out / "certificate" / "certificate.json").exists()

@@ -55,7 +55,7 @@ def test_the_best_pair_is_found_as_trying_all_finds_it():
 
 
 def test_more_than_there_are_cannot_be_chosen():
-    with pytest.raises(ValueError, match="3 exposures are to be chosen of 2"):
+    with pytest.raises(ValueError, match="3 exposures are to be chosen from 2"):
         choose_exposures([frames([1.0, 1.0], np.zeros((2, 1)))], 3)
 
 

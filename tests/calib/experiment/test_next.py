@@ -61,7 +61,7 @@ def test_a_lag_is_told_from_a_clock_by_the_plan_that_is_written(rig_text, tmp_pa
     )
     assert main(["diagnose", one, "--out", str(tmp_path / "first"), "--next", str(tmp_path / "next.csv")]) == 0
     said = capsys.readouterr().out
-    assert "alike: servo lag at rig" in said and "next: zigzag" in said and "settles this with a chance of" in said
+    assert "ambiguous: servo lag at rig" in said and "next: zigzag" in said and "settles this with a chance of" in said
     told = json.loads((tmp_path / "first" / "next.json").read_text())
     assert {h["title"] for h in told["questions"][0]["hypotheses"]} == {
         "servo lag at rig",
@@ -87,6 +87,6 @@ def test_a_lag_is_told_from_a_clock_by_the_plan_that_is_written(rig_text, tmp_pa
         == 0
     )
     assert main(["diagnose", one, two, "--out", str(tmp_path / "second"), "--next", str(tmp_path / "third.csv")]) == 0
-    assert "nothing is alike" in capsys.readouterr().out and not (tmp_path / "third.csv").exists()
+    assert "nothing is ambiguous" in capsys.readouterr().out and not (tmp_path / "third.csv").exists()
     (finding,) = json.loads((tmp_path / "second" / "diagnosis.json").read_text())["findings"]
     assert (finding["effect"], finding["cannot_be_told_from"]) == ("servo_lag", [])

@@ -97,7 +97,7 @@ def test_the_seat_of_a_cube_moves_its_corners_as_the_forward_model_has_it(second
     )
     both = combine_recordings([recording_folder.load_recording(at / "one"), recording_folder.load_recording(second)])
     assert (
-        "cube P1 was put back turned by a quarter turn for two: it is target P1@2 here, its place its own"
+        "cube P1 was put back turned by a quarter turn for two: it is target P1@2 here, with a separate pose"
         in both.lines()
     )
     point, _, _ = operating_point_of_recording(both.recording)
@@ -174,7 +174,7 @@ def test_a_face_is_told_from_its_cube_by_turning_it(tmp_path, capsys, effect, na
         and "before it begins: take cube P1 off its socket and put it back turned by a quarter turn" in said
     )
     notebook = (out / "notebook.md").read_text()
-    assert "the operator was asked, before it begins: take cube P1 off" in notebook and "settled: yes" in notebook
+    assert "request to the operator: before it begins: take cube P1 off" in notebook and "settled: yes" in notebook
     (finding,) = json.loads((out / "diagnosis2" / "diagnosis.json").read_text())["findings"]
     assert (finding["effect"], finding["cannot_be_told_from"]) == (name, [])
     assert not (out / "rec3").exists() and "turned_P1" in (out / "verify2.csv").read_text()

@@ -134,7 +134,7 @@ def edited(path, **changes):
     [
         (
             {"units": "mm, deg, s; covariances in their products"},
-            "units is 'mm, deg.* where this rig reads 'm, rad",
+            "units is 'mm, deg.* where this version expects 'm, rad",
             "units",
         ),
         (
@@ -190,7 +190,7 @@ def test_a_key_that_is_there_twice_is_refused_with_the_line_of_the_second(calibr
     calibration_file.save(path, calibration)
     text = path.read_text()
     path.write_text(text.replace('"strut_zeros": [', '"strut_zeros": [0, 0, 0, 0, 0, 0],\n  "strut_zeros": [', 1))
-    with pytest.raises(FileError, match="key 'strut_zeros' is there twice in one table") as caught:
+    with pytest.raises(FileError, match="key 'strut_zeros' occurs twice in one table") as caught:
         calibration_file.load(path)
     assert (
         path.read_text().splitlines()[caught.value.line - 1].startswith('  "strut_zeros": [') and caught.value.line > 1

@@ -114,7 +114,7 @@ def test_the_library_commands_what_the_command_line_does_and_refuses_to_leave_ph
     np.testing.assert_allclose(calib.correct(again, wanted[0]).values, given[:1], atol=1e-9)
     assert np.abs(again.correction.inverse_without_physics(wanted) - given).max() > 1e-5
     for one in (again.correction.inverse, again.correction.single_step):
-        with pytest.raises(RigError, match=r"physics that commands have to undo \(.*backlash at .*calib\.correct"):
+        with pytest.raises(RigError, match=r"physics that commands must compensate \(.*backlash at .*calib\.correct"):
             one(wanted)
     sensors = Sensors(np.array([0.0]), {name: np.array([25.0]) for name in calibration.physics.channels})
     t = 100.0 * (1 + np.arange(len(wanted)))

@@ -182,7 +182,7 @@ def test_a_refused_pose_leaves_the_state_alone(design):
     before, number = learner.p.copy(), learner.number
     with pytest.raises(RigError, match="close on no pose"):
         learner.update([0.1, 5.0, 0.1, 5.0, 0.1, 5.0], poses.T[0], COVARIANCE)
-    with pytest.raises(RigError, match="its covariance is none"):
+    with pytest.raises(RigError, match="covariance is invalid"):
         learner.update(poses.commands[0], poses.T[0], -COVARIANCE)
     with pytest.raises(ValueError, match=r"expected a command \(6,\)"):
         learner.update(poses.commands[0][:5], poses.T[0], COVARIANCE)
@@ -233,7 +233,7 @@ def test_a_long_run_keeps_no_old_states(design):
         ("held", lambda v: None, "held must be a list"),
         ("number", lambda v: 2**70, "number must be"),
         ("first", lambda v: [[0, "x", 0, 0, 0, 0]], "first.1.2 must have 6 numbers"),
-        ("recent", lambda v: [[*v[0][:4], [[0.0] * 6] * 6, v[0][5]]], "cannot be learnt again"),
+        ("recent", lambda v: [[*v[0][:4], [[0.0] * 6] * 6, v[0][5]]], "cannot be replayed"),
     ],
 )
 def test_arrays_of_a_state_are_checked_before_compiled_code_takes_them(design, tmp_path, key, value, says):

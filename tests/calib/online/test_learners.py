@@ -101,7 +101,7 @@ def test_a_learner_goes_on_from_its_file_as_if_it_had_never_stopped(design, tmp_
     [
         (lambda text: text[: len(text) // 2], "cut off"),
         (lambda text: text.replace("forgetting", "guessing"), "must be one of 'forgetting'"),
-        (lambda text: text.replace('"kept": 0.99', '"kept": 1.5'), "kept is a share"),
+        (lambda text: text.replace('"kept": 0.99', '"kept": 1.5'), "kept must be a share"),
         (lambda text: text.replace('"number": 0', '"number": -1'), "number must"),
         (lambda text: text.replace("learner/1", "learner/9"), "was written by a newer rig: its schema is 'learner/9'"),
     ],

@@ -79,9 +79,9 @@ def test_a_file_gives_back_what_was_accepted(accepted, limbed, tmp_path):
         (lambda tree: tree["agreement"]["bias"].pop(), "agreement.bias must have 6 numbers, got 5"),
         (
             lambda tree: tree["agreement"]["surely"].__setitem__(0, 1.0),
-            "verdict is 'accepted', but its own figures say 'refused'",
+            "verdict is 'accepted', but its own figures give 'refused'",
         ),
-        (lambda tree: tree["covariance"][3].__setitem__(3, -1.0), "covariance is no covariance"),
+        (lambda tree: tree["covariance"][3].__setitem__(3, -1.0), "covariance is not a covariance"),
         (lambda tree: tree.update(schema="limbs/2"), "its schema"),
         (lambda tree: tree.update(chosen=[1, 2, 3, 4, 5, 5]), "six different limbs"),
         (

@@ -1,4 +1,4 @@
-"""The workspace in cells: shares and counts that are known, the room of a pose turned like home, bounds that are the
+"""The workspace in cells: shares and counts that are known, the room of a pose oriented as home, bounds that are the
 covariance's; kept in files.
 """
 

@@ -73,7 +73,7 @@ def test_where_the_hand_is_is_the_inverse_of_where_the_base_is_seen(tmp_path):
     ]
     held = (
         world.true.cameras[0].pose * rec.design.cameras[0].pose.inv()
-    )  # the platform's frame is held by the camera's stated pose
+    )  # the platform's frame is fixed by the camera's stated pose
     off = pose_difference(true * held, poses.T_base_platform)
     z = np.einsum("ni,nij,nj->n", off, np.linalg.inv(poses.covariance), off)
     assert np.abs(off[:, :3]).max() < 1e-3 and 0.5 * 6 < z.mean() < 2 * 6
@@ -83,7 +83,7 @@ def test_where_the_hand_is_is_the_inverse_of_where_the_base_is_seen(tmp_path):
     "change, says",
     [
         (('mount = "hand"', 'mount = "hnd"'), "must be one of 'fixed', 'moving', 'hand'"),
-        (('shutter = "global"', 'shutter = "rolling"\nrow_time = 1e-5'), "rolling shutter cannot be told"),
+        (('shutter = "global"', 'shutter = "rolling"\nrow_time = 1e-5'), "rolling shutter cannot be distinguished"),
         (('body = "base"', 'body = "platform"'), "they see the base's targets alone"),
     ],
 )

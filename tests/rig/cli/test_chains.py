@@ -132,7 +132,7 @@ def test_stages_are_told_from_one_recording_and_what_cannot_be_is_named(tmp_path
     assert len(z) > 30 and 0.6 < np.sqrt((z**2).mean()) < 1.4 and np.abs(z).max() < 4
     assert np.abs(exact.step[free]).max() > 20 * np.sqrt(told.eigenvalues[sharp]).min()  # there was something to find
     assert len(found.undetermined) == 6 and {one.base_stages for one in found.undetermined} == {(2, 1)}
-    assert "6 of 6 figures of where stage 2 stands on stage 1" in "\n".join(found.report())
+    assert "6 of 6 figures of the pose of stage 2 on stage 1" in "\n".join(found.report())
 
 
 def test_of_a_machine_as_stated_nothing_is_off(gantry):
@@ -247,7 +247,7 @@ def test_configurations_are_planned_that_tell_all_stages(tmp_path, capfd):
     written(tmp_path)
     rig("plan", tmp_path / "rig.toml", "--for", "parameters", "--count", "16", "--out", tmp_path / "plan.csv")
     said = capfd.readouterr().out
-    assert "6 combinations of them no pose tells" in said and "16 configurations for 54 parameters" in said
+    assert "6 combinations are determined by no pose" in said and "16 configurations for 54 parameters" in said
     rows = [line.split() for line in said.splitlines() if " um  " in line or " urad  " in line]
     assert len(rows) == 8 and all(float(row[0]) < float(row[1]) for row in rows)
     m = design_file.load_design(tmp_path / "rig.toml").mechanism

@@ -103,7 +103,7 @@ def test_stages_that_are_measured_stand_in_files_of_their_own(tmp_path, capfd):
     assert (
         command_line.main(["measure", str(tmp_path / "rec"), "--places", "free", "--out", str(tmp_path / "free")]) == 1
     )
-    assert "places of markers cannot be adjusted on a rig with targets on stages" in capfd.readouterr().err
+    assert "positions of markers cannot be adjusted on a rig with targets on stages" in capfd.readouterr().err
     back = recording_folder.load_recording(tmp_path / "measured")
     assert len(back.corners.frame) == len(recording_folder.load_recording(tmp_path / "rec").corners.frame) and list(
         back.stages

@@ -148,9 +148,9 @@ def test_lens_says_what_it_cannot_use(tmp_path):
     assert "no photographs in this folder" in run("lens", tmp_path, "--board", board, ok=False).stderr
     assert "no dictionary" in run("lens", tmp_path, "--board", board[:-1], ok=False).stderr
     (tmp_path / "broken.png").write_bytes(b"\x89PNG")
-    assert "broken.png: is no image whose size can be told" in run("lens", tmp_path, "--board", board, ok=False).stderr
+    assert "broken.png: contains no image of readable size" in run("lens", tmp_path, "--board", board, ok=False).stderr
     cv2.imwrite(str(tmp_path / "broken.png"), np.zeros((40, 60), np.uint8))
     nothing = run("lens", tmp_path, "--board", board, ok=False).stderr
     assert "0 photographs show" in nothing and "broken.png: the board is not found" in nothing
     cv2.imwrite(str(tmp_path / "other.png"), np.zeros((40, 50), np.uint8))
-    assert "one camera has one size" in run("lens", tmp_path, "--board", board, ok=False).stderr
+    assert "all images of a camera have the same size" in run("lens", tmp_path, "--board", board, ok=False).stderr

@@ -71,7 +71,7 @@ def test_struts_are_homed_moved_a_little_and_sent_to_a_pose(emulated, rig, calib
     path, fitted = calibration
     assert "position not known: home" in said(capsys, "status", rig)
     assert "is not known" in said(capsys, "jog", rig, "--by", "1", ok=False)
-    assert "pose by the owner's model 0.000" in said(capsys, "home", rig).replace("-0.000", "0.000")
+    assert "pose by the nominal model 0.000" in said(capsys, "home", rig).replace("-0.000", "0.000")
     lengths = [
         float(x)
         for x in re.search(r"lengths (.*) mm", said(capsys, "jog", rig, "--strut", "3", "--by", "1.5"))[1].split()
@@ -119,7 +119,7 @@ def test_what_may_not_be_done_is_refused_before_anything_moves(emulated, rig, ca
             ("run", rig, "--plan", "sobol:2", "--out", str(tmp_path / "r"), "--stop-on", "drift"),
             "--calibration and a --tolerance",
         ),
-        (("run", rig, "--plan", "sobol:2", "--out", str(emulated.folder)), "is there already"),
+        (("run", rig, "--plan", "sobol:2", "--out", str(emulated.folder)), "already exists"),
         (
             (
                 "run",
@@ -173,7 +173,7 @@ def test_a_dry_run_needs_no_machine_and_a_run_leaves_a_recording(emulated, rig, 
         "keep",
         "--no-measure",
     )
-    assert "is there already; --resume goes on" in said(capsys, "run", rig, "--plan", "sobol:3", "--out", out, ok=False)
+    assert "already exists; --resume continues" in said(capsys, "run", rig, "--plan", "sobol:3", "--out", out, ok=False)
     assert "another plan" in said(capsys, "run", rig, "--plan", "sobol:4", "--out", out, "--resume", ok=False)
     rows = [json.loads(line) for line in (tmp_path / "rec" / "journal.jsonl").read_text().splitlines()]
     assert [row["kind"] for row in rows].count("exposed") == 3

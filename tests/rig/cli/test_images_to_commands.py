@@ -104,7 +104,7 @@ def test_the_recording_stays_as_it_was(worked, tmp_path, design, rig_text):
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     run("measure", folder, "--out", tmp_path / "out")
     done = run("measure", folder, "--out", folder, ok=False)
-    assert "stays as it was" in done.stderr
+    assert "remains unchanged" in done.stderr
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
@@ -210,7 +210,7 @@ def test_unreachable_poses_are_listed_and_nothing_is_written(worked, tmp_path):
     )
     assert not (tmp_path / "commands.csv").exists()
     done = run(*arguments, "--skip-unreachable")
-    assert "left out, as asked" in done.stderr
+    assert "excluded, as requested" in done.stderr
     assert [line.split(",")[0] for line in (tmp_path / "commands.csv").read_text().splitlines()] == ["frame", "4"]
 
 
@@ -234,12 +234,12 @@ def test_more_that_goes_wrong(worked, tmp_path):
     assert "empty folder" in run("measure", tmp_path / "empty", "--out", tmp_path / "o", ok=False).stderr
     assert not (tmp_path / "o").exists()
     assert "'lens'" in run("measure", base / "fit", "--out", tmp_path / "o", "--hold", "lens", ok=False).stderr
-    assert "make it first" in run("calibrate", base / "fit", "--out", tmp_path / "no/c.json", ok=False).stderr
+    assert "create it first" in run("calibrate", base / "fit", "--out", tmp_path / "no/c.json", ok=False).stderr
     assert "is a folder" in run("calibrate", base / "fit", "--out", tmp_path, ok=False).stderr
     (tmp_path / "half.json").write_text((base / "calibration.json").read_text()[:5000])
     assert "cut off" in run("verify", tmp_path / "half.json", base / "check", ok=False).stderr
     said = run("calibrate", base / "fit", "--out", tmp_path / "c.json", "--diagnosis", base / "check", ok=False).stderr
-    assert "holds no diagnosis.json; --diagnosis takes a folder that `rig diagnose` wrote" in said
+    assert "holds no diagnosis.json; --diagnosis requires a folder that `rig diagnose` wrote" in said
     (tmp_path / "wanted.csv").write_text("x;y;z;rx;ry;rz\n0;0;0,45;0;0;0\n")
     said = run(
         "correct", base / "calibration.json", "--poses", tmp_path / "wanted.csv", "--out", tmp_path / "o.csv", ok=False
@@ -304,7 +304,7 @@ def test_measure_names_markers_that_are_exchanged(tmp_path, design, rig_text):
     )
     done = run("measure", folder, "--out", tmp_path / "out")
     said = f"marker {marker}: is exchanged with marker {other}"
-    assert "2 markers are not what rig.toml says" in done.stdout and said in done.stdout
+    assert "2 markers are not as in rig.toml" in done.stdout and said in done.stdout
     assert said in (tmp_path / "out/report.html").read_text()
     assert (
         np.abs(pose_difference(recording_folder.load_poses(tmp_path / "out/poses.csv").T_base_platform, truth)).max()

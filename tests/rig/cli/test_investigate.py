@@ -38,7 +38,7 @@ def test_by_hand_it_writes_what_is_to_be_done_and_waits(rig, tmp_path, capsys):
     assert (tmp_path / "out" / "plan1.csv").read_bytes() == plan
     assert main([*words, "--resume"]) == 0 and (tmp_path / "out" / "plan1.csv").read_bytes() == plan
     assert main(words) == 1
-    assert "--resume goes on with it" in capsys.readouterr().err
+    assert "--resume continues with it" in capsys.readouterr().err
     (tmp_path / "out" / "rec1").mkdir()
     (tmp_path / "out" / "rec1" / "frames.csv").write_text("frame,t\n")
     (tmp_path / "out" / "rec1" / "rig.toml").write_text(rig.read_text())
@@ -61,7 +61,7 @@ def test_by_hand_it_asks_that_a_cube_is_turned_and_looks_whether_it_was(rig, tmp
         main(["simulate", str(rig), "--plan", "sobol:4", "--out", str(tmp_path / "out" / "rec1")]) == 0
     )  # by somebody who did not
     assert main([*words, "--resume"]) == 1
-    assert "is for cubes that stand as [turned] P1 = 1" in capsys.readouterr().err
+    assert "is for cubes mounted as [turned] P1 = 1" in capsys.readouterr().err
 
 
 def test_the_driver_moves_nothing_before_a_cube_is_turned(rig, tmp_path, capsys):
@@ -89,7 +89,7 @@ def test_what_cannot_be_investigated_is_refused(rig, tmp_path, capsys):
         ([str(tmp_path / "rgi.toml"), *out], "no such file"),
         ([str(rig), *out], "has no [controller]"),
         ([str(rig), *out, "--machine", str(tmp_path / "truht.json")], "no such file"),
-        ([str(rig), *out, "--by-hand", "--verify", "3"], "--verify takes 12 to 400"),
+        ([str(rig), *out, "--by-hand", "--verify", "3"], "--verify must be 12 to 400"),
         ([str(rig), *out, "--by-hand", "--plan", "sobl:3"], "there is no part"),
         ([str(rig), "--by-hand", "--resume", "--out", str(half)], "cut off"),
         ([str(rig), "--by-hand", "--resume", *out], "no such file"),
@@ -125,15 +125,15 @@ def test_a_lag_finds_its_name_and_goes_on_where_it_was_interrupted(rig, tmp_path
     )
     words = ["investigate", str(rig), "--machine", str(truth), "--out", str(out), "--plan", "moving:30,sobol:40"]
     assert main([*words, "--budget", "5min", "--verify", "12"]) == 0
-    assert "leaves no time for an experiment" in capsys.readouterr().out and not (out / "rec2").exists()
+    assert "leaves no time for a more informative" in capsys.readouterr().out and not (out / "rec2").exists()
     assert main([*words, "--resume"]) == 0
     notebook = (out / "notebook.md").read_text()
     assert (
-        "alike: servo lag at rig" in notebook
+        "ambiguous: servo lag at rig" in notebook
         and "Tried: zigzag" in notebook
         and "dropped: time offset at clock" in notebook
     )
-    assert "settled: yes" in notebook and "Nothing is alike any more." in notebook
+    assert "settled: yes" in notebook and "Nothing is ambiguous any more." in notebook
     page = (out / "notebook.html").read_text()
     assert "share over recording" in page and "chance to settle" in page
     assert json.loads((out / "certificate" / "certificate.json").read_text())["schema"].startswith("certificate/")
@@ -166,7 +166,7 @@ def test_the_driver_carries_plans_out_and_is_not_asked_twice(tmp_path, capsys):
         assert main([*words[:-1], "moving:4"]) == 1
         assert "while the struts move" in capsys.readouterr().err and not (tmp_path / "out").exists()
         assert main(words) == 1
-        assert "see above; --resume goes on from there" in capsys.readouterr().err
+        assert "see above; --resume continues from there" in capsys.readouterr().err
         assert len(made.told()) == 4 and (tmp_path / "out" / "rec1" / "journal.jsonl").exists()
         assert main([*words, "--resume"]) == 1 and len(made.told()) == 4
     finally:

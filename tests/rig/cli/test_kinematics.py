@@ -79,7 +79,7 @@ def test_singular_and_unreachable_poses_are_named(tmp_path, rig):
         and "  E (" in said
     )
     few = rig("scara", "--inverse", poses_file(tmp_path / "f.csv", T[:1]))
-    assert "out of reach: the arm comes no nearer than" in few
+    assert "unreachable: the arm comes no nearer than" in few
 
 
 @pytest.mark.parametrize("name", ["panda", "scara"])
@@ -116,7 +116,7 @@ def test_what_cannot_be_read_is_named(tmp_path, rig, content, options, says):
 
 
 def test_a_calibrated_arm_is_finished_from_every_branch():
-    """Each branch of the owner's model is where the search for the calibrated arm's own begins, and all find theirs."""
+    """Each branch of the nominal model is where the search for the calibrated arm's own begins, and all find theirs."""
     rng = np.random.default_rng(2)
     true = worlds.secret(UR10, rng)
     nominal = replace(UR10, base=worlds.BASE, tool=worlds.TOOL)

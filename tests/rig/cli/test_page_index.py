@@ -79,7 +79,7 @@ def test_a_recording_is_shown_in_three_dimensions_with_what_an_effect_does(tmp_p
     (effect,) = shown["effects"]
     assert effect["name"] == "backlash at strut 3" and effect["sizes"][0] == "none" and "gap 80 µm" in effect["sizes"]
     sizes = [float(np.abs(one).max()) for one in effect["shifts"]]
-    assert sizes[0] == 0 < sizes[1] < sizes[2] < sizes[3] and "moves no platform" in out.read_text()
+    assert sizes[0] == 0 < sizes[1] < sizes[2] < sizes[3] and "does not move the platform" in out.read_text()
     for words, says in ((["--effect", "backlsh:strut3"], "backlsh"), (["--out", "x.png"], "--out is for --frame")):
         assert (
             main(["view", str(BENCH / "check"), "--page", str(tmp_path / "no.html"), *words]) == 1

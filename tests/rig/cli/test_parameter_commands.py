@@ -40,7 +40,7 @@ def test_plan_for_parameters_is_written_and_can_be_run(rig_file, tmp_path, capsy
     )
     page = (tmp_path / "p.html").read_text()
     assert (
-        re.search("<strong>(good|check)</strong> 10 configurations beside 0 given", page) and f"commands:{out}" in page
+        re.search("<strong>(good|check)</strong> 10 configurations besides 0 given", page) and f"commands:{out}" in page
     )
     said = capsys.readouterr().out
     assert "condition number of the 42" in said and "evenly spread" in said and " um " in said
@@ -64,7 +64,7 @@ def test_plan_for_parameters_is_written_and_can_be_run(rig_file, tmp_path, capsy
         )
         == 0
     )
-    assert "beside 10 given" in capsys.readouterr().out
+    assert "besides 10 given" in capsys.readouterr().out
 
 
 def test_of_a_promise_that_is_met_no_plan_is_written(rig_file, tmp_path, capsys):
@@ -81,10 +81,7 @@ def test_of_a_promise_that_is_met_no_plan_is_written(rig_file, tmp_path, capsys)
     before = (tmp_path / "plan.csv").read_text()
     assert main([*promised, "2m", "--out", plan]) == 0
     said = capsys.readouterr().out
-    assert (
-        "is met by the geometry as it is stated" in said
-        and f"nothing is written to {plan}, which stays as it was" in said
-    )
+    assert "is met by the stated geometry" in said and f"nothing is written to {plan}, which remains unchanged" in said
     assert (tmp_path / "plan.csv").read_text() == before
 
 
@@ -210,7 +207,7 @@ def test_accepted_limbs_stand_for_vision_until_one_slips(limbed, tmp_path, capsy
         and "nothing jumped in 80 poses from measuring limbs" in said
     )
     assert main(["measure", str(again), "--limbs", str(limbs), "--out", str(tmp_path / "poses"), "--check", "10"]) == 0
-    assert "40 poses from the measuring limbs; vision looked at 4 of them and agrees" in capsys.readouterr().out
+    assert "40 poses from the measuring limbs; vision checked 4 of them and agrees" in capsys.readouterr().out
     assert len(csv_and_parquet_tables.read(tmp_path / "poses" / "poses.csv", ("frame", "x", "c55"))) == 40
     told = csv_and_parquet_tables.read(
         tmp_path / "poses" / "rpy.csv", ("frame", "roll", "pitch", "yaw", "u_roll", "u_z")
@@ -268,8 +265,8 @@ def test_accepted_limbs_stand_for_vision_until_one_slips(limbed, tmp_path, capsy
         ("online", ["--check", "3"], "--check takes"),
         ("calibrate", ["--limbs", "RIG", "--out", "c.json"], "not valid JSON"),
         ("online", ["--learner", "forgetting", "--step", "1e-3"], "--step is of"),
-        ("measure", ["--limbs", "RIG", "--places", "free", "--out", "m"], "leave them out with --limbs"),
-        ("online", ["--learner", "drifting", "--drift", "-1"], "--drift: drift is a length"),
+        ("measure", ["--limbs", "RIG", "--places", "free", "--out", "m"], "omit them with --limbs"),
+        ("online", ["--learner", "drifting", "--drift", "-1"], "--drift: drift must be at"),
         ("online", ["--learner", "first-order", "--state", "RIG"], "is a file of the recording"),
     ],
 )

@@ -42,7 +42,7 @@ def test_a_stage_that_does_not_come_forward_is_shown(monkeypatch):
 def test_stages_after_the_first_second_are_shown_at_once(monkeypatch):
     screen = terminal(monkeypatch)
     progress = Progress(silent=0.0)
-    for label in ("locating", "adjusting", "holding configurations out"):
+    for label in ("locating", "adjusting", "cross-validating configurations"):
         progress(label, 0, 2)
         assert label in screen.getvalue()
         progress(label, 2, 2)

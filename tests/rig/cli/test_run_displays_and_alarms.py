@@ -132,7 +132,7 @@ def test_a_display_that_fails_costs_itself_alone_and_is_reported(design, capsys)
     looking, halts, notes = looked(design, frozenset(), [failing, shown])
     assert len(failing.views) == 1 and shown.views[-1].frame == 6 and shown.closed and not halts and not looking.stop()
     assert (
-        "Failing no longer shows the run, which goes on: RuntimeError('too many open files')" in notes[0]
+        "Failing no longer shows the run, which continues: RuntimeError('too many open files')" in notes[0]
         and notes[0] in capsys.readouterr().err
     )
 

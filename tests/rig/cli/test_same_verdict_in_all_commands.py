@@ -66,9 +66,9 @@ def test_a_calibration_names_what_a_diagnosis_of_its_recording_finds(tmp_path, c
     cal = tmp_path / "calibration.json"
     assert main(["calibrate", str(tmp_path / "rec"), "--out", str(cal)]) == 0
     assert capsys.readouterr().out.startswith("check: ")
-    assert "the model leaves out screw coupling at strut 5" in json.loads(cal.read_text())["claim"]["unexplained"]
+    assert "the model omits screw coupling at strut 5" in json.loads(cal.read_text())["claim"]["unexplained"]
     assert main(["calibrate", str(tmp_path / "rec"), "--out", str(cal), "--force", "--quick"]) == 0
-    assert capsys.readouterr().out.startswith("check: ") and "nobody looked" in " ".join(
+    assert capsys.readouterr().out.startswith("check: ") and "not searched" in " ".join(
         json.loads(cal.read_text())["claim"]["unexplained"]
     )
 

@@ -68,7 +68,7 @@ def test_a_loop_closes_from_corners(tmp_path, capfd):
 
 
 def test_four_samples_are_exact_where_they_were_taken(tmp_path, capfd):
-    """The source's way: two lengths of either strut, on the owner's model alone, [0082] to [0091]."""
+    """The source's way: two lengths of either strut, on the nominal model alone, [0082] to [0091]."""
     recorded(tmp_path, "--noise", "0.001", plan="division:1")
     calibrated(tmp_path, capfd, "--extend", "linear", "--alone")
     rig("verify", tmp_path / "calibration.json", tmp_path / "rec", "--json")

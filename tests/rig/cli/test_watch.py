@@ -47,10 +47,10 @@ def week(watched, tmp_path, capsys):
     )
     said = capsys.readouterr().out
     state, _, first = said.splitlines()[0].partition(": ")
-    assert state != "bad" and first.startswith("the calibration holds at visit 3")
-    assert f"<strong>{state}</strong> The calibration holds at visit 3" in (tmp_path / "watch.html").read_text()
+    assert state != "bad" and first.startswith("the calibration is valid at visit 3")
+    assert f"<strong>{state}</strong> The calibration is valid at visit 3" in (tmp_path / "watch.html").read_text()
     assert (
-        said.count("the calibration holds") == 2
+        said.count("the calibration is valid") == 2
         and said.count("nothing has changed") == 2
         and f"{ALARM:g} visits" in said
     )
@@ -60,9 +60,9 @@ def week(watched, tmp_path, capsys):
 @pytest.mark.parametrize(
     "which, says, to_do",
     [
-        ("camera", "WHAT MEASURES HAS CHANGED", "clamp the mount"),
-        ("backlash", "NO LONGER HOLDS", "nut and bearings"),
-        ("payload", "NO LONGER HOLDS", "payload_mass_kg"),
+        ("camera", "THE MEASURING SYSTEM HAS CHANGED", "clamp the mount"),
+        ("backlash", "IS NO LONGER VALID", "nut and bearings"),
+        ("payload", "IS NO LONGER VALID", "payload_mass_kg"),
     ],
 )
 @pytest.mark.slow
@@ -111,13 +111,13 @@ def test_what_has_no_name_is_said_to_have_none(watched, week, tmp_path, capsys):
     one.visit(tmp_path / "after", rng, changed("payload", type(one)(world, one.text, one.calibration, one.route), rng))
     assert main(["watch", str(base / "calibration.json"), str(tmp_path / "after"), "--history", str(week)]) == CHANGED
     said = capsys.readouterr().out
-    assert "something changed, we cannot say what" in said and "rig diagnose" in said
+    assert "something changed, not identified" in said and "rig diagnose" in said
 
 
 @pytest.mark.parametrize(
     "of_allowed, state, says",
     [
-        (0.5, "check", "the calibration leaves something out, there from the beginning or since"),
+        (0.5, "check", "the calibration omits an effect, present from the beginning or since"),
         (1.3, "bad", "position error 40 um RMS where up to 30 um is claimed"),
     ],
 )
@@ -153,7 +153,7 @@ def test_what_is_no_visit_is_refused_and_the_history_stays(watched, week, tmp_pa
     other = tmp_path / "other.json"
     other.write_text((base / "calibration.json").read_text().replace('"left_out": []', '"left_out": [999999]'))
     for words, says in (
-        ([cal, day, "--history", str(week)], "are in the history already"),
+        ([cal, day, "--history", str(week)], "are already in the history"),
         ([cal, str(base / "day9")], "no such folder"),
         ([cal, str(tmp_path / "empty")], "empty folder"),
         ([cal, day, "--history", str(half)], "cut off"),
@@ -161,7 +161,7 @@ def test_what_is_no_visit_is_refused_and_the_history_stays(watched, week, tmp_pa
         ([cal], "name the visits"),
         ([cal, day, "--out", str(tmp_path / "x")], "--out and --rig are for --plan"),
         ([cal, "--plan"], "--plan takes --out"),
-        ([cal, day, day], "are in the history already"),
+        ([cal, day, day], "are already in the history"),
         ([str(week), day], "is no calibration"),
         ([cal, "--plan", "--count", "2", "--out", str(tmp_path / "x")], "--count takes 4"),
     ):

@@ -49,7 +49,7 @@ def test_processes_that_end_at_the_same_thing_every_time_are_given_up(monkeypatc
     monkeypatch.setattr(
         worker_processes, "executor_map", lambda *a, real=worker_processes.executor_map: begun.append(1) or real(*a)
     )
-    with pytest.raises(WorkerEnded, match="3 processes at work were ended from outside"):
+    with pytest.raises(WorkerEnded, match="3 worker processes were killed from outside"):
         process_map(1, "fork", os._exit, [9, 9])
     assert len(begun) == 3
 

@@ -81,13 +81,13 @@ def test_the_map_is_said_and_written(kept, tmp_path, capsys):
     assert (
         tree["schema"] == "workspace/1"
         and tree["lost"] == made.workspace.lost
-        and "turned like home" in tree["room_of"]
+        and "oriented as home" in tree["room_of"]
     )
     rows = csv_and_parquet_tables.read(tmp_path / "map" / "workspace.csv", ("x", "y", "z", "lost"))
     assert rows.matrix(("lost",)).sum() == made.workspace.lost_in.sum()
     page, links = (tmp_path / "map" / "workspace.html").read_text(), Links()
     links.feed(page)
-    assert page.count("<svg") == 6 and "What the certificate promises" in page and not links.outside
+    assert page.count("<svg") == 6 and "Certified bounds" in page and not links.outside
     HTMLParser().feed(page)
 
 
@@ -119,7 +119,7 @@ def test_a_calibration_of_before_has_its_workspace_worked_out(kept, tmp_path, ca
     (tmp_path / "old.json").write_text(json.dumps(tree))
     assert main(["workspace", str(tmp_path / "old.json")]) == 0
     said = capsys.readouterr().out
-    assert "worked out now" in said and f"{made.workspace.lost * 100:.2f} % of the poses" in said
+    assert "computed now" in said and f"{made.workspace.lost * 100:.2f} % of the poses" in said
 
 
 @pytest.mark.parametrize("asked", [["--for", "parameters", "--count", "12"], ["--promise", "12um"]])
@@ -153,4 +153,4 @@ def test_plans_avoid_what_was_lost(kept, tmp_path, asked, capsys):
         )
         == 1
     )
-    assert "--calibration is for plans of --for and --promise" in capsys.readouterr().err
+    assert "--calibration applies to --for and --promise" in capsys.readouterr().err

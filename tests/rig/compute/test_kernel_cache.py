@@ -177,7 +177,8 @@ def test_a_kernel_runs_on_a_read_only_installation_without_a_home(tmp_path):
 
 def test_who_waits_for_what_is_compiled_is_told_once_and_not_again_where_it_is_loaded(tmp_path):
     code = (
-        "from rig.compute.numba_kernels_and_lazy_exports import announce_compilation; from rig.effects.framework import "
+        "from rig.compute.numba_kernels_and_lazy_exports import announce_compilation; "
+        "from rig.effects.framework import "
         "play_operator; import "
         "numpy as np\n"
         "with announce_compilation(lambda: print('compiling')):\n    "

@@ -170,8 +170,8 @@ def test_an_open_device_is_locked_for_others_and_free_again(device, monkeypatch)
 def test_a_port_of_another_scheme_is_refused_and_writes_nothing(url, tmp_path):
     kept = tmp_path / "kept"
     kept.write_text("kept")
-    assert "is no port" in port_problem(url.format(kept))
-    with pytest.raises(LinkLost, match="is no port"):
+    assert "is not a port" in port_problem(url.format(kept))
+    with pytest.raises(LinkLost, match="is not a port"):
         SerialPort(url.format(kept), 115200, SystemClock())
     assert kept.read_text() == "kept"
 

@@ -187,7 +187,7 @@ def test_every_place_is_checked_before_anything_moves(rig):
 
     def refuse(start, goal):
         if np.allclose(goal, planned[2].goal):
-            raise Unreachable("not moved: the way comes too near a singularity", [0], ["20% along"])
+            raise Unreachable("not moved: the path comes too near a singularity", [0], ["20% along"])
 
     with pytest.raises(Unreachable, match="1 of 9 moves of the plan.*\n  step 2: .*singularity"):
         check_steps(planned, rig.mechanism.strut_range.mean(axis=1), refuse)

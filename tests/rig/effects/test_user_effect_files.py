@@ -172,7 +172,7 @@ def test_a_file_that_is_none_is_refused(tmp_path):
     with pytest.raises(FileError, match="nothing.py: cannot be read: No such file"):
         load_effect_file(tmp_path / "nothing.py")
     (tmp_path / "half.py").write_bytes(SOUND[:900].encode() + b"\n\xff")
-    with pytest.raises(FileError, match=r"half.py:\d+: is no text in UTF-8"):
+    with pytest.raises(FileError, match=r"half.py:\d+: is not text in UTF-8"):
         load_effect_file(tmp_path / "half.py")
 
 

@@ -121,7 +121,7 @@ def test_a_place_that_refuses_is_said(kept, recording_folder, monkeypatch):
 
 def test_what_is_not_installed_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "gcsfs", None)
-    with pytest.raises(MissingLibrary, match=r"gs://bucket/rec takes one package more: .*gcsfs"):
+    with pytest.raises(MissingLibrary, match=r"gs://bucket/rec requires one more package: .*gcsfs"):
         recording.load_recording("gs://bucket/rec")
     monkeypatch.setitem(sys.modules, "fsspec", None)
     with pytest.raises(MissingLibrary, match=r"pip install 'rig\[remote\]'"):

@@ -46,7 +46,7 @@ def test_what_a_rig_toml_says_of_cubes(rig_text, tmp_path):
         "turned.P1 must be a whole number of at least 0 and at most 3, not 4"
         in refused(path, rig_text, "[turned]\nP1 = 4\n")[2]
     )
-    assert "nothing holds its frame" in refused(path, rig_text, "[turned]\nP1 = 1\nP2 = 1\nP3 = 0\nP4 = 2\n")[2]
+    assert "nothing defines its frame" in refused(path, rig_text, "[turned]\nP1 = 1\nP2 = 1\nP3 = 0\nP4 = 2\n")[2]
 
 
 def test_a_turned_cube_looks_the_other_way_and_stays_where_it_is(design):

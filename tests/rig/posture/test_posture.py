@@ -142,7 +142,7 @@ def test_a_limit_suffices():
 
 def test_a_six_joint_arm_may_turn_its_hand_only():
     q = configurations(UR10, 5, np.random.default_rng(5), 0.3)
-    with pytest.raises(RigError, match="6 joints hold the hand's pose with none to spare"):
+    with pytest.raises(RigError, match="6 joints hold the hand's pose without redundancy"):
         null_space_search.gradient_search(q, UR10, TransmissionObjective(("fy",)))
     found = null_space_search.gradient_search(q, UR10, TransmissionObjective(("fy",)), fixed_hand_part="position")
     assert found.moved[:, 0].max() < 1e-9 and (found.value > found.start).all()
@@ -305,7 +305,7 @@ def test_an_arm_on_a_rail_is_told_in_mm_and_newton_where_it_slides(tmp_path, cap
     said = capsys.readouterr().out
     first = said.split("joint values, degrees and, of slides, mm: ")[1].split("\n")[0].split(", ")
     assert first[0].endswith(" mm") and not any("mm" in cell for cell in first[1:])
-    torques = said.split("what is left to the limits: ")[1].split("\n")[0].split(", ")
+    torques = said.split("margin to the limits: ")[1].split("\n")[0].split(", ")
     assert " N (" in torques[0] and all(" Nm (" in cell for cell in torques[1:])
     assert command_line.main([*words, "--json"]) == 0
     tree = json.loads(capsys.readouterr().out)

@@ -229,9 +229,9 @@ def test_the_command_says_what_a_posture_can_exert_and_draws_it(capsys, tmp_path
 @pytest.mark.parametrize(
     "words, says",
     [
-        (["--exert", "0,0,0"], "not nothing"),
+        (["--exert", "0,0,0"], "nonzero"),
         (["--exert", "1,2"], "--exert takes 6 numbers"),
-        (["--draw", "x.svg"], "say more of what --exert wants"),
+        (["--draw", "x.svg"], "require --exert"),
         (["--exert", "1,0,0", "--limits", "1,1,1,1,1,1,0"], "positive torques"),
         (["--among", "typo"], "typo: no such folder"),
     ],
@@ -314,7 +314,7 @@ def test_the_command_tells_the_wrench_beside_the_plain_one(tmp_path, capsys):
         )
         printed, said = capsys.readouterr()
         result = json.loads(printed)
-        assert ("motor currents" in said) == (columns == "i") and "weight and motion taken off" in said
+        assert ("motor currents" in said) == (columns == "i") and "weight and motion subtracted" in said
         rows = csv_and_parquet_tables.read(out, ("t", "fx"))
         late = rows.matrix(DIRECTIONS)[int(SETTLED * 250) :]
         np.testing.assert_allclose(result["mean"], late.mean(axis=0), atol=1e-4)
@@ -333,7 +333,7 @@ def test_the_command_tells_the_wrench_beside_the_plain_one(tmp_path, capsys):
     [
         (lambda text: text.replace("tau1", "tua1"), "no column 'tau1'; is 'tua1' meant"),
         (lambda text: text.replace("tau", "i"), "states no torque_constants"),
-        (lambda text: "\n".join(text.split("\n")[:8]) + "\n", "it takes at least 11"),
+        (lambda text: "\n".join(text.split("\n")[:8]) + "\n", "it requires at least 11"),
         (lambda text: text.replace("\n0.004", "\n0.0001", 1), "resample it"),
         (lambda text: text[: len(text) // 2], "torques.csv:"),
     ],

@@ -107,7 +107,7 @@ def test_on_line_learning_takes_each_frame_once(two, tmp_path, capfd):
         assert command_line.main(["online", str(two / rec), "--state", str(state)]) == status
         said = capfd.readouterr()
         if status:
-            assert "learnt already; once more they would count twice" in said.err and state.read_bytes() == before
+            assert "learnt already; once more they would be counted twice" in said.err and state.read_bytes() == before
     assert json.loads(state.read_text())["number"] == 60
     assert command_line.main(["online", str(two / "fit"), "--calibration", str(two / "c.json")]) == 1
     assert "count twice" in capfd.readouterr().err
@@ -129,5 +129,5 @@ def test_a_recording_that_has_grown_adds_what_is_new(two, tmp_path, capfd):
     state = tmp_path / "state.json"
     assert command_line.main(["online", str(short), "--state", str(state)]) == 0
     assert command_line.main(["online", str(two / "fit"), "--state", str(state)]) == 0
-    assert "20 of 30 frames have been learnt already and are left out" in capfd.readouterr().out
+    assert "20 of 30 frames have been learnt already and are skipped" in capfd.readouterr().out
     assert json.loads(state.read_text())["number"] == 30 and np.isfinite(json.loads(state.read_text())["p"]).all()

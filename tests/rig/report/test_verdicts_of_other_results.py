@@ -28,8 +28,8 @@ SOUND = InvestigationRound(1, "rec1", 12.0, (), (), (), (), (), ())
     [
         (1.02, "good", "60 of 60 frames"),
         (0.49, "check", "is less than stated"),
-        (1.8, "check", "not to be believed"),
-        (2.6, "bad", "not to be believed"),
+        (1.8, "check", "not reliable"),
+        (2.6, "bad", "not reliable"),
     ],
 )
 def test_a_measurement_whose_noise_is_not_the_stated_one_is_not_good(ratio, state, says):
@@ -46,7 +46,7 @@ def test_a_campaign_of_two_cases_is_not_good():
     lag = Hidden("servo_lag", "rig", {}, 30.0)
     right = Case(1, "one", None, [lag], [Found("servo_lag", "rig", {}, [])], False, 1.0, 1.0)
     few, many = judged_campaign(campaign_figures([right] * 2)), judged_campaign(campaign_figures([right] * 400))
-    assert few.state == "check" and "too few cases to be sure" in few.why and "2 of 2" in few.why
+    assert few.state == "check" and "too few cases to decide" in few.why and "2 of 2" in few.why
     assert many.state == "good"
 
 

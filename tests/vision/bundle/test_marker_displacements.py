@@ -79,7 +79,7 @@ def test_held_out_frames_are_as_far_off_as_the_covariance_says(worked):
 def test_the_statement_names_who_holds_the_frames(worked):
     lines = "\n".join(determined_combinations(worked[-1].adjustment).lines())
     assert (
-        "base frame is held by the stated places of its markers, taken together" in lines
+        "base frame is fixed by the stated positions of its markers as a whole" in lines
         and "camera poses as stated" in lines
     )
 

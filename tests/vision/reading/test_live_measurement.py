@@ -113,7 +113,7 @@ def test_the_base_is_seen_from_the_platform_while_a_run_goes_on(tmp_path, opengl
     live.close()
     held = (
         secret.true.cameras[0].pose * design.cameras[0].pose.inv()
-    )  # the platform's frame is held by the camera's stated pose
+    )  # the platform's frame is fixed by the camera's stated pose
     last = slice(TAUGHT[0], None)
     off = np.array([pose_difference(a * held, b.T_base_platform) for a, b in zip(true[last], sights[last])])
     covariance = np.array([sight.covariance for sight in sights[last]])

@@ -1,4 +1,4 @@
-"""Markers that are not what rig.toml says: named, with what they look like, and kept out of the poses."""
+"""Markers that disagree with rig.toml: named, with what they look like, and kept out of the poses."""
 
 from dataclasses import replace
 

@@ -232,7 +232,7 @@ def nested_held_out_poses(
         zip(
             things,
             parallel_map(
-                predicted, things, labelled_progress(progress, "choosing anew without stretches"), items_per_process=1
+                predicted, things, labelled_progress(progress, "reselecting without stretches"), items_per_process=1
             ),
         )
     )

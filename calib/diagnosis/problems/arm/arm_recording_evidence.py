@@ -57,7 +57,7 @@ GROSS, GATE = (
 SLOW = 4  # cosines of time that are free at each joint
 ROWS = 4  # numbers measured for each that is free
 REASON = (
-    "what was measured and the command agree with no other pose, neither those before and after it nor those at "
+    "measured pose and command agree with no other pose, neither the previous and next ones nor those at "
     "joint angles near it"
 )
 ROUNDS = 3  # of making poses linear anew without what is grossly wild

@@ -35,7 +35,7 @@ SIMPLICITY = {
     3: Form.PROFILE,
 }  # of what depends on the axis alone, as effects state it
 MOST = 200  # nodes of a candidate whose weights are kept
-POSES_ALONE = "of an arm or a chain, measured poses are searched, and not the corners that they were measured from"
+POSES_ALONE = "for an arm or a chain, the measured poses are searched, not the corners behind them"
 NO_CORNERS = "there are no corners"
 SPAN = "span"  # in a profile's node: (low, high) rad
 
@@ -91,7 +91,7 @@ def joint_candidates(arms: Arms, requested_effects: RequestedEffects) -> tuple[l
         found = kind.sites(arms.context)
         lacking = _lacking(kind, found, arms)
         if found and any(p.role == "frequency" for p in kind.parameters):
-            reason = f"{kind.name}: an arm's poses are searched for no frequency"
+            reason = f"{kind.name}: the poses of an arm are not searched for a frequency"
             return EffectSites(None, (), [*lacking, NotAsked(kind.name, reason)])
         return EffectSites(found, found, lacking)
 

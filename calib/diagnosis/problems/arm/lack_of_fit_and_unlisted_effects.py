@@ -189,7 +189,7 @@ def excess_scatter(fit: Fit, repeats: Repeats | None, covariates: Sequence[Covar
     """[LackOfFit] of excess scatter of positions and of rotations beyond their stated noise.
 
     repeats : Repeats, which show whether the scatter recurs with the same joint angles ("configuration"); where it does
-    not, it depends on the covariates that explain some of it, or on nothing known. Where nobody states the noise, only
+    not, it depends on the covariates that explain some of it, or on nothing known. Where the noise is not stated, only
     what recurs under one command is beyond it
     """
     recurs = repeats is not None and repeats.p_value < ALPHA

@@ -114,7 +114,7 @@ def linearise_poses(
     """
     if len(samples) < least_poses:
         raise NotEnoughData(
-            f"{len(samples)} poses are too few to diagnose an arm or a chain; it takes {least_poses}, better 500"
+            f"{len(samples)} poses are too few to diagnose an arm or a chain; minimum {least_poses}, better 500"
         )
     if samples.measured in ("orientation", "distance"):
         raise RigError(f"an arm is diagnosed by its poses or positions; the {samples.measured} alone was measured")
@@ -122,7 +122,7 @@ def linearise_poses(
         _of_arm if isinstance(design.mechanism, Arm) else _of_chain if isinstance(design.mechanism, Chain) else None
     )
     if linear is None:
-        raise RigError(f"this takes an arm or a chain, not a mechanism of kind {design.mechanism.kind!r}")
+        raise RigError(f"this requires an arm or a chain, not a mechanism of kind {design.mechanism.kind!r}")
     geometry, left, freedoms, joints, own = linear(samples, design)
     commands = Commands(samples.t, samples.commanded) if commands is None else commands
     design = replace(design, mechanism=geometry.mechanism)
@@ -144,7 +144,7 @@ def linearise_planned_poses(
     Raises RigError for a chain, where commands leave the arm's limits, or where cameras see none of it
     """
     if not isinstance(geometry.mechanism, Arm):
-        raise RigError("poses that are not there yet are told of an arm alone")
+        raise RigError("future poses can be predicted for an arm only")
     frame, view = np.arange(len(t)), None
     if arms.sight is not None:
         view = arms.sight(error_model_and_observations.predicted_target_poses(commands.at(t), geometry.mechanism))

@@ -71,7 +71,7 @@ def search_candidates(
     def ask(candidate: PlatformCandidate) -> tuple[PlatformScore, dict[tuple[object, ...], tuple[Integers, Floats]]]:
         if candidate.reach in (Reach.SPECTRUM, Reach.AXES):
             if axes is None or motion is None:
-                raise ValueError(f"{candidate.name}: what moves struts is asked of a recording without commands")
+                raise ValueError(f"{candidate.name}: effects on strut motion require a recording with commands")
             score = (
                 vibration_frequency.best_frequency(model, candidate, axes)
                 if candidate.reach is Reach.SPECTRUM

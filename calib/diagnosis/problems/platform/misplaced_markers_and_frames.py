@@ -38,10 +38,10 @@ ROWS = 4  # frames for each number that is free in one strut
 LEAST = 0.5  # px; corners nearer than this to where they should be are no other marker's
 HELD = 2  # sightings that a frame must keep
 ALONE = (
-    "its measured pose and its command agree with no other frame, neither those before and after it nor those at "
+    "measured pose and command agree with no other frame, neither the previous and next ones nor those at "
     "configurations near it"
 )
-MISREAD = "its corners are off as those of this marker before and after are not, nor any near them: it was misread"
+MISREAD = "its corners deviate unlike those of this marker before and after, or any near them: it was misread"
 FAR = 5.0  # px; a sighting farther off than this, in the middle, is misplaced
 BROUGHT_BACK = 0.2  # of that distance to which an exchange must bring it
 SHARE = 0.7  # of a marker's sightings that must be misplaced

@@ -71,7 +71,7 @@ class OperatingPoint:
     standing : px, what comes back in every frame where neither camera nor marker moves
     known : (mechanism, (42, 42) root of their information) of joints and zeros as another recording has them, or None
     log_errors : {channel: (n, q)} of the sensors' temperatures, see temperature_smoothing.smoothed
-    seats : by which cubes that were put back sit off where they are stated; assumed : whether nobody states the noise
+    seats : by which cubes that were put back sit off where they are stated; assumed : whether the noise is not stated
     of poses that an instrument measured, so that a usual figure stands for it
     """
 
@@ -108,7 +108,7 @@ class OperatingPoint:
     def logged(self, *names: str) -> Floats:
         """(F,) values of the first of some sensor channels that there is. Raises RigError where there is none"""
         if self.sensors is None:
-            raise RigError(f"this takes a sensor channel {' or '.join(map(repr, names))}, and there are no sensors")
+            raise RigError(f"this requires a sensor channel {' or '.join(map(repr, names))}, and there are no sensors")
         return self.sensors.at(self.t, *names)
 
     @property
@@ -120,7 +120,7 @@ class OperatingPoint:
 
     @property
     def platform(self) -> Struts:
-        """The mechanism as estimated. Raises RigError for one that moves no platform on struts"""
+        """The mechanism as estimated. Raises RigError for one that does not move the platform on struts"""
         if not isinstance(self.design.mechanism, Hexapod | Planar2):
             raise RigError(f"a {self.design.mechanism.kind} has no struts")
         return self.design.mechanism
@@ -213,8 +213,8 @@ def operating_point_of_recording(
     kind = design.mechanism.kind
     if kind not in KINDS:
         raise RigError(
-            f"{recording.folder}: diagnosing takes a {' or '.join(KINDS)}, not a mechanism of kind {kind!r}; "
-            "rig calibrate says what its geometry leaves"
+            f"{recording.folder}: diagnosis requires a {' or '.join(KINDS)}, not a mechanism of kind {kind!r}; "
+            "rig calibrate reports the residuals of its geometry"
         )
     known = None if calibration is None else _known(recording, calibration)
     if kind == "free" or recording.commands is None:
@@ -251,7 +251,7 @@ def operating_point_of_recording(
             )
     if len(measured.frames) < FEWEST:
         raise NotEnoughData(
-            f"{recording.folder}: {len(measured.frames)} solved frames are too few to diagnose; it takes "
+            f"{recording.folder}: {len(measured.frames)} solved frames are too few to diagnose; minimum "
             f"{FEWEST}, better 100"
         )
     frames, times = recording.exposures.times()
@@ -289,7 +289,7 @@ def _known(recording: Recording, calibration: Calibration) -> tuple[Hexapod, Flo
     """
     fitted = calibration.correction.fitted
     if recording.design.mechanism.kind != "hexapod" or fitted.kind != "hexapod":
-        raise RigError(f"{recording.folder}: a calibration can be taken as known of a hexapod alone")
+        raise RigError(f"{recording.folder}: a known calibration can be used for a hexapod only")
     return fitted, np.linalg.cholesky(np.linalg.inv(calibration.covariance)).T
 
 

@@ -227,7 +227,7 @@ def refine_at_fixed_repeated_error(point: OperatingPoint, sensitivities: Sensiti
 
 
 def _step(model: LinearisedModel, free: _Freedom) -> tuple[Floats, Floats]:
-    """Step (c,) of coordinates, to a bound at the most, and their covariance (c, c), of which bounds know nothing."""
+    """Step (c,) of coordinates, to a bound at most, and their covariance (c, c), of which bounds know nothing."""
     found = model.linear.project(free.column)
     b, G = found.right - free.loose**2 * free.values, found.gram + np.diag(free.loose**2)
     return bounded_least_squares_step(b, G, free.values, np.stack([free.low, free.high], axis=1), free.kept)

@@ -35,7 +35,7 @@ from rig.model.marker_and_sensor_tolerances import STILL
 
 LASTING = ("image position", "place on the marker")  # what is left and depends on these is the same in every frame
 LASTING_VIEWS = ("map", "outward", "markers", "targets")  # effects that residuals show so are, too
-REASON_TOGETHER = "printed markers, the corner finder and thermometers may do on their own"
+REASON_TOGETHER = "the tolerances of printed markers, corner finder and thermometers"
 MOST = 2.0  # of what is tolerated, that a kind of it is taken to vary by
 ROUNDS, SETTLED = 100, 1e-3  # of the fixed point; the part of what is tolerated by which it may still change
 

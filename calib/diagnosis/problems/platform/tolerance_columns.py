@@ -51,7 +51,7 @@ class ToleranceModel:
     which a number touches few
     inner : (F, L, q) coordinates in these; closures : (m, q); sigma : (q,) standard deviations of the numbers;
         sites : what they belong to
-    kinds : (q,) those of one kind vary alike: VARIED of a marker, TOGETHER, WARMED"""
+    kinds : (q,) those of one kind vary equally: VARIED of a marker, TOGETHER, WARMED"""
 
     corners: csr_array
     inner: Floats

@@ -71,7 +71,7 @@ def rig_toml_with_cameras(
         kind, found = read_camera_calibration(file)
         named = {_ours(one, settings, known, alone=len(found) * len(settings.files) == 1): one for one in found}
         if len(named) < len(found):
-            raise RigError(f"{file}: two of its cameras would be one: --set cameras.names.THEIRS=OURS tells them apart")
+            raise RigError(f"{file}: two of its cameras would be one: --set cameras.names.THEIRS=OURS separates them")
         T_base, told = _anchor(named, known, settings, file)
         changed += [_camera(name, one, known.get(name), T_base) for name, one in named.items()]
         said += (f"{file.name} is a result of {kind}: {len(found)} camera{'s' * (len(found) > 1)}", *told)
@@ -79,7 +79,7 @@ def rig_toml_with_cameras(
     names = [camera.name for camera in changed]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice:
-        raise RigError(f"camera {twice} is told of twice; --set cameras.names.THEIRS=OURS tells cameras apart")
+        raise RigError(f"camera {twice} occurs twice; --set cameras.names.THEIRS=OURS separates cameras")
     added = [camera for camera in changed if camera.name not in known]
     if len(added) < len(changed):
         text = replace_cameras(text, [camera for camera in changed if camera.name in known])
@@ -116,16 +116,16 @@ def _anchor(
         return None, ()
     if stated.at is not None:
         name, T = next(iter(placed.items()))
-        return _pose(stated.at) * T.inv(), (f"camera {name} stands where cameras.at has it",)
+        return _pose(stated.at) * T.inv(), (f"camera {name} is placed as cameras.at states",)
     name = next((name for name in placed if name in known), "")
     if not name:
         raise RigError(
-            f"{file}: where its cameras stand to each other is told, but not where in the base frame: --set "
+            f"{file}: the relative poses of its cameras are stated, but not those in the base frame: --set "
             "'cameras.at=X Y Z RX RY RZ' "
             f"places {next(iter(placed))} (camera in base, m and rad, x right, y down, z ahead)"
         )
     return known[name].pose * placed[name].inv(), (
-        f"camera {name} stands where rig.toml has it, the others as {file.name} has them about it",
+        f"camera {name} is placed as rig.toml states, the others as {file.name} states them relative to it",
     )
 
 

@@ -43,7 +43,7 @@ def is_kalibr(root: Entries) -> bool:
 
 def read_kalibr(root: Entries) -> list[ForeignCamera]:
     """Read the cameras of a Kalibr camchain, in its order.
-    Raises FileError for a lens that has no place here, by its name.
+    Raises FileError for a lens that is not supported, by its name.
     """
     names = sorted((key for key in root.tree if KALIBR_NAME.fullmatch(key)), key=lambda key: int(key[3:]))
     found, T = [], RigidTransform.identity()
@@ -61,7 +61,7 @@ def _step(e: Entries) -> RigidTransform:
     """T of the camera before to this one's, out of T_cn_cnm1, which goes the other way."""
     key = "T_cn_cnm1"
     if key not in e.tree:
-        e.fail(f"{e.name(key)} is missing: nothing tells where {e.path[-1]} stands to the camera before")
+        e.fail(f"{e.name(key)} is missing: nothing states where {e.path[-1]} is relative to the camera before")
     M = e.array(key, (4, 4))
     if np.abs(M[3] - [0, 0, 0, 1]).max() > 1e-9:
         e.fail(f"{e.name(key)}: its last row must be 0, 0, 0, 1, not {M[3].tolist()}", key, 3)
@@ -73,7 +73,7 @@ def _kalibr_camera(e: Entries, name: str, T: RigidTransform) -> ForeignCamera:
     if model != "pinhole":
         kind = f"{OTHERS[model]} model" if model in OTHERS else "a model"
         e.fail(
-            f"{e.name('camera_model')} = {model!r}: {kind} of Kalibr has no place here, where lenses are "
+            f"{e.name('camera_model')} = {model!r}: {kind} of Kalibr is not supported, as lenses here are "
             "OpenCV's; calibrate as pinhole-radtan",
             "camera_model",
             value=model,
@@ -102,7 +102,7 @@ def _kalibr_camera(e: Entries, name: str, T: RigidTransform) -> ForeignCamera:
         distortion, said = rational_lens_of_fisheye(e, keys, terms, matrix, wide, lens)
         return ForeignCamera(name, wide, matrix, distortion, T, e, said)
     e.fail(
-        f"{e.name('distortion_model')} = {kind!r} has no place here; radtan, equidistant and none have",
+        f"{e.name('distortion_model')} = {kind!r} is not supported; radtan, equidistant and none are",
         "distortion_model",
         value=kind,
     )
@@ -121,7 +121,7 @@ def is_multical(root: Entries) -> bool:
 
 def read_multical(root: Entries) -> list[ForeignCamera]:
     """Read the cameras of a multical calibration.
-    Raises FileError for a lens that has no place here, and for poses that cannot be told apart.
+    Raises FileError for a lens that is not supported, and for poses that cannot be told apart.
     """
     cameras, poses = root.table("cameras"), root.table("camera_poses", optional=True)
     return [_multical_camera(cameras.table(name), name, poses) for name in cameras.tree]
@@ -226,7 +226,7 @@ def is_opencv_or_ros(root: Entries) -> bool:
 
 def read_opencv_or_ros(root: Entries) -> list[ForeignCamera]:
     """Read the one camera of an OpenCV or ROS calibration.
-    Raises FileError for a lens that has no place here, by its name.
+    Raises FileError for a lens that is not supported, by its name.
     """
     name = root.text("camera_name", default=root.file.stem)
     key, bent = _key(root, MATRIX) or MATRIX[0], _key(root, DISTORTION) or DISTORTION[0]

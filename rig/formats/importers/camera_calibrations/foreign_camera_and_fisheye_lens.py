@@ -80,12 +80,12 @@ def checked_distortion(entries: Entries, key: str, values: Floats) -> Floats:
 
 def checked_camera_transform(entries: Entries, key: str, R: Floats, t: Floats) -> RigidTransform:
     """Camera transform (RigidTransform) of a rotation matrix R and a position t (3,) m, checked.
-    Raises FileError for a matrix that is no rotation.
+    Raises FileError for a matrix that is not a rotation.
     """
     worst = max(float(np.abs(R @ R.T - np.eye(3)).max()), abs(float(np.linalg.det(R)) - 1))
     if worst > ORTHOGONAL:
         entries.fail(
-            f"{entries.name(key)} is no rotation: its product with its transpose is {worst:.2g} away from one", key
+            f"{entries.name(key)} is not a rotation: its product with its transpose is {worst:.2g} away from one", key
         )
     return RigidTransform.from_components(t, Rotation.from_matrix(R))
 
@@ -124,7 +124,7 @@ def rational_lens_of_fisheye(
         entries.fail(
             f"{entries.name(key)}: an equidistant lens that reaches more than {np.degrees(theta[last]):.0f} "
             "degrees off the axis in the image's corners "
-            "has no place here: OpenCV's rational lens, which a rig.toml takes, cannot follow it",
+            "is not supported: OpenCV's rational lens, which a rig.toml takes, cannot follow it",
             key,
         )
     angle = np.interp(np.linspace(0, reach, POINTS + 1)[1:], radius[: last + 1], theta[: last + 1])

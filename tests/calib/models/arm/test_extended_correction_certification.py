@@ -60,7 +60,7 @@ def samples_at(q, true, sigma=OWN, seed=1):
 
 @pytest.fixture(scope="module")
 def gridded():
-    """(Samples on a grid of 64 vertices and at 30 configurations beside it, true Arm)."""
+    """(Samples on a grid of 64 vertices and at 30 configurations besides it, true Arm)."""
     true = worlds.secret(UR10, np.random.default_rng(3))
     return samples_at(
         np.concatenate([divided_grid_configurations(BOX, "1x1x1x1x1x1@1"), sobol_configurations(BOX, 30, 0.9, 8)]), true
@@ -140,7 +140,7 @@ def test_summands_meet_the_poses_and_keep_none_where_a_pose_tells_no_joint(arm):
 
 def test_what_cannot_serve_is_refused_by_name(gridded):
     samples, true = gridded
-    with pytest.raises(RigError, match="the 30 samples fill no grid .* over 6 axes it has 64 vertices at the least"):
+    with pytest.raises(RigError, match="the 30 samples fill no grid .* over 6 axes it has 64 vertices at least"):
         certify_extended_arm(
             samples.take(slice(64, 94)),
             UR10,
@@ -195,7 +195,7 @@ def test_gears_are_corrected_through_the_command_line(tmp_path, capsys):
     assert left["radial"] < 0.1 * left["bare"] and left["radial"] < 6e-5 and left["single"] < 2 * left["radial"]
     stated = rig("certify", tmp_path / "radial.json", tmp_path / "rec2", "--out", tmp_path / "certificate.json")
     assert "95 %" in stated and json.loads((tmp_path / "certificate.json").read_text())
-    assert "an arm's is extended in one go" in rig(
+    assert "an arm's is extended in one step" in rig(
         "calibrate",
         tmp_path / "rec2",
         "--extend",

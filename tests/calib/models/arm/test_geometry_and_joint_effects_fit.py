@@ -200,7 +200,7 @@ def drives(tmp_path, capsys, name, effects, without=(), another=False):
             "--force",
         )
     told = said("calibrate", tmp_path / "rec", "--diagnosis", tmp_path / "d", "--out", tmp_path / "c.json")
-    assert "beyond the geometry: the physics that was found" in told and "undone by commands: " in told
+    assert "beyond the geometry: the identified effects" in told and "compensated by commands: " in told
     said("calibrate", tmp_path / "rec", "--out", tmp_path / "plain.json")
     known = calibration_file.load(tmp_path / "c.json").correction
     ends = np.stack([known.visited.min(axis=0), known.visited.max(axis=0)], axis=1)

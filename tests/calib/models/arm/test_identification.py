@@ -165,7 +165,7 @@ def test_dependent_columns_are_held_and_named():
     found = identify_arm(seen, instrument_placement.place_arm(seen, UR10, True, True))
     assert found.rank.dependent and found.rank.free.sum() + len(found.rank.dependent) == 27
     assert any("5" in name or "tool" in name for name, _ in found.rank.dependent)
-    assert all("stays as stated" in line for line in found.rank.report()[1:])
+    assert all("remains as stated" in line for line in found.rank.report()[1:])
 
 
 def test_a_joint_that_never_moved_is_reported():

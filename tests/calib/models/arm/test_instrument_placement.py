@@ -136,5 +136,5 @@ def test_places_that_the_poses_do_not_tell_apart_are_no_answer():
         ).translation,
         1e-5,
     )
-    with pytest.raises(RigError, match="base and tool can be placed in two ways that fit alike"):
+    with pytest.raises(RigError, match="base and tool can be located in two ways that fit equally well"):
         place_arm(seen, UR10, True, True)

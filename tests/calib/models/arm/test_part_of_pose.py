@@ -77,7 +77,7 @@ def test_orientations_tell_the_rotational_parameters_as_well_as_they_say(nominal
 def test_a_hand_that_turns_about_one_axis_alone_is_not_placed_by_its_rotations():
     rng = np.random.default_rng(3)
     seen = leaning(worlds.secret(SCARA, rng), SCARA, 40, rng)
-    with pytest.raises(RigError, match="family of places"):
+    with pytest.raises(RigError, match="family of poses"):
         instrument_placement.place_arm(
             replace(seen, value=error_model_and_observations.predicted_target_poses(seen.q, SCARA)), SCARA, True, True
         )

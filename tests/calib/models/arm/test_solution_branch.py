@@ -1,5 +1,5 @@
 """Which joint solution an arm's command takes: the same in whatever frame poses are given, and the same elbow for the
-owner's model as corrected.
+nominal model as corrected.
 """
 
 from dataclasses import replace

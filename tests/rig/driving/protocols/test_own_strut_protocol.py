@@ -186,7 +186,7 @@ def test_the_reference_firmware_stops_when_the_host_falls_silent(driven):
     ).accepted
     clock.sleep(0.1)  # five times what it waits
     state = link.run(protocol.state())
-    assert "heard nothing" in state.fault and 0 < state.positions.max() < 0.02
+    assert "received nothing" in state.fault and 0 < state.positions.max() < 0.02
     assert link.run(protocol.state()).positions == pytest.approx(state.positions)
     refused = link.run(protocol.move(Segment(np.zeros(6), np.full(6, 0.01), 1.0, np.full(6, 0.01), np.full(6, 3.0))))
     assert refused.accepted is False

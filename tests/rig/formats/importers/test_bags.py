@@ -277,7 +277,7 @@ def test_a_damaged_bag_is_refused_by_its_name(made, rig, tmp_path):
     status, text = said("import", "--rig", rig, "--bag", tmp_path / "none.bag", "--out", tmp_path / "rec")
     assert status == 1 and "none.bag: no such file" in text
     status, text = said("import", "--rig", rig, "--bag", rig, "--out", tmp_path / "rec")
-    assert status == 1 and "rig.toml: is no bag that can be read" in text
+    assert status == 1 and "rig.toml: is not a readable bag" in text
 
 
 PATTERNS = {"bayer_rggb8": "RGGB", "bayer_bggr8": "BGGR", "bayer_gbrg8": "GBRG", "bayer_grbg8": "GRBG"}

@@ -208,7 +208,7 @@ def test_cameras_that_rig_toml_lacks_are_added_where_their_place_is_told(true, t
     assert (
         status == 0
         and "added to rig.toml: cam0, cam1, cam2" in text
-        and "put in where" not in (tmp_path / "out.toml").read_text()
+        and "enter its pose" not in (tmp_path / "out.toml").read_text()
     )
     for camera, meant in zip(design_file.load_design(tmp_path / "out.toml").cameras, true):
         assert np.abs(seen(camera, points(meant)) - seen(meant, points(meant))).max() < 2e-5
@@ -301,12 +301,12 @@ WRONG = {
         dict(camera_model="omni", intrinsics=[1.0, 600.0, 600.0, 640.0, 480.0]),
         "cam1.camera_model = 'omni': the omnidirectional model",
     ),
-    "fov": (dict(distortion_model="fov", distortion_coeffs=[0.9]), "cam1.distortion_model = 'fov' has no place here"),
+    "fov": (dict(distortion_model="fov", distortion_coeffs=[0.9]), "cam1.distortion_model = 'fov' is not supported"),
     "too wide": (
         dict(distortion_model="equidistant", distortion_coeffs=[0.1, 0, 0, 0], intrinsics=[300.0, 300.0, 640.0, 480.0]),
         "cam1.distortion_model: an equidistant lens",
     ),
-    "mirrored": (dict(T_cn_cnm1=np.diag([1.0, 1, -1, 1]).tolist()), "cam1.T_cn_cnm1 is no rotation"),
+    "mirrored": (dict(T_cn_cnm1=np.diag([1.0, 1, -1, 1]).tolist()), "cam1.T_cn_cnm1 is not a rotation"),
     "size": (dict(resolution=[640, 480]), "was calibrated at 640x480 px, and rig.toml has 1280x960"),
     "focal": (
         dict(intrinsics=[-600.0, 600.0, 640.0, 480.0]),
@@ -336,7 +336,7 @@ def test_half_files_and_other_files_are_refused(stated, true, tmp_path):
         "half.yaml": (good[: good.index("intrinsics", 900) + 30], "cam2.intrinsics must have 4 numbers, got 2"),
         "target.yaml": ("target_type: 'aprilgrid'\ntagCols: 6\n", "a target of Kalibr"),
         "text.yaml": ("some words\n", "holds no table"),
-        "twice.yaml": ("a: 1\na: 2\n", "a is there twice"),
+        "twice.yaml": ("a: 1\na: 2\n", "a occurs twice"),
         "other.yaml": ("a: 1\n", "its keys are a"),
         "laughs.yaml": (many, "more than 100000 values"),
         "ring.yaml": ("a: &a [*a]\n", "nested too deep"),

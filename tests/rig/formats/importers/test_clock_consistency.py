@@ -94,7 +94,7 @@ def test_rows_that_a_log_has_twice_are_taken_once(good, tmp_path):
     status, text = said(*words(good, files, None, *STATED), "--out", tmp_path / "rec")
     assert (
         status == 0
-        and "commands.csv: 1 rows are there twice, with their times, and are taken once; the first is line 6" in text
+        and "commands.csv: 1 rows occur twice, with their times, and are used once; the first is line 6" in text
     ), text
     assert len(recording_folder.load_recording(tmp_path / "rec").commands.t) == len(lines) - 1
     files["commands"].write_text("\n".join([*lines[:5], f"{lines[4]}1", *lines[5:]]) + "\n")

@@ -84,7 +84,7 @@ def test_twenty_images_become_a_certificate_in_four_commands(tmp_path):
         tmp_path / "certificate.html",
     )
     status, text = said(*words, "--mask", kept)
-    assert status == 0 and "From 6 distinct configurations, none of which took part in fitting" in text, text
+    assert status == 0 and "From 6 distinct configurations, none of which was used in fitting" in text, text
     assert "With 90 % confidence, 60 % of poses" in (tmp_path / "certificate.html").read_text()
     status, text = said(*words, "--mask", "0-12", "--force")
     assert status == 1 and "5 of 7 frames" in text and "took part in fitting" in text, text

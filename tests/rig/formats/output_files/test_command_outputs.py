@@ -97,7 +97,7 @@ def test_an_input_is_never_written_over(force, tmp_path):
         (rec, rec / "rig.toml"),
         (tmp_path / "x" / ".." / "rec", rec),
     ):
-        with pytest.raises(RigError, match="stays as it was"):
+        with pytest.raises(RigError, match="remains unchanged"):
             make(out, {"rig.toml": "b"}, inputs=[given], force=force)
     os.link(rec / "rig.toml", tmp_path / "hard.toml")
     for out, given in (
@@ -106,7 +106,7 @@ def test_an_input_is_never_written_over(force, tmp_path):
         (tmp_path / "hard.toml", rec / "rig.toml"),
         (rec / "poses.csv", rec),
     ):
-        with pytest.raises(RigError, match="stays as it was"):
+        with pytest.raises(RigError, match="remains unchanged"):
             put(out, "b", inputs=[given], force=force)
     assert tree(rec) == {"rig.toml": "a", "frames.csv": "1"}
 
@@ -115,7 +115,7 @@ def test_photographs_below_a_folder_are_not_taken_away_by_what_reads_them(tmp_pa
     out = tmp_path / "out"
     (out / "images").mkdir(parents=True)
     (out / "images" / "1.png").write_text("photograph")
-    with pytest.raises(FileError, match="stays as it was"):
+    with pytest.raises(FileError, match="remains unchanged"):
         make(out, {"camera.toml": "c"}, "lens", inputs=[out / "images"], force=True)
     assert tree(out) == {"images/1.png": "photograph"}
 
@@ -240,10 +240,10 @@ def test_a_recording_that_was_not_finished_is_no_recording(tmp_path, recording_f
             }
         ),
     )
-    with pytest.raises(FileError, match="is not complete: `rig simulate` was ended while it wrote it"):
+    with pytest.raises(FileError, match="is not complete: `rig simulate` was ended while writing it"):
         recording.load_recording(recording_folder)
     (recording_folder / MANIFEST).write_text("{")
-    with pytest.raises(FileError, match="is no manifest"):
+    with pytest.raises(FileError, match="is not a manifest"):
         recording.load_recording(recording_folder)
     (recording_folder / MANIFEST).unlink()
     assert recording.load_recording(recording_folder).exposures.frame.size
@@ -258,7 +258,7 @@ def test_a_manifest_names_no_file_outside_its_folder(name, tmp_path):
     manifest["files"][name] = {"command": "measure", "sha256": []}
     (out / MANIFEST).write_text(json.dumps(manifest))
     for force in (False, True):
-        with pytest.raises(FileError, match="is no file of its folder"):
+        with pytest.raises(FileError, match="is not a file of its folder"):
             make(out, {"frames.csv": "2"}, force=force)
     assert (tmp_path / "victim").read_text() == "mine"
 

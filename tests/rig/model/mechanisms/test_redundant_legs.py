@@ -149,12 +149,12 @@ def test_the_command_chooses_checks_and_names(limbed, tmp_path, capsys):
     said = capsys.readouterr().out
     assert (
         "12 legs for six freedoms" in said
-        and "the six that tell it best" in said
+        and "the best-conditioned six" in said
         and "times what is expected" not in said
     )
     assert out.read_text().startswith("frame,e_") and len(out.read_text().splitlines()) == 81
     assert main(["closure", *given, "--use", "l1,l2,l3,m4,m5,m6"]) == 0
-    assert "l1, l2, l3, m4, m5, m6 tell the pose, as asked" in capsys.readouterr().out
+    assert "l1, l2, l3, m4, m5, m6 give the pose, as asked" in capsys.readouterr().out
     assert main(["closure", str(read.folder), "--calibration", str(calibration)]) == 1
     assert "times what is expected" in capsys.readouterr().out
     for use, says in (
