@@ -115,7 +115,9 @@ def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, fram
         plan, route = (
             "level",
             plan_of_configurations(
-                _level(design, frames, rng), mechanisms.kinematics_of(design.mechanism).home(design.mechanism), 0.5
+                _level(design, frames, rng),
+                mechanisms.kinematics_of(design.mechanism).home_values(design.mechanism),
+                0.5,
             ),
         )
     else:

@@ -247,7 +247,7 @@ def _start(values: Floats | None, calibration: Calibration) -> Floats:
     """(axes,) m or rad where the axes stand at first. Raises RigError for what is no such place."""
     nominal = calibration.correction.nominal
     if values is None:
-        return mechanisms.kinematics_of(nominal).home(nominal)
+        return mechanisms.kinematics_of(nominal).home_values(nominal)
     values = np.asarray(values, float)
     if values.shape != (len(nominal.axes),) or not np.isfinite(values).all():
         shown = ",".join(f"{value:g}" for value in values.ravel())

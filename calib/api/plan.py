@@ -88,7 +88,7 @@ def informative_configurations(
         are seen
     """
     kinematics = mechanisms.kinematics_of(mechanism)
-    values = sobol_configurations(kinematics.travel(mechanism), CANDIDATES, FILL, seed)
+    values = sobol_configurations(kinematics.travel_ranges(mechanism), CANDIDATES, FILL, seed)
     index, T = indices_and_poses_of_solvable_commands(values, lambda some: kinematics.forward(some, mechanism))
     values = values[index]
     seen = np.ones(len(values), bool) if visible_marker_count is None else visible_marker_count(T) >= FEWEST
@@ -130,7 +130,7 @@ def informative_configurations(
         for chosen in (picked, even)
     )
     chosen = values[seen][picked]
-    order = time_balanced_order(chosen, np.random.default_rng(seed), kinematics.travel(mechanism).mean(axis=1))
+    order = time_balanced_order(chosen, np.random.default_rng(seed), kinematics.travel_ranges(mechanism).mean(axis=1))
     return InformativeConfigurations(
         chosen[order], asked.names, asked.units, sigma, plain, len(size) - sharp.shape[1], float(seen.mean())
     )

@@ -108,7 +108,7 @@ def plan_pose_move(
     Raises Unreachable for lengths out of range
     """
     correction = calibration.correction
-    home = mechanisms.kinematics_of(correction.nominal).home(correction.nominal)
+    home = mechanisms.kinematics_of(correction.nominal).home_values(correction.nominal)
     lengths = correction.uncorrected(wanted) if uncorrected else _lengths(calibration, wanted, home)
     require_reachable(np.array([lengths]), require_hexapod(design.mechanism), ["the pose"])
     return PoseMove(design, calibration, wanted, lengths, uncorrected)

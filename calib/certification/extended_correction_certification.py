@@ -344,7 +344,7 @@ def claim_without_geometry(samples: Samples, certified: Certified, rng: np.rando
     if certified.left is None:
         return empty_claim_without_held_out_data(told, middle)
     commands, T = solvable_commands_and_poses(
-        sobol_configurations(kinematics.travel(correction.nominal), PLACES, FILL), correction
+        sobol_configurations(kinematics.travel_ranges(correction.nominal), PLACES, FILL), correction
     )
     offset = pose_difference(T, kinematics.forward(commands, correction.nominal))
     stated = float(

@@ -44,7 +44,7 @@ def configuration_numbers(commanded: Floats, ranges: Floats) -> Integers:
 
 def axis_ranges(mechanism: Struts | Arm | Chain) -> Floats:
     """Range of each axis of a mechanism: (axes, 2) m or rad."""
-    return mechanisms.kinematics_of(mechanism).travel(mechanism)
+    return mechanisms.kinematics_of(mechanism).travel_ranges(mechanism)
 
 
 def configuration_folds(label: Integers, count: int) -> Integers:

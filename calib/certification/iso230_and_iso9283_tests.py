@@ -88,7 +88,7 @@ def iso230_axis_tests(correction: AnyCorrection, poses: HeldPoses) -> tuple[Axis
 def _to_axes(correction: AnyCorrection, poses: HeldPoses) -> Floats:
     """(n, axes, 6) change of the axes with the pose's tangent."""
     fitted = correction.fitted
-    return mechanisms.kinematics_of(fitted).axis_changes(poses.T_base_platform, poses.commanded, fitted)
+    return mechanisms.kinematics_of(fitted).axis_changes_by_pose(poses.T_base_platform, poses.commanded, fitted)
 
 
 def _test(

@@ -37,7 +37,7 @@ def strut_load_signs(samples: Samples, nominal: Struts) -> list[tuple[Floats, Us
     middle, half = nominal.strut_range.mean(axis=1), np.ptp(nominal.strut_range, axis=1) / 2
 
     def seen(T: RigidTransform, commands: Floats, payload: Floats) -> Floats:
-        loads = mechanisms.kinematics_of(nominal).loads(T, commands, nominal, weight.wrench(T, payload))
+        loads = mechanisms.kinematics_of(nominal).axis_loads(T, commands, nominal, weight.wrench(T, payload))
         return np.asarray(np.sign(loads) * (np.abs(loads) > NOTHING * np.abs(loads).max(initial=0.0)))
 
     @cache

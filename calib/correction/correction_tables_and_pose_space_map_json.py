@@ -70,7 +70,7 @@ def axis_correction_tables(correction: AnyCorrection, count: int) -> JointTables
 
     c = x + trim, c the fixed point c = x + rho(c) at the axis' own level x, the other axes all over their strokes
     """
-    strokes = mechanisms.kinematics_of(correction.nominal).travel(correction.nominal)
+    strokes = mechanisms.kinematics_of(correction.nominal).travel_ranges(correction.nominal)
     others = sobol_configurations(strokes, AVERAGED, FILL)
     levels = np.linspace(strokes[:, 0], strokes[:, 1], count, axis=1)
     trims, left = np.empty(levels.shape), np.empty(len(levels))
@@ -88,7 +88,7 @@ def grid_correction_table(correction: AnyCorrection, divisions: int, fill: float
 
     Raises RigError where a vertex has no pose
     """
-    strokes = mechanisms.kinematics_of(correction.nominal).travel(correction.nominal)
+    strokes = mechanisms.kinematics_of(correction.nominal).travel_ranges(correction.nominal)
     levels = strokes.mean(axis=1)[:, None] + fill * np.ptp(strokes, axis=1)[:, None] / 2 * np.linspace(
         -1, 1, divisions + 1
     )

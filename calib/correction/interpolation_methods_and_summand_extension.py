@@ -181,7 +181,7 @@ def measured_correction_summands(samples: Samples, model: Struts) -> FieldSample
         samples.commanded,
         samples.commanded - kinematics.inverse(samples.T_base_platform, model),
         variances,
-        kinematics.travel(model),
+        kinematics.travel_ranges(model),
     )
 
 
@@ -218,7 +218,7 @@ def residual_correction_summands_of_geometry(samples: Samples, identified: Ident
         samples.commanded,
         identified.residuals,
         np.einsum("nii->ni", identified.residual_covariance),
-        kinematics.travel(identified.mechanism),
+        kinematics.travel_ranges(identified.mechanism),
     )
 
 
@@ -254,7 +254,7 @@ def residual_pose_tangents_of_pass(samples: Samples, correction: AnyCorrection) 
     home = home_pose(nominal)
     T = correction.predict(samples.commanded)
     _, all_over = solvable_commands_and_poses(
-        sobol_configurations(mechanisms.kinematics_of(nominal).travel(nominal), PLACES, 1.0), correction
+        sobol_configurations(mechanisms.kinematics_of(nominal).travel_ranges(nominal), PLACES, 1.0), correction
     )
     x, box = (pose_route_and_pose_space_map.pose_coordinates(poses, home)[:, some] for poses in (T, all_over))
     both = np.concatenate([x, box])
@@ -275,7 +275,7 @@ def pose_coordinate_indices(mechanism: Struts) -> tuple[int, ...]:
 def home_pose(mechanism: Struts) -> RigidTransform:
     """Home pose of a mechanism, T_base_platform."""
     kinematics = mechanisms.kinematics_of(mechanism)
-    return kinematics.forward(kinematics.home(mechanism), mechanism)
+    return kinematics.forward(kinematics.home_values(mechanism), mechanism)
 
 
 def correction_with_map(correction: AnyCorrection, field: Field | None) -> AnyCorrection:
@@ -312,7 +312,9 @@ def single_step_correction_errors(correction: AnyCorrection) -> tuple[float, flo
     Source: configuration-space patent, [0030], [0091]
     """
     _, wanted = solvable_commands_and_poses(
-        sobol_configurations(mechanisms.kinematics_of(correction.nominal).travel(correction.nominal), PLACES, FILL),
+        sobol_configurations(
+            mechanisms.kinematics_of(correction.nominal).travel_ranges(correction.nominal), PLACES, FILL
+        ),
         correction,
     )
     off = correction.single_step(wanted) - correction.inverse(wanted)

@@ -152,7 +152,7 @@ def machine_change_columns(
 
     motion, nuts = moved(), np.eye(6)
     play = play_deviation(motion, GAP / 2)
-    growth = motion.kind.growth_deviation_and_sway(T, motion.lengths, mechanism, np.full(play.shape, GROWTH))[0]
+    growth = motion.kind.axis_deviation_and_sway_by_growth(T, motion.lengths, mechanism, np.full(play.shape, GROWTH))[0]
     out = [motion.lengths + deviation - goals for deviation in (*(nut * play for nut in nuts), growth)]
     out.append(sagging(moved(payload_mass_kg=np.ones(2))) - sagging(motion))
     return inverse_strut_length_jacobian(T, mechanism) @ np.stack(out, axis=-1)

@@ -78,7 +78,7 @@ def _require_plausible(table: Entries, mechanism: Struts | Arm, stated: bool) ->
                 value=float(mechanism.strut_zeros[i]),
             )
     if stated and mechanism.home_pose is not None:
-        lengths = mechanisms.kinematics_of(mechanism).home(mechanism)
+        lengths = mechanisms.kinematics_of(mechanism).home_values(mechanism)
         for i, (length, (low, high)) in enumerate(zip(lengths, mechanism.strut_range)):
             if not low <= length <= high:
                 table.fail(

@@ -108,7 +108,7 @@ def _approached(of: Machine, T: RigidTransform, route: Route, values: Floats, pa
     """The Route with approaches. sure : (n, axes) m^2, variances that forgotten ways must exceed to be worth one; None:
     to every pose
     """
-    n, (low, high) = len(values), mechanisms.kinematics_of(of.correction.nominal).travel(of.correction.nominal).T
+    n, (low, high) = len(values), mechanisms.kinematics_of(of.correction.nominal).travel_ranges(of.correction.nominal).T
     wanted, room = BEYOND * path_memory_length(of), values - BEYOND * path_memory_length(of) >= low
     side = np.where(room, -wanted, np.where(values + wanted <= high, wanted, 0.0))
     possible = _exists(of, T, values + side)

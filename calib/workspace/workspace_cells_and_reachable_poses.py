@@ -76,7 +76,9 @@ def _reached(needed: Floats, T: RigidTransform, machine: AnyCorrection) -> Boole
     the machine stands.
     """
     known = cast(Booleans, np.isfinite(needed).all(axis=1))
-    known[known] = (mechanisms.kinematics_of(machine.nominal).limits(needed[known], machine.nominal) == 0).all(axis=1)
+    known[known] = (mechanisms.kinematics_of(machine.nominal).limit_excess(needed[known], machine.nominal) == 0).all(
+        axis=1
+    )
     inside, reached = np.flatnonzero(known), np.zeros(len(needed), bool)
     if not len(inside):
         return reached
@@ -159,7 +161,7 @@ def map_workspace(correction: AnyCorrection, covariance: Covariance, count: int 
     """
     nominal = correction.nominal
     count = count or (DRAWN if has_struts(nominal) else FEWER)
-    drawn = sobol_configurations(mechanisms.kinematics_of(nominal).travel(nominal), count, 1.0)
+    drawn = sobol_configurations(mechanisms.kinematics_of(nominal).travel_ranges(nominal), count, 1.0)
     owner = uncorrected_machine(correction)
     believed, real = (
         reachable_poses_and_loss(owner, correction, drawn),
@@ -214,13 +216,13 @@ def _corner(positions: Floats) -> tuple[Floats, float]:
 
 def _room(correction: AnyCorrection, commands: Floats) -> Floats:
     """(n,) m or rad from commands (n, axes) to the nearest limit, negative beyond it; NaN of NaN."""
-    low, high = mechanisms.kinematics_of(correction.nominal).travel(correction.nominal).T
+    low, high = mechanisms.kinematics_of(correction.nominal).travel_ranges(correction.nominal).T
     return np.asarray(np.minimum(commands - low, high - commands).min(axis=1))
 
 
 def _at_home(correction: AnyCorrection, positions: Floats) -> Floats:
     """(n,) room of poses at positions (n, 3) m that are oriented as home."""
-    home = mechanisms.kinematics_of(correction.nominal).home(correction.nominal)
+    home = mechanisms.kinematics_of(correction.nominal).home_values(correction.nominal)
     T = RigidTransform.from_components(positions, home_pose(correction.nominal).rotation)
     return _room(correction, correction.near(T, np.broadcast_to(home, (len(positions), len(home)))))
 

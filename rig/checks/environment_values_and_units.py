@@ -170,7 +170,7 @@ def command_unit_mistakes(commands: Commands, design: Design) -> Iterator[Mistak
         yield from _angles(commands.values[:, ~m.slides], m.limits[~m.slides])
         yield from _slides(commands.values[:, m.slides], m.limits[m.slides])
     elif has_struts(m):
-        yield from _lengths(commands.values, m.strut_range, mechanisms.kinematics_of(m).home(m))
+        yield from _lengths(commands.values, m.strut_range, mechanisms.kinematics_of(m).home_values(m))
 
 
 def _outside(values: Floats, ranges: Floats) -> Floats:

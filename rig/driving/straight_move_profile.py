@@ -72,7 +72,7 @@ def require_lengths_in_range(lengths: Floats, mechanism: Hexapod | Planar2) -> F
     lengths = np.array(lengths, float)
     if lengths.shape != (len(mechanism.axes),) or not np.isfinite(lengths).all():
         raise ValueError(f"expected {len(mechanism.axes)} finite lengths in m, got {lengths.tolist()}")
-    beyond = mechanisms.kinematics_of(mechanism).limits(lengths, mechanism)
+    beyond = mechanisms.kinematics_of(mechanism).limit_excess(lengths, mechanism)
     if beyond.any():
         low, high = mechanism.strut_range.T
         lines = [
@@ -103,14 +103,14 @@ def require_safe_path(
     module = mechanisms.kinematics_of(mechanism)
     home = mechanism.home_pose
     if home is None:
-        home = module.forward(module.home(mechanism), mechanism)
+        home = module.forward(module.home_values(mechanism), mechanism)
     try:
         poses = module.forward(way, mechanism)
     except NotConverged as error:
         k = int(np.min(error.index))
         where = [f"{share[k]:.0%} along: {error}", *([OUT_OF_RANGE] if k == 0 else [])]
         raise Unreachable("not moved: the path leaves the workspace", [k], where) from None
-    least = _dexterity(poses, way, mechanism) / _dexterity(home, module.home(mechanism), mechanism)
+    least = _dexterity(poses, way, mechanism) / _dexterity(home, module.home_values(mechanism), mechanism)
     if least.min() < singularity_margin:
         k = int(np.argmin(least))
         raise Unreachable(
@@ -126,7 +126,7 @@ def require_safe_path(
 
 def _dexterity(poses: RigidTransform, values: Floats, mechanism: Hexapod | Planar2) -> Floats:
     """(...) least singular value of the Jacobian, turns taken as lengths at the platform joints' mean radius."""
-    J = mechanisms.kinematics_of(mechanism).axis_changes(poses, values, mechanism)
+    J = mechanisms.kinematics_of(mechanism).axis_changes_by_pose(poses, values, mechanism)
     if mechanism.plates is not None:
         J = J / np.r_[1, 1, 1, np.full(3, np.linalg.norm(mechanism.plates[1], axis=1).mean())]
     return np.asarray(np.linalg.svd(J, compute_uv=False)[..., -1], float)

@@ -322,7 +322,7 @@ TEXTS = ("commands", "division", "turn")  # parts that take more than a number
 
 def axis_strokes(design: Design) -> Floats:
     """Strokes (axes, 2) m or rad of the axes: the lowest and highest command of each."""
-    return mechanisms.kinematics_of(design.mechanism).travel(design.mechanism)
+    return mechanisms.kinematics_of(design.mechanism).travel_ranges(design.mechanism)
 
 
 def planned_axis_speeds(design: Design) -> Floats:

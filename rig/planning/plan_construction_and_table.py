@@ -187,7 +187,7 @@ def require_commands_in_range(table: csv_and_parquet_tables.Table, design: Desig
     values = table.matrix(design.mechanism.axes)
     if len(table) > MOST * ROWS:
         raise FileError(table.path, f"has {len(table)} rows; a plan exposes at most {MOST} times")
-    beyond = mechanisms.kinematics_of(design.mechanism).limits(values, design.mechanism)
+    beyond = mechanisms.kinematics_of(design.mechanism).limit_excess(values, design.mechanism)
     for i in np.flatnonzero(beyond.any(axis=1)):
         table.fail(
             f"{mechanisms.axis_places(design.mechanism)[np.flatnonzero(beyond[i])[0]]} is commanded out of its range", i

@@ -47,7 +47,9 @@ class TorqueBounds:
             return np.zeros(q.shape)
         flat = q.reshape(-1, q.shape[-1])
         each = np.column_stack([self.links.mass, self.links.mass[:, None] * self.links.centre]).ravel()  # kg and kg m
-        return (mechanism.links(mechanism.forward(flat, arm), flat, arm, self.gravity) @ each).reshape(q.shape)
+        return (mechanism.link_weight_loads(mechanism.forward(flat, arm), flat, arm, self.gravity) @ each).reshape(
+            q.shape
+        )
 
     def box(self, q: Floats, arm: Arm) -> tuple[Floats, Floats]:
         """(low, high (..., n) N m) between which torques for a wrench may lie at joint values q (..., n) rad."""

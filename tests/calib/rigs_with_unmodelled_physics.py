@@ -81,7 +81,7 @@ def driven(calibration, secret, seed, sensed=True, approach="auto", poses=POSES)
     done = commands_along_route(
         calibration,
         T,
-        mechanisms.kinematics_of(m).home(m),
+        mechanisms.kinematics_of(m).home_values(m),
         pace_with_hold_times(calibration, t, log),
         log if sensed else None,
         approach,

@@ -257,7 +257,7 @@ def _points(q: Floats, arm: Arm | Chain) -> tuple[Floats, Floats]:
             links = mechanism.link_frames(own, stage)[..., :3, 3]
             outline, joints = [*outline, _in(below, links)], [*joints, _in(below, links[:, : len(stage.joints)])]
         else:  # a strut is marked at its foot
-            feet, _ = chains.KINDS[stage.kind].ends(T, stage)
+            feet, _ = chains.KINDS[stage.kind].strut_ends(T, stage)
             joints.append(_in(below, np.broadcast_to(feet, (len(q), *feet.shape))))
         below = below @ T.as_matrix()
         outline.append(below[:, None, :3, 3])

@@ -66,7 +66,9 @@ PLACES = 256  # at which a single step is held against the fixed point, and what
 def joint_correction_field_samples(samples: Samples, arm: Arm, shared: Floats) -> FieldSamples:
     """Samples for a field of joint correction summands, rad or m, common errors removed."""
     found = joint_correction_summands(samples, arm, shared)
-    return FieldSamples(samples.commanded, found.values, np.einsum("mii->mi", found.covariance), mechanism.travel(arm))
+    return FieldSamples(
+        samples.commanded, found.values, np.einsum("mii->mi", found.covariance), mechanism.travel_ranges(arm)
+    )
 
 
 def joint_correction_summands_of_stated_model(samples: Samples, placed_arm: Arm) -> CorrectionSummands:

@@ -77,7 +77,7 @@ def certify_chain(
     Raises what `identify` raises
     """
     said = progress or silent_progress
-    label = configuration_numbers(samples.commanded, mechanism.travel(nominal))
+    label = configuration_numbers(samples.commanded, mechanism.travel_ranges(nominal))
     said("fitting the geometry", 0, 1)
     found = identify_chain(samples, nominal)
     correction = _corrected(nominal, found)
@@ -136,7 +136,7 @@ def chain_workspace_claim(samples: Samples, certified: CertifiedChain, rng: np.r
     if len(each) < LEAST:
         return empty_claim_of_too_few_configurations(told, words)
     values, T = solvable_commands_and_poses(
-        sobol_configurations(mechanism.travel(nominal), PLACES, FILL), certified.correction
+        sobol_configurations(mechanism.travel_ranges(nominal), PLACES, FILL), certified.correction
     )
     own = (
         (found.scatter**2).reshape(2, 3).sum(axis=1)

@@ -35,7 +35,7 @@ class BaseExpansion(Effect):
 
     def deviation(self, motion: Motion) -> Floats:
         scale = 1 + self.coefficient * (motion.channel(AMBIENT) - REFERENCE_TEMPERATURE)
-        ends = motion.kind.ends(motion.posed(), motion.mechanism)
+        ends = motion.kind.strut_ends(motion.posed(), motion.mechanism)
         if ends is None:
             raise RigError(f"{self.name} takes struts on a base plate")
         base, tips = ends

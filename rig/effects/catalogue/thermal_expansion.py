@@ -43,7 +43,7 @@ class ThermalExpansion(Effect):
         share = np.zeros(motion.lengths.shape)
         for i in np.flatnonzero(self.axes(motion.places)):
             share[:, i] = self.coefficient * (motion.channel(*_channels(motion.places[i])) - REFERENCE_TEMPERATURE)
-        return motion.kind.growth_deviation_and_sway(motion.T, motion.lengths, motion.mechanism, share)
+        return motion.kind.axis_deviation_and_sway_by_growth(motion.T, motion.lengths, motion.mechanism, share)
 
     def covariate(self, motion: Motion) -> Covariate:
         warm = [

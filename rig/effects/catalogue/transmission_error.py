@@ -65,7 +65,7 @@ class TransmissionError(Effect):
     def deviation(self, motion: Motion) -> Floats:
         out = np.zeros(motion.lengths.shape)
         for i in np.flatnonzero(self.axes(motion.places)):
-            span = self.span or motion.kind.travel(motion.mechanism)[i]
+            span = self.span or motion.kind.travel_ranges(motion.mechanism)[i]
             out[:, i] = cubic_spline_values(motion.lengths[:, i], span, np.asarray(self.profile, float))
         return out
 
@@ -112,7 +112,9 @@ class TransmissionError(Effect):
         i = motion.places.index(candidate.place)
         out = np.zeros((*motion.lengths.shape, node[COUNT]))
         out[:, i] = cubic_spline_values(
-            motion.lengths[:, i], node.get("span") or motion.kind.travel(motion.mechanism)[i], np.eye(node[COUNT])
+            motion.lengths[:, i],
+            node.get("span") or motion.kind.travel_ranges(motion.mechanism)[i],
+            np.eye(node[COUNT]),
         )
         return out
 

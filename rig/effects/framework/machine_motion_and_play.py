@@ -13,7 +13,7 @@ from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.design import Actuator, Platform
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
-from rig.model.mechanisms.kinematics_by_kind import Kind
+from rig.model.mechanisms.kinematics_by_kind import MechanismKinematics
 from rig.recording.recording_folder import PAYLOAD, Sensors
 
 SOON = 1e-6  # s; knots that lie closer together are one
@@ -149,7 +149,7 @@ class Motion:
     kept: dict[tuple[object, ...], Floats] = field(default_factory=dict, init=False, repr=False)
 
     @property
-    def kind(self) -> Kind[Hexapod | Planar2 | Arm | Chain]:
+    def kind(self) -> MechanismKinematics[Hexapod | Planar2 | Arm | Chain]:
         """The module of rig.model.mechanisms that moves the mechanism."""
         return mechanisms.kinematics_of(self.mechanism)
 
@@ -262,13 +262,15 @@ class Motion:
         if payload.any():
             weight = payload[:, None] * down
             wrench += np.concatenate([weight, _moment(platform.payload_centre_of_mass, weight)], axis=1)
-        return self.kind.loads(self.T, self.lengths, self.mechanism, wrench)
+        return self.kind.axis_loads(self.T, self.lengths, self.mechanism, wrench)
 
     def links(self) -> Floats:
         """(n, axes, c) load of the axes per kg and kg m of the machine's own members, worked out once: see
         mechanisms.kind.
         """
-        return self.once(("links",), lambda: self.kind.links(self.T, self.lengths, self.mechanism, self.gravity))
+        return self.once(
+            ("links",), lambda: self.kind.link_weight_loads(self.T, self.lengths, self.mechanism, self.gravity)
+        )
 
 
 def _moment(arm: Floats | None, force: Floats) -> Floats:

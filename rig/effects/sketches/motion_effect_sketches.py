@@ -261,7 +261,7 @@ def _displaced(way: ExampleRun) -> str:
     at = int(np.argmax(far))
     much = enlargement_factor(float(far[at]), OUT)
     pair = RigidTransform.concatenate([T[at], T[at] * exp(much * shift[at])])
-    ends = way.motion.kind.ends(pair, way.motion.mechanism)
+    ends = way.motion.kind.strut_ends(pair, way.motion.mechanism)
     assert ends is not None
     base, tips = (_seen(np.broadcast_to(points, (2, 6, 3))) for points in ends)
     low, high = (pick(np.concatenate([base, tips]).reshape(-1, 2), axis=0) for pick in (np.min, np.max))

@@ -213,7 +213,7 @@ def _values(
             )
         values = values / table.steps_per_mm
     m = require_struts(design.mechanism)
-    return _lengths(values, unit, table, m.strut_range, mechanisms.kinematics_of(m).home(m))
+    return _lengths(values, unit, table, m.strut_range, mechanisms.kinematics_of(m).home_values(m))
 
 
 def _sliding(

@@ -2,6 +2,13 @@
 rig.model.design.
 """
 
-from rig.model.mechanisms.kinematics_by_kind import ALL, Kind, axis_places, axis_units, kinematics_of, travel_unit
+from rig.model.mechanisms.kinematics_by_kind import (
+    ALL,
+    MechanismKinematics,
+    axis_places,
+    axis_units,
+    kinematics_of,
+    travel_unit,
+)
 
-__all__ = ["ALL", "Kind", "kinematics_of", "axis_places", "travel_unit", "axis_units"]
+__all__ = ["ALL", "MechanismKinematics", "kinematics_of", "axis_places", "travel_unit", "axis_units"]

@@ -104,28 +104,28 @@ def geometric_jacobian(matrices: Floats, output_axes: str = "platform", slides: 
     return np.swapaxes(J, -1, -2)
 
 
-def limits(q: Floats, arm: Arm) -> Floats:
+def limit_excess(q: Floats, arm: Arm) -> Floats:
     """Excess of joint values over their limits, (..., n) rad or m: negative below, positive above, 0 inside."""
     low, high = arm.limits.T
     return np.minimum(q - low, 0) + np.maximum(q - high, 0)
 
 
-def travel(arm: Arm) -> Floats:
+def travel_ranges(arm: Arm) -> Floats:
     """Travel (n, 2) rad or m of the joints: their limits."""
     return arm.limits
 
 
-def home(arm: Arm) -> Floats:
+def home_values(arm: Arm) -> Floats:
     """Home joint values (n,) rad or m: all zero."""
     return np.zeros(len(arm.joints))
 
 
-def loads(T: RigidTransform, q: Floats, arm: Arm, wrench: Floats) -> Floats:
+def axis_loads(T: RigidTransform, q: Floats, arm: Arm, wrench: Floats) -> Floats:
     """Loads (m, n) N m (slides: N) of the joints that hold a wrench (m, 6) on the platform."""
     return -np.einsum("mij,mi->mj", jacobian(q, arm), wrench)
 
 
-def links(T: RigidTransform, q: Floats, arm: Arm, gravity: Floats) -> Floats:
+def link_weight_loads(T: RigidTransform, q: Floats, arm: Arm, gravity: Floats) -> Floats:
     """Loads (m, n, 4 n) N m of the links' own weight on the joints, per kg and kg m of each link.
 
     gravity : (3,) m/s^2 in the frame of poses. Source: Luh, Walker and Paul's recursion at rest, as a regressor:
@@ -144,7 +144,7 @@ def links(T: RigidTransform, q: Floats, arm: Arm, gravity: Floats) -> Floats:
     return out.reshape(len(chain), n, 4 * n)
 
 
-def growth_deviation_and_sway(T: RigidTransform, q: Floats, arm: Arm, share: Floats) -> tuple[Floats, Floats]:
+def axis_deviation_and_sway_by_growth(T: RigidTransform, q: Floats, arm: Arm, share: Floats) -> tuple[Floats, Floats]:
     """Deviation (m, n) and sway (m, 6) by the growth of links, lengths d and a by shares (m, n).
     A slide's scale is its travel with it.
     """
@@ -156,7 +156,7 @@ def growth_deviation_and_sway(T: RigidTransform, q: Floats, arm: Arm, share: Flo
     return np.zeros(share.shape), np.pad((moved[:, None] @ chain[:, -1, :3, :3])[:, 0], ((0, 0), (0, 3)))
 
 
-def axis_changes(T: RigidTransform, q: Floats, arm: Arm) -> Floats:
+def axis_changes_by_pose(T: RigidTransform, q: Floats, arm: Arm) -> Floats:
     """(m, n, 6) least change of the joint values (rad or m) with the pose's tangent, at joint values q (m, n)."""
     return np.asarray(np.linalg.pinv(jacobian(q, arm)))
 
@@ -171,7 +171,7 @@ def link_points(q: Floats, arm: Arm) -> Floats:
     return link_frames(q, arm)[..., :3, 3]
 
 
-def ends(T: RigidTransform, arm: Arm) -> None:
+def strut_ends(T: RigidTransform, arm: Arm) -> None:
     """Strut ends: None, since an arm has no struts."""
     return None
 
@@ -215,7 +215,7 @@ def solve_inverse(
             break
         q, error = _descend(trying[todo], target[todo], arm)
         q = nearest_equivalent_angles(q, arm, guess[todo])
-        out = cast(Booleans, (np.abs(limits(q, arm)) > 0).any(axis=1))
+        out = cast(Booleans, (np.abs(limit_excess(q, arm)) > 0).any(axis=1))
         solved, had = error <= GOOD, left[todo] <= GOOD
         better = np.where(solved & had, outside[todo] & ~out, np.where(solved | had, solved, error < left[todo]))
         best[todo[better]], left[todo[better]], outside[todo[better]] = q[better], error[better], out[better]

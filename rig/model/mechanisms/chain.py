@@ -95,7 +95,7 @@ def inverse(T_base_platform: RigidTransform, chain: Chain, guess: Floats | None 
     Raises Unreachable with the index of poses to which none leads
     """
     target = T_base_platform.reshape(-1) if len(T_base_platform.shape) != 1 else T_base_platform
-    low, high = travel(chain).T
+    low, high = travel_ranges(chain).T
     middle, span = (low + high) / 2, high - low
     x = np.broadcast_to(middle if guess is None else guess, (len(target), len(middle))).copy()
     going: Integers
@@ -133,38 +133,40 @@ def _misses(x: Floats, target: RigidTransform, going: Integers, chain: Chain) ->
     return going, np.zeros((0, 6))
 
 
-def limits(values: Floats, chain: Chain) -> Floats:
+def limit_excess(values: Floats, chain: Chain) -> Floats:
     """Excess (..., axes) m or rad of commanded values over their limits: negative below, positive above, 0 inside."""
     return np.concatenate(
-        [KINDS[stage.kind].limits(own, stage) for stage, own in stages_and_values(values, chain)], axis=-1
+        [KINDS[stage.kind].limit_excess(own, stage) for stage, own in stages_and_values(values, chain)], axis=-1
     )
 
 
-def travel(chain: Chain) -> Floats:
+def travel_ranges(chain: Chain) -> Floats:
     """Travel (axes of all, 2) m or rad of the axes: least and greatest commanded value."""
-    return np.concatenate([KINDS[stage.kind].travel(stage) for stage in chain.stages])
+    return np.concatenate([KINDS[stage.kind].travel_ranges(stage) for stage in chain.stages])
 
 
-def home(chain: Chain) -> Floats:
+def home_values(chain: Chain) -> Floats:
     """Home values (axes of all,) m or rad: the home of every stage."""
-    return np.concatenate([KINDS[stage.kind].home(stage) for stage in chain.stages])
+    return np.concatenate([KINDS[stage.kind].home_values(stage) for stage in chain.stages])
 
 
-def loads(T: RigidTransform, values: Floats, chain: Chain, wrench: Floats) -> Floats:
+def axis_loads(T: RigidTransform, values: Floats, chain: Chain, wrench: Floats) -> Floats:
     """Loads (n, axes of all) N or N m of the axes that hold a wrench (n, 6) on the platform, each alone."""
     return -np.einsum("nij,ni->nj", jacobian(values, chain), wrench)
 
 
-def links(T: RigidTransform, values: Floats, chain: Chain, gravity: Floats) -> Floats:
+def link_weight_loads(T: RigidTransform, values: Floats, chain: Chain, gravity: Floats) -> Floats:
     """Loads of the links' own weight: none (n, axes of all, 0), stages' weight is not modelled."""
     return np.zeros((*np.shape(values), 0))
 
 
-def growth_deviation_and_sway(T: RigidTransform, values: Floats, chain: Chain, share: Floats) -> tuple[Floats, Floats]:
+def axis_deviation_and_sway_by_growth(
+    T: RigidTransform, values: Floats, chain: Chain, share: Floats
+) -> tuple[Floats, Floats]:
     """Deviation (n, axes of all) and sway (n, 6) by the growth of the stages' members by shares (n, axes of all)."""
     parts, at, deviations, sway = stage_transforms(values, chain), 0, [], np.zeros((len(share), 6))
     for (stage, own), part, back in zip(stages_and_values(values, chain), parts, stage_tangent_maps(parts)):
-        longer, moved = KINDS[stage.kind].growth_deviation_and_sway(
+        longer, moved = KINDS[stage.kind].axis_deviation_and_sway_by_growth(
             part, own, stage, share[:, at : at + len(stage.axes)]
         )
         deviations.append(longer)
@@ -173,7 +175,7 @@ def growth_deviation_and_sway(T: RigidTransform, values: Floats, chain: Chain, s
     return np.concatenate(deviations, axis=1), sway
 
 
-def axis_changes(T: RigidTransform, values: Floats, chain: Chain) -> Floats:
+def axis_changes_by_pose(T: RigidTransform, values: Floats, chain: Chain) -> Floats:
     """(n, axes of all, 6) least change of the axes with the pose's tangent, at values (n, axes of all)."""
     return np.asarray(np.linalg.pinv(jacobian(values, chain)))
 
@@ -188,6 +190,6 @@ def link_points(values: Floats, chain: Chain) -> None:
     return None
 
 
-def ends(T: RigidTransform, chain: Chain) -> None:
+def strut_ends(T: RigidTransform, chain: Chain) -> None:
     """Strut ends: None, since a chain is drawn without struts."""
     return None

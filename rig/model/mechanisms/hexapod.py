@@ -84,23 +84,23 @@ def forward(lengths: Floats, hexapod: Hexapod, guess: RigidTransform | None = No
     )  # of unit quaternions, normal as it is
 
 
-def limits(lengths: Floats, hexapod: Hexapod) -> Floats:
+def limit_excess(lengths: Floats, hexapod: Hexapod) -> Floats:
     """Excess of commanded lengths over their limits, (..., 6) m: negative below, positive above, 0 inside."""
     low, high = hexapod.strut_range.T
     return np.minimum(lengths - low, 0) + np.maximum(lengths - high, 0)
 
 
-def travel(hexapod: Hexapod) -> Floats:
+def travel_ranges(hexapod: Hexapod) -> Floats:
     """Travel (6, 2) m of the struts: shortest and longest commanded length."""
     return hexapod.strut_range
 
 
-def home(hexapod: Hexapod) -> Floats:
+def home_values(hexapod: Hexapod) -> Floats:
     """Home lengths (6,) m: commanded lengths at the home pose."""
     return inverse(hexapod.home, hexapod)
 
 
-def loads(T: RigidTransform, lengths: Floats, hexapod: Hexapod, wrench: Floats) -> Floats:
+def axis_loads(T: RigidTransform, lengths: Floats, hexapod: Hexapod, wrench: Floats) -> Floats:
     """Loads (n, 6) N of the struts, pushing, that hold a wrench (n, 6) on the platform: J^T f + w = 0.
 
     Source: Merlet, Parallel Robots, 2nd ed., ch. 9
@@ -108,19 +108,19 @@ def loads(T: RigidTransform, lengths: Floats, hexapod: Hexapod, wrench: Floats) 
     return cast(Floats, np.linalg.solve(np.swapaxes(jacobian(T, hexapod), 1, 2), -wrench[..., None])[..., 0])
 
 
-def links(T: RigidTransform, lengths: Floats, hexapod: Hexapod, gravity: Floats) -> Floats:
+def link_weight_loads(T: RigidTransform, lengths: Floats, hexapod: Hexapod, gravity: Floats) -> Floats:
     """Loads of the links' own weight: none (n, 6, 0), the base carries the struts."""
     return np.zeros((*np.shape(lengths), 0))
 
 
-def growth_deviation_and_sway(
+def axis_deviation_and_sway_by_growth(
     T: RigidTransform, lengths: Floats, hexapod: Hexapod, share: Floats
 ) -> tuple[Floats, Floats]:
     """Deviation (n, 6) m and sway (n, 6) by the growth of struts by shares (n, 6) of their length: no sway."""
     return share * lengths, np.zeros((len(share), 6))
 
 
-def axis_changes(T: RigidTransform, lengths: Floats, hexapod: Hexapod) -> Floats:
+def axis_changes_by_pose(T: RigidTransform, lengths: Floats, hexapod: Hexapod) -> Floats:
     """(n, 6, 6) change of the strut lengths with the pose's tangent, at poses T (n,)."""
     return jacobian(T, hexapod)
 
@@ -135,7 +135,7 @@ def link_points(lengths: Floats, hexapod: Hexapod) -> None:
     return None
 
 
-def ends(T: RigidTransform, hexapod: Hexapod) -> tuple[Floats, Floats]:
+def strut_ends(T: RigidTransform, hexapod: Hexapod) -> tuple[Floats, Floats]:
     """Ends of the struts: base joints (6, 3) and platform joints (n, 6, 3) m, base frame, at poses T (n,)."""
     return hexapod.base_joints, transform_points(T, hexapod.platform_joints)
 

@@ -14,7 +14,7 @@ K = TypeVar("K", bound=Hexapod | Planar2 | Arm | Chain | Free)
 M = TypeVar("M", contravariant=True)  # the geometry of rig.model.design that a kind moves
 
 
-class Kind(Protocol[M]):
+class MechanismKinematics(Protocol[M]):
     """A kind of machine: n axes that are commanded (m or rad) move one body, the platform.
 
     AXIS : what an axis is called in a place ("strut", "joint"); UNIT : of its travel, "m" or "rad"
@@ -35,30 +35,30 @@ class Kind(Protocol[M]):
         """Commanded values (..., axes) that give poses T_base_platform (...)."""
         ...
 
-    def limits(self, values: Floats, mechanism: M, /) -> Floats:
+    def limit_excess(self, values: Floats, mechanism: M, /) -> Floats:
         """How far commanded values (..., axes) lie outside the travel: negative below, positive above, 0 inside."""
         ...
 
-    def travel(self, mechanism: M, /) -> Floats:
+    def travel_ranges(self, mechanism: M, /) -> Floats:
         """(axes, 2) least and greatest value that can be commanded."""
         ...
 
-    def home(self, mechanism: M, /) -> Floats:
+    def home_values(self, mechanism: M, /) -> Floats:
         """(axes,) commanded values from which strokes count."""
         ...
 
-    def loads(self, T: RigidTransform, values: Floats, mechanism: M, wrench: Floats, /) -> Floats:
+    def axis_loads(self, T: RigidTransform, values: Floats, mechanism: M, wrench: Floats, /) -> Floats:
         """(n, axes) force or torque that the axes exert, in the direction of growing values, to hold a wrench (n, 6) on
         the platform.
         """
         ...
 
-    def links(self, T: RigidTransform, values: Floats, mechanism: M, gravity: Floats, /) -> Floats:
+    def link_weight_loads(self, T: RigidTransform, values: Floats, mechanism: M, gravity: Floats, /) -> Floats:
         """(n, axes, c) the same per unit of what the machine's own moving members weigh, c numbers of mass (kg) and
         mass moment (kg m); c = 0 where their weight is not borne by the axes."""
         ...
 
-    def growth_deviation_and_sway(
+    def axis_deviation_and_sway_by_growth(
         self, T: RigidTransform, values: Floats, mechanism: M, share: Floats, /
     ) -> tuple[Floats, Floats]:
         """(deviation (n, axes), sway (n, 6)) of the machine whose axes' members have grown by shares (n, axes) of their
@@ -66,7 +66,7 @@ class Kind(Protocol[M]):
         """
         ...
 
-    def axis_changes(self, T: RigidTransform, values: Floats, mechanism: M, /) -> Floats:
+    def axis_changes_by_pose(self, T: RigidTransform, values: Floats, mechanism: M, /) -> Floats:
         """(n, axes, 6) change of the axes (m or rad) with the pose's tangent (m, rad) at poses T (n,), values (n,
         axes).
         """
@@ -82,18 +82,18 @@ class Kind(Protocol[M]):
         """(n, points, 3) m of the line along a machine's links, in the base frame; None for a machine without links."""
         ...
 
-    def ends(self, T: RigidTransform, mechanism: M, /) -> tuple[Floats, Floats] | None:
+    def strut_ends(self, T: RigidTransform, mechanism: M, /) -> tuple[Floats, Floats] | None:
         """(base joints (axes, 3), platform joints (n, axes, 3)) m in the base frame; None for a machine that has no
         struts.
         """
         ...
 
 
-ALL: dict[str, Kind[Any]] = {"hexapod": hexapod, "planar2": two_strut_plane, "arm": arm, "chain": chain}
+ALL: dict[str, MechanismKinematics[Any]] = {"hexapod": hexapod, "planar2": two_strut_plane, "arm": arm, "chain": chain}
 AXIS_UNITS = {"strut": "m", "slide": "m", "joint": "rad"}  # by what an axis is called
 
 
-def kinematics_of(mechanism: K) -> Kind[K]:
+def kinematics_of(mechanism: K) -> MechanismKinematics[K]:
     """The kinematics module of a mechanism by its kind. Raises RigError for a kind without kinematics."""
     if mechanism.kind not in ALL:
         raise RigError(f"no kinematics for a mechanism of kind {mechanism.kind!r}; there are {', '.join(ALL)}")

@@ -59,42 +59,42 @@ def forward(lengths: Floats, planar: Planar2, guess: RigidTransform | None = Non
     return RigidTransform.from_translation(position)
 
 
-def limits(lengths: Floats, planar: Planar2) -> Floats:
+def limit_excess(lengths: Floats, planar: Planar2) -> Floats:
     """Excess of commanded lengths over their limits, (..., 2) m: negative below, positive above, 0 inside."""
     low, high = planar.strut_range.T
     return np.minimum(lengths - low, 0) + np.maximum(lengths - high, 0)
 
 
-def travel(planar: Planar2) -> Floats:
+def travel_ranges(planar: Planar2) -> Floats:
     """Travel (2, 2) m of the struts: shortest and longest commanded length."""
     return planar.strut_range
 
 
-def home(planar: Planar2) -> Floats:
+def home_values(planar: Planar2) -> Floats:
     """Home lengths (2,) m: the middle of the strut ranges."""
     return planar.strut_range.mean(axis=1)
 
 
-def loads(T: RigidTransform, lengths: Floats, planar: Planar2, wrench: Floats) -> Floats:
+def axis_loads(T: RigidTransform, lengths: Floats, planar: Planar2, wrench: Floats) -> Floats:
     """Loads (n, 2) N of the struts, pushing, that hold a wrench (n, 6) on the hinge; a guide takes the rest."""
     return cast(
         Floats, np.linalg.solve(np.swapaxes(jacobian(T, planar)[..., :2], 1, 2), -wrench[..., :2, None])[..., 0]
     )
 
 
-def links(T: RigidTransform, lengths: Floats, planar: Planar2, gravity: Floats) -> Floats:
+def link_weight_loads(T: RigidTransform, lengths: Floats, planar: Planar2, gravity: Floats) -> Floats:
     """Loads of the links' own weight: none (n, 2, 0), the base carries the struts."""
     return np.zeros((*np.shape(lengths), 0))
 
 
-def growth_deviation_and_sway(
+def axis_deviation_and_sway_by_growth(
     T: RigidTransform, lengths: Floats, planar: Planar2, share: Floats
 ) -> tuple[Floats, Floats]:
     """Deviation (n, 2) m and sway (n, 6) by the growth of struts by shares (n, 2) of their length: no sway."""
     return share * lengths, np.zeros((len(share), 6))
 
 
-def axis_changes(T: RigidTransform, lengths: Floats, planar: Planar2) -> Floats:
+def axis_changes_by_pose(T: RigidTransform, lengths: Floats, planar: Planar2) -> Floats:
     """(n, 2, 6) change of the strut lengths with the pose's tangent, at poses T (n,)."""
     return jacobian(T, planar)
 
@@ -109,6 +109,6 @@ def link_points(lengths: Floats, planar: Planar2) -> None:
     return None
 
 
-def ends(T: RigidTransform, planar: Planar2) -> tuple[Floats, Floats]:
+def strut_ends(T: RigidTransform, planar: Planar2) -> tuple[Floats, Floats]:
     """Ends of the struts: base joints (2, 3) and the hinge (n, 2, 3) m, base frame, at poses T (n,)."""
     return np.pad(planar.base_joints, ((0, 0), (0, 1))), np.repeat(T.translation[:, None], 2, axis=1)

@@ -95,7 +95,7 @@ def test_whatever_moves_the_machine_is_undone(design, kind):
         design, parse_effect(f"{kind.name}:{SOME[kind.name]}"), parse_effect("backlash:strut4:gap=9e-5")
     )
     T, t, log = wanted(design)
-    home, pace = hexapod.home(design.mechanism), Pace(t, 0.0, 0.02, None)
+    home, pace = hexapod.home_values(design.mechanism), Pace(t, 0.0, 0.02, None)
     done = commands_along_route(calibration, T, home, pace, log)
     run = motion_simulation.simulate_machine_run(
         design, done.route.commands(done.values), t, calibration.physics.effects, log
@@ -121,7 +121,7 @@ def test_a_pose_held_again_after_a_small_drift_comes_out_of_the_gap(design):
         np.array([0.0, 1e3]), {"strut2_temperature_C": np.array([20.0, 20.3])}
     )  # the strut's length drifts by 80 nm from pose to pose
     T = type(T).from_matrix(np.repeat(T.as_matrix()[:1], 6, axis=0))
-    done = commands_along_route(calibration, T, hexapod.home(design.mechanism), Pace(t, 0.0, 0.02, None), warm)
+    done = commands_along_route(calibration, T, hexapod.home_values(design.mechanism), Pace(t, 0.0, 0.02, None), warm)
     run = motion_simulation.simulate_machine_run(
         design, done.route.commands(done.values), t, calibration.physics.effects, warm
     )
@@ -173,7 +173,7 @@ def test_found_by_the_diagnosis_it_ends_as_good_as_without(tmp_path, seen, name)
 def test_what_nobody_remembers_is_approached_where_there_is_time_and_room(design):
     calibration = known_to_be(design, parse_effect("backlash:strut2:gap=1e-4"))
     m = design.mechanism
-    home = hexapod.home(m)
+    home = hexapod.home_values(m)
     T = hexapod.forward(home + np.array([[0, 2e-5, 0, 0, 0, 0], [1e-2, -3e-5, 0, 0, 0, 0], [0, 2e-2, 0, 0, 0, 0]]), m)
     t = np.array([30.0, 60.0, 90.0])
     never, auto, always = (
@@ -203,13 +203,15 @@ def test_poses_that_come_too_soon_are_listed(design):
     T, t, log = wanted(design)
     t[5] = t[4] + 0.2
     with pytest.raises(Unreachable, match="pose 5: .* of travel in 0.2 s") as caught:
-        commands_along_route(known_to_be(design), T, hexapod.home(design.mechanism), Pace(t, 0.0, 0.02, 0.05), log)
+        commands_along_route(
+            known_to_be(design), T, hexapod.home_values(design.mechanism), Pace(t, 0.0, 0.02, 0.05), log
+        )
     assert caught.value.index.tolist() == [5]
 
 
 def test_missing_sensors_and_shaking_widen_what_is_stated(design):
     T, t, log = wanted(design)
-    home, pace = hexapod.home(design.mechanism), Pace(t, 0.0, 0.02, None)
+    home, pace = hexapod.home_values(design.mechanism), Pace(t, 0.0, 0.02, None)
 
     def stated(effect, sensors):
         done = commands_along_route(known_to_be(design, parse_effect(effect)), T, home, pace, sensors)
@@ -232,7 +234,9 @@ def test_no_commands_are_said_to_be_none(design):
     calibration = known_to_be(design, parse_effect("scale_error:strut1:scale=5e-3"))
     T, t, _ = wanted(design, 3)
     of = Machine(calibration.correction, calibration.physics, None)
-    route = timed_route(Pace(t, 0.0, 0.02, None), hexapod.inverse(T, design.mechanism), hexapod.home(design.mechanism))
+    route = timed_route(
+        Pace(t, 0.0, 0.02, None), hexapod.inverse(T, design.mechanism), hexapod.home_values(design.mechanism)
+    )
     commands = commands_at_poses(of, T, route, hexapod.inverse(T, design.mechanism))
     np.testing.assert_allclose(
         of.effective(route.commands(commands), t, T), hexapod.inverse(T, design.mechanism), atol=1e-10

@@ -86,7 +86,7 @@ def calibrated(design, *effects):
 def wanted_of(design, count=6):
     m = design.mechanism
     return mechanisms.kinematics_of(m).forward(
-        sobol_configurations(mechanisms.kinematics_of(m).travel(m), count, 0.5, 3), m
+        sobol_configurations(mechanisms.kinematics_of(m).travel_ranges(m), count, 0.5, 3), m
     )
 
 

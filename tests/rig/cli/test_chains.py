@@ -42,15 +42,15 @@ def gantry(design):
 
 
 def test_a_chain_is_its_stages_one_upon_the_other(gantry):
-    x = sobol_configurations(chain.travel(gantry), 20, 0.9)
+    x = sobol_configurations(chain.travel_ranges(gantry), 20, 0.9)
     T = arm.forward(x[:, :3], gantry.stages[0]) * hexapod.forward(x[:, 3:], gantry.stages[1])
     assert np.abs(pose_difference(T, chain.forward(x, gantry))).max() < 1e-14
     assert gantry.axes == ("s1q1", "s1q2", "s1q3", "s2l1", "s2l2", "s2l3", "s2l4", "s2l5", "s2l6")
-    assert chain.limits(x + 1.0, gantry).all() and not chain.limits(x, gantry).any()
+    assert chain.limit_excess(x + 1.0, gantry).all() and not chain.limit_excess(x, gantry).any()
 
 
 def test_the_jacobians_are_the_differences(gantry):
-    x = sobol_configurations(chain.travel(gantry), 1, 0.5)[0]
+    x = sobol_configurations(chain.travel_ranges(gantry), 1, 0.5)[0]
     at = chain.forward(x, gantry)
     np.testing.assert_allclose(
         chain.jacobian(x, gantry), differences(lambda v: log(at.inv() * chain.forward(v, gantry)), x), atol=1e-8
@@ -63,14 +63,14 @@ def test_the_jacobians_are_the_differences(gantry):
 
 
 def test_the_inverse_reaches_poses_within_the_travels_and_says_which_it_does_not(gantry):
-    x = sobol_configurations(chain.travel(gantry), 12, 0.5, 3)
+    x = sobol_configurations(chain.travel_ranges(gantry), 12, 0.5, 3)
     wanted = chain.forward(x, gantry)
     found = chain.inverse(wanted, gantry)
     assert (
         np.abs(pose_difference(chain.forward(found, gantry), wanted)).max() < 1e-10
-        and not chain.limits(found, gantry).any()
+        and not chain.limit_excess(found, gantry).any()
     )
-    middle, span = chain.travel(gantry).mean(axis=1), np.ptp(chain.travel(gantry), axis=1)
+    middle, span = chain.travel_ranges(gantry).mean(axis=1), np.ptp(chain.travel_ranges(gantry), axis=1)
     assert (
         np.linalg.norm((found - middle) / span, axis=1) < np.linalg.norm((x - middle) / span, axis=1) + 1e-6
     ).all()  # nearest the middle
@@ -137,7 +137,7 @@ def test_stages_are_told_from_one_recording_and_what_cannot_be_is_named(tmp_path
 
 def test_of_a_machine_as_stated_nothing_is_off(gantry):
     """A machine as stated: nothing is found to be off, and what is named as untold is told by parameters of its own."""
-    x = sobol_configurations(chain.travel(gantry), 40, 0.9)
+    x = sobol_configurations(chain.travel_ranges(gantry), 40, 0.9)
     T = chain.forward(x, gantry) * exp(np.zeros(6))
     samples = Samples(
         np.arange(40),
@@ -171,7 +171,7 @@ def test_a_loop_closes_under_an_instrument(tmp_path, capfd):
         tmp_path / "truth.json",
     )
     m = design.mechanism
-    found = verified(tmp_path, capfd, lines(chain.forward(sobol_configurations(chain.travel(m), 8, 0.5, 5), m)))
+    found = verified(tmp_path, capfd, lines(chain.forward(sobol_configurations(chain.travel_ranges(m), 8, 0.5, 5), m)))
     holds(found)
     assert found["before"]["position"]["rms"] > 10 * found["after"]["position"]["rms"]
     kept = calibration_file.load(tmp_path / "calibration.json").correction
@@ -220,7 +220,7 @@ def test_effects_sit_at_the_axes_of_stages(design, gantry, text, place):
     effect = require_existing_place(parse_effect(text), design)
     assert effect.place == place
     t = np.array([0.0, 1.0, 2.0, 3.0])
-    home, far = chain.home(gantry), chain.travel(gantry)[:, 0]
+    home, far = chain.home_values(gantry), chain.travel_ranges(gantry)[:, 0]
     still, held = (
         simulate_machine_run(design, Commands(t, np.array([home, far, home, home])), t[2:], effects).deviation
         for effects in ((), (effect,))
@@ -251,7 +251,7 @@ def test_configurations_are_planned_that_tell_all_stages(tmp_path, capfd):
     rows = [line.split() for line in said.splitlines() if " um  " in line or " urad  " in line]
     assert len(rows) == 8 and all(float(row[0]) < float(row[1]) for row in rows)
     m = design_file.load_design(tmp_path / "rig.toml").mechanism
-    assert not chain.limits(
+    assert not chain.limit_excess(
         csv_and_parquet_tables.read(tmp_path / "plan.csv", ("frame", *m.axes)).matrix(m.axes), m
     ).any()
 

@@ -141,7 +141,7 @@ def test_cubes_that_cannot_be_measured_on_a_stage_are_told_by_line(tmp_path, cha
 def test_what_stands_on_the_carriage_is_drawn_there_and_hides_what_is_behind(tmp_path):
     design = written(tmp_path, seen=True)
     m = design.mechanism
-    x = sobol_configurations(chain.travel(m), 1, 0.9, 3)
+    x = sobol_configurations(chain.travel_ranges(m), 1, 0.9, 3)
     stages = chain.stage_poses(x, m)
     poses = rig_meshes.mesh_body_matrices(m, [T[0] for T in stages])
     parts = {part.body for part in rig_meshes.rig_parts(design)}
@@ -189,7 +189,10 @@ def test_a_loop_closes_from_images(tmp_path, capfd, carriage):
     m = design.mechanism
     holds(
         verified(
-            tmp_path, capfd, lines(chain.forward(sobol_configurations(chain.travel(m), 4, 0.5, 5), m)), ("--images",)
+            tmp_path,
+            capfd,
+            lines(chain.forward(sobol_configurations(chain.travel_ranges(m), 4, 0.5, 5), m)),
+            ("--images",),
         )
     )
 
@@ -211,4 +214,4 @@ def test_a_loop_closes_from_corners(tmp_path, capfd, carriage):
         tmp_path / "truth.json",
     )
     m = design.mechanism
-    holds(verified(tmp_path, capfd, lines(chain.forward(sobol_configurations(chain.travel(m), 8, 0.5, 5), m))))
+    holds(verified(tmp_path, capfd, lines(chain.forward(sobol_configurations(chain.travel_ranges(m), 8, 0.5, 5), m))))

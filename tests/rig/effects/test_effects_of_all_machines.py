@@ -38,7 +38,7 @@ def setting_of(design, kind):
     else:
         mechanism = Arm(UR10.joints, [[-2.5, 2.5]] * 6) if kind == "arm" else design.mechanism
     design = Design(kind, gravity, mechanism, None, Actuator(0.004, "cardan-cardan", None), platform, (), ())
-    low, high = mechanisms.kinematics_of(mechanism).travel(mechanism).T
+    low, high = mechanisms.kinematics_of(mechanism).travel_ranges(mechanism).T
     rng = np.random.default_rng(5)
     t = np.cumsum(np.r_[0.0, rng.uniform(0.5, 4, 80)])
     values = (low + high) / 2 + 0.6 * (high - low) / 2 * rng.uniform(-1, 1, (81, len(low)))
@@ -67,7 +67,7 @@ def test_an_interface_is_kept_by_every_mechanism(there):
     kind, (design, *_), context = there
     module, m = mechanisms.kinematics_of(design.mechanism), context.motion
     assert mechanisms.axis_places(design.mechanism) == tuple(f"{module.AXIS} {i + 1}" for i in range(len(m.home)))
-    power = module.loads(m.T, m.lengths, design.mechanism, np.zeros((60, 6)))
+    power = module.axis_loads(m.T, m.lengths, design.mechanism, np.zeros((60, 6)))
     assert power.shape == m.lengths.shape and not power.any()
 
 
@@ -188,7 +188,7 @@ def test_a_joint_holds_its_links_as_newton_and_euler_say(design):
         arm_dynamics_and_step_by_step_kinematics.LinkMasses(mass, centre, np.zeros((6, 3, 3))),
         design.gravity,
     )
-    np.testing.assert_allclose(arm.links(None, q, mechanism, design.gravity) @ own, torque, atol=1e-9)
+    np.testing.assert_allclose(arm.link_weight_loads(None, q, mechanism, design.gravity) @ own, torque, atol=1e-9)
 
 
 def test_links_that_grow_move_the_hand_as_longer_links_do():
@@ -198,7 +198,7 @@ def test_links_that_grow_move_the_hand_as_longer_links_do():
         np.random.default_rng(6).uniform(-2, 2, (10, 6)),
         replace(UR10, joints=UR10.rows * [1, 1 + 1e-6, 1 + 1e-6, 1, 1]),
     )
-    sway = arm.growth_deviation_and_sway(None, q, UR10, np.full((10, 6), 1e-6))[1]
+    sway = arm.axis_deviation_and_sway_by_growth(None, q, UR10, np.full((10, 6), 1e-6))[1]
     np.testing.assert_allclose(sway, pose_difference(arm.forward(q, UR10), arm.forward(q, grown)), atol=1e-11)
 
 

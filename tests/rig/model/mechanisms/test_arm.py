@@ -72,7 +72,7 @@ def test_inverse_finds_every_pose_within_the_limits(name):
     arm = ARMS[name]
     T = mechanism.forward(configurations(arm, 300, np.random.default_rng(3), 0.95), arm)
     q = kinematics_of(arm).inverse(T, arm)
-    assert (mechanism.limits(q, arm) == 0).all()
+    assert (mechanism.limit_excess(q, arm) == 0).all()
     np.testing.assert_allclose(pose_difference(mechanism.forward(q, arm), T), 0, atol=1e-9)
 
 
@@ -96,7 +96,11 @@ def test_angles_are_wrapped_into_the_limits_near_the_guess():
     near = np.array([[0.0, 0.0, 6.0, 0.0, 0.0, -6.0]])
     found = mechanism.nearest_equivalent_angles(q, UR10, near)
     np.testing.assert_allclose(np.sin(found), np.sin(q), atol=1e-12)
-    assert (mechanism.limits(found, UR10) == 0).all() and abs(found[0, 2] - 6.0) < 0.5 and abs(found[0, 5] + 6.0) < 0.5
+    assert (
+        (mechanism.limit_excess(found, UR10) == 0).all()
+        and abs(found[0, 2] - 6.0) < 0.5
+        and abs(found[0, 5] + 6.0) < 0.5
+    )
 
 
 def test_wrong_shapes_are_refused():
@@ -129,7 +133,9 @@ def test_weight_and_motion_of_slides_agree_with_pinocchio(name):
     )
     moments = np.column_stack([own.mass, own.mass[:, None] * own.centre]).ravel()
     still = arm_dynamics_and_step_by_step_kinematics.joint_torques(q, 0 * v, 0 * a, arm, own, gravity)
-    np.testing.assert_allclose(mechanism.links(mechanism.forward(q, arm), q, arm, gravity) @ moments, still, atol=1e-10)
+    np.testing.assert_allclose(
+        mechanism.link_weight_loads(mechanism.forward(q, arm), q, arm, gravity) @ moments, still, atol=1e-10
+    )
 
 
 def test_a_link_that_grows_takes_its_slide_along():
@@ -137,7 +143,7 @@ def test_a_link_that_grows_takes_its_slide_along():
     rng, arm = np.random.default_rng(10), ARMS["random slides"]
     q, share = rng.normal(size=(5, 6)), 1e-7 * rng.normal(size=(5, 6))
     T = mechanism.forward(q, arm)
-    deviation, sway = mechanism.growth_deviation_and_sway(T, q, arm, share)
+    deviation, sway = mechanism.axis_deviation_and_sway_by_growth(T, q, arm, share)
     assert not deviation.any()
     for k in range(5):
         rows = arm.rows.copy()
