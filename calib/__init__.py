@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from calib.api.calibrate import CalibrateOptions as CalibrateOptions
     from calib.api.calibrate import calibrate as calibrate
     from calib.api.certify import certify as certify
-    from calib.api.close_loops import LoopClosureOptions as LoopClosureOptions
-    from calib.api.close_loops import close_loops as close_loops
     from calib.api.correct import CorrectOptions as CorrectOptions
     from calib.api.correct import correct as correct
     from calib.api.diagnose import DiagnoseOptions as DiagnoseOptions
@@ -31,11 +29,13 @@ if TYPE_CHECKING:
     from calib.api.learn import learn as learn
     from calib.api.limb_acceptance_and_limb_poses import AcceptLimbsOptions as AcceptLimbsOptions
     from calib.api.limb_acceptance_and_limb_poses import accept_limbs as accept_limbs
+    from calib.api.loop_closures_of_redundant_legs import LoopClosureOptions as LoopClosureOptions
+    from calib.api.loop_closures_of_redundant_legs import close_loops as close_loops
+    from calib.api.machine_run_and_pose_move import RunOptions as RunOptions
+    from calib.api.machine_run_and_pose_move import plan_run as plan_run
     from calib.api.plan import plan as plan
     from calib.api.plan_options_and_result import PlanOptions as PlanOptions
     from calib.api.recording_check_and_preparation import check as check
-    from calib.api.run_and_go import RunOptions as RunOptions
-    from calib.api.run_and_go import plan_run as plan_run
     from calib.api.verify_and_watch import verify as verify
     from calib.api.verify_and_watch import watch as watch
     from calib.api.workspace import analyse_workspace as analyse_workspace
@@ -89,9 +89,9 @@ __getattr__ = lazy_getattr(
         "certify": "calib.api.certify",
         **dict.fromkeys(("learn", "LearnOptions"), "calib.api.learn"),
         **dict.fromkeys(("accept_limbs", "AcceptLimbsOptions"), "calib.api.limb_acceptance_and_limb_poses"),
-        **dict.fromkeys(("close_loops", "LoopClosureOptions"), "calib.api.close_loops"),
+        **dict.fromkeys(("close_loops", "LoopClosureOptions"), "calib.api.loop_closures_of_redundant_legs"),
         **dict.fromkeys(("export", "ExportOptions"), "calib.api.export"),
-        **dict.fromkeys(("plan_run", "RunOptions"), "calib.api.run_and_go"),
+        **dict.fromkeys(("plan_run", "RunOptions"), "calib.api.machine_run_and_pose_move"),
         "analyse_workspace": "calib.api.workspace",
         "investigate": "calib.api.investigate",
         "InvestigateOptions": "calib.experiment.investigation_machine",

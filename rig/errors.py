@@ -1,4 +1,4 @@
-"""What can go wrong with a machine, its physics or its files, with the numbers that say so."""
+"""Error classes (RigError) of what can go wrong with a machine, its physics or its files, with the numbers."""
 
 from __future__ import annotations
 

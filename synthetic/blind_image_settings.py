@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.marker_columns import Markers, replace_columns
+from rig.effects.framework.marker_table import Markers, replace_marker_columns
 from rig.model.design import Design, Sensor
 from rig.model.pose import exp
 from synthetic.image_simulation import Images, is_renderable
@@ -28,7 +28,7 @@ class Printing(Effect):
     def attach(self, markers: Markers) -> Markers:
         tangent = np.zeros((len(markers.id), 6))
         tangent[:, :2] = np.reshape(self.offsets, (-1, 2))
-        return replace_columns(
+        return replace_marker_columns(
             markers,
             T_body_marker=markers.T_body_marker * exp(tangent),
             side=markers.side * (1 + np.asarray(self.scales)),

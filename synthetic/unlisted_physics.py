@@ -15,7 +15,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_data_types import Place
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.effects.framework.marker_columns import Markers, replace_columns
+from rig.effects.framework.marker_table import Markers, replace_marker_columns
 from rig.errors import RigError
 from rig.model.design import Camera, Design
 from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
@@ -186,7 +186,7 @@ class UnevenPrint(Effect):
     places: ClassVar = ("markers",)
 
     def attach(self, markers: Markers) -> Markers:
-        return replace_columns(markers, side=markers.side * (1 + np.asarray(self.scales)))
+        return replace_marker_columns(markers, side=markers.side * (1 + np.asarray(self.scales)))
 
 
 def _course(course: tuple[float, ...], t: Floats, size: int) -> Floats:

@@ -139,7 +139,7 @@ def test_only_what_is_drawn_on_paper_needs_matplotlib():
     }
     assert found == {f"synthetic/{name}.py" for name in ("print_sheets", "sheet_rulers_and_assembly_page")} | {
         "calib/certificate/certificate_pdf.py",
-        "rig/posture/force_transmission_and_exertable_wrench.py",
+        "rig/posture/arm_force_transmission_and_exertable_wrench.py",
     }
 
 

@@ -22,7 +22,7 @@ from rig.recording.combined_recordings import (
     target_owner_recordings,
 )
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_frames import content_hashes, frames_with_known_hashes, hashes_of_frames
+from rig.recording.recording_frames import content_hashes_of_frames, frames_with_known_hashes, hashes_of_frames
 from vision.recording_adjustment import Measurement
 from vision.recording_measurement import measure_recording
 
@@ -132,7 +132,7 @@ def require_combinable(recordings: Sequence[Recording]) -> None:
     require_one_rig(recordings)
     known: set[str] = set()
     for recording in recordings:
-        of = content_hashes(recording)
+        of = content_hashes_of_frames(recording)
         twice = frames_with_known_hashes(of, known)
         if twice:
             raise RigError(

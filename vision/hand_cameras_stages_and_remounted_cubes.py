@@ -1,4 +1,4 @@
-"""Recordings with cameras on the hand, markers on stages, or remounted cubes as recordings with fixed cameras.
+"""Hand cameras, stages and remounted cubes: recordings with them turned into recordings with fixed cameras.
 
 In the platform's own frame such a camera stands still and the base's markers move. So it is measured like any rig, with
 base and platform exchanged; the stated pose of the camera in the platform holds the platform's frame, the markers'

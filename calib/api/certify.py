@@ -27,7 +27,7 @@ from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.formats.output_files import write_text
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_frames import content_hashes, frames_with_known_hashes, hashes_of_frames
+from rig.recording.recording_frames import content_hashes_of_frames, frames_with_known_hashes, hashes_of_frames
 from rig.report.pages.page_templates_and_page_index import Link
 from rig.report.verdict_and_refutations_of_results import Evidence, Refutation, Verdict
 
@@ -146,7 +146,7 @@ def _held_out_recordings(
                 "some frames from rig calibrate, then the others from rig certify"
             )
         calibration.refuse_kind(recording.design.mechanism.kind, str(path))
-        of = content_hashes(recording)
+        of = content_hashes_of_frames(recording)
         twice = frames_with_known_hashes(of, known)
         if twice:
             raise RigError(

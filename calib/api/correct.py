@@ -7,9 +7,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.correction.command_route_and_pose_space_map import HOLDING
 from calib.correction.correction import require_reachable
 from calib.correction.physics_compensation import require_sensor_coverage
-from calib.correction.pose_route_and_pose_space_map import HOLDING
 from calib.models.arm import certification as arm_certification
 from calib.models.arm.correction import ArmCorrection
 from calib.models.wanted_pose_commands import RouteCommands, commands_along_route, pace_with_hold_times

@@ -19,7 +19,7 @@ from calib.certification.extended_correction_certification import (
     claim_without_geometry,
     mean_stated_position_variance,
 )
-from calib.certification.held_out_poses_and_distinct_configurations import axis_ranges, configuration_numbers
+from calib.certification.held_out_pose_errors_and_distinct_configurations import axis_ranges, configuration_numbers
 from calib.certification.platform_certification import (
     Certified,
     Progress,
@@ -28,6 +28,7 @@ from calib.certification.platform_certification import (
     silent_progress,
 )
 from calib.certification.workspace_claim import Claim, extension_error_squares, sample_workspace
+from calib.correction.command_route_and_pose_space_map import NAMES, PoseMap, pose_coordinates
 from calib.correction.correction import AnyCorrection
 from calib.correction.interpolation.field_and_combinations import Field, RestrictedMap, SpacePart, SummedPasses
 from calib.correction.interpolation_methods_and_summand_extension import (
@@ -41,7 +42,6 @@ from calib.correction.interpolation_methods_and_summand_extension import (
     residual_pose_tangents_of_pass,
     single_step_correction_errors,
 )
-from calib.correction.pose_route_and_pose_space_map import NAMES, PoseMap, pose_coordinates
 from calib.files.calibration_file_entries import mechanism_dict
 from calib.models.arm import certification as arm_certification
 from calib.models.arm import extended_correction_certification as arm_extension

@@ -26,8 +26,8 @@ from calib.diagnosis.engine.selection_inputs import StatedTerms
 from calib.diagnosis.recording_diagnosis import Diagnosis, DiagnosisOptions
 from calib.diagnosis.report.diagnosis_json import UNKNOWN
 from calib.diagnosis.report.diagnosis_page import arm_or_platform_page_view, diagnosis_page
-from calib.diagnosis.report.diagnosis_report import Report, diagnosis_verdict
-from calib.diagnosis.report.report_entries import diagnosis_report, write_diagnosis_folder
+from calib.diagnosis.report.report_data_and_verdict import Report, diagnosis_verdict
+from calib.diagnosis.report.report_entries_and_diagnosis_folder import diagnosis_report, write_diagnosis_folder
 from calib.experiment.experiment_questions_and_information import Question
 from calib.files import calibration_from_recording
 from calib.samples.recording_samples import Sampled, sample_recording
@@ -36,7 +36,7 @@ from rig.effects.texts.user_effect_file_loading import Plugin, catalogue_with_fi
 from rig.errors import RigError
 from rig.formats import structured_files
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_frames import content_hashes
+from rig.recording.recording_frames import content_hashes_of_frames
 from rig.report.pages.html_and_svg_elements import result_html
 from rig.report.pages.page_templates_and_page_index import Link
 from rig.report.verdict_and_refutations_of_results import State, Verdict
@@ -165,7 +165,7 @@ def diagnose(
         require_known_effect(text, recording.design, kinds)
     _refuse_same_data(options, recording)
     found, report, sampled = _diagnosed(recording, options, options.stated_terms(recording, kinds), kinds, progress)
-    marks = content_hashes(recording)
+    marks = content_hashes_of_frames(recording)
     against = refuted_calibrations(report, marks, options.calibrations, None if sampled is None else sampled.samples)
     refuted = tuple(f"{one.path.name} is refuted: {one.finding}" for one in against if one.state == State.BAD)
     left = unexplained_and_refuted_calibrations(marks, options.calibrations, False).unexplained

@@ -1,7 +1,4 @@
-"""Investigation of a rig: plan, record, diagnose, experiment, again and again; at its end a certificate.
-
-certificate.
-"""
+"""Investigation of a rig: plan, record, diagnose, experiment, again and again; at its end a certificate."""
 
 import json
 from collections.abc import Sequence

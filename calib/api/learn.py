@@ -21,7 +21,7 @@ from rig.errors import RigError
 from rig.formats.local_and_remote_files import json_files_in_same_folders
 from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_frames import content_hashes
+from rig.recording.recording_frames import content_hashes_of_frames
 from rig.report.pages.html_and_svg_elements import result_html
 from rig.report.pages.page_templates_and_page_index import Link
 from rig.report.verdict_and_refutations_of_results import Refutation, Verdict
@@ -171,7 +171,7 @@ def _calibration_evidence(
     leaves unexplained.
     """
     beside = unexplained_and_refuted_calibrations(
-        content_hashes(recording), json_files_in_same_folders(recording.folder), True
+        content_hashes_of_frames(recording), json_files_in_same_folders(recording.folder), True
     )
     if calibration is None:
         return beside

@@ -26,7 +26,7 @@ from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import sample_recording
 from rig.api import CheckResult, check_files
 from rig.array_and_json_types import Floats, Integers
-from rig.checks import platform_commands_and_poses
+from rig.checks import command_and_pose_disagreements
 from rig.checks.mistake import Mistake, sort_mistakes
 from rig.model import mechanisms
 from rig.model.mechanism_kinds_and_hexapod_properties import Struts, require_struts
@@ -230,12 +230,12 @@ def pose_mistakes(recording: Recording) -> tuple[Mistake, ...]:
     if mechanism.plates is None:
         return ()
     return sort_mistakes(
-        platform_commands_and_poses.command_pose_mistakes(
-            platform_commands_and_poses.commands_and_measured_poses(
+        command_and_pose_disagreements.command_pose_mistakes(
+            command_and_pose_disagreements.commands_and_measured_poses(
                 recording,
                 recording.poses.frame,
                 recording.poses.T_base_platform,
-                platform_commands_and_poses.written_pose_columns(recording),
+                command_and_pose_disagreements.written_pose_columns(recording),
             )
         )
     )

@@ -16,7 +16,7 @@ from calib.certification.held_out_errors import (
     errors_before_and_after_correction,
     pose_errors,
 )
-from calib.certification.held_out_poses_and_distinct_configurations import axis_ranges, configuration_numbers
+from calib.certification.held_out_pose_errors_and_distinct_configurations import axis_ranges, configuration_numbers
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.drift import change_sentences
 from calib.drift.change_evidence import Verdict as ChangeVerdict

@@ -15,7 +15,11 @@ from calib.certification import noise_free_errors_and_tolerance_limits, pose_err
 from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence import confound_sentences
 from calib.certification.held_out_errors import error_statistics, errors_before_and_after_correction
-from calib.certification.held_out_poses_and_distinct_configurations import HeldPoses, held_out_poses, pose_repeatability
+from calib.certification.held_out_pose_errors_and_distinct_configurations import (
+    HeldPoses,
+    held_out_poses,
+    pose_repeatability,
+)
 from calib.certification.iso230_and_iso9283_tests import (
     iso230_axis_tests,
     iso9283_accuracy_and_repeatability,
@@ -40,7 +44,7 @@ from calib.samples.recording_samples import Sampled
 from rig.array_and_json_types import Floats, Json
 from rig.errors import NotEnoughData
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_frames import content_hashes, hashes_of_frames
+from rig.recording.recording_frames import content_hashes_of_frames, hashes_of_frames
 from rig.report.pages.html_and_svg_elements import result_html
 from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
 
@@ -221,7 +225,7 @@ def certificate_provenance(
     for recording in recordings:
         name = recording.folder.resolve().name
         origin = calibration_from_recording.calibration_provenance(recording, (), seed, recording.has_images)
-        content = hashlib.sha256("\n".join(hashes_of_frames(content_hashes(recording))).encode()).hexdigest()
+        content = hashlib.sha256("\n".join(hashes_of_frames(content_hashes_of_frames(recording))).encode()).hexdigest()
         inputs[name if name not in inputs else str(recording.folder)] = {
             **origin["inputs_sha256"],
             "exposures": content,

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from calib.certification.claim_verification import Verification
 from calib.certification.held_out_errors import HeldOut
-from calib.certification.held_out_poses_and_distinct_configurations import LEAST
+from calib.certification.held_out_pose_errors_and_distinct_configurations import LEAST
 from calib.certification.workspace_claim import Claim
 from calib.correction.correction import AnyCorrection
 from calib.correction.physics_compensation import Physics

@@ -10,7 +10,7 @@ import numpy as np
 from calib.certification.calibration_and_claim_sentences import WHERE, Calibration, claim_lines, refutation_sentence
 from calib.certification.claim_verification import Part, Verification, verify_claim
 from calib.certification.held_out_errors import HeldOut, pose_errors
-from calib.certification.held_out_poses_and_distinct_configurations import axis_ranges, configuration_numbers
+from calib.certification.held_out_pose_errors_and_distinct_configurations import axis_ranges, configuration_numbers
 from calib.certification.workspace_claim import Claim
 from calib.samples.confounded_conditions import Confounds
 from calib.samples.pose_samples import Samples

@@ -15,7 +15,7 @@ from calib.certification.held_out_errors import (
     is_significant_gain,
     pose_errors,
 )
-from calib.certification.held_out_poses_and_distinct_configurations import (
+from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     LEAST,
     axis_ranges,
     configuration_folds,
@@ -27,7 +27,7 @@ from calib.certification.platform_certification import (
     SURELY,
     Certified,
     Progress,
-    certified_with_drawn_machines,
+    certified_with_possible_machines,
     silent_progress,
     strut_deviation_sizes_of_samples,
     uncertified_geometry,
@@ -145,7 +145,7 @@ def certify_extended_correction(
     if field is not None:
         done = replace(done, found=_without(samples, nominal, found, field, request.alone))
     elif sizes is not None:  # the geometry as it is, of which more is known
-        return certified_with_drawn_machines(samples, replace(done, left=None), sizes, rng), tried
+        return certified_with_possible_machines(samples, replace(done, left=None), sizes, rng), tried
     return _with_scatter(samples, done, rng), tried
 
 

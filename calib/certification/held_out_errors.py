@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.held_out_poses_and_distinct_configurations import LEAST
+from calib.certification.held_out_pose_errors_and_distinct_configurations import LEAST
 from calib.correction.correction import AnyCorrection
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers

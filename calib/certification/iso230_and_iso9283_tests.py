@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.certification.held_out_poses_and_distinct_configurations import HeldPoses
+from calib.certification.held_out_pose_errors_and_distinct_configurations import HeldPoses
 from calib.correction.correction import AnyCorrection
 from rig.array_and_json_types import Floats, Integers
 from rig.model import mechanisms

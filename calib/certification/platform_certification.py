@@ -14,7 +14,7 @@ from calib.certification.held_out_errors import (
     errors_before_and_after_correction,
     is_significant_gain,
 )
-from calib.certification.held_out_poses_and_distinct_configurations import (
+from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     LEAST,
     axis_ranges,
     configuration_folds,
@@ -129,7 +129,7 @@ def certify_platform(
         loss = [np.einsum("ni,nij,nj->n", e, weight, e) for e in (np.nan_to_num(after), np.nan_to_num(more[0]))]
         if is_significant_gain(loss[0] - loss[1]):
             done = Certified(correction, found, label, compare_errors(before, more[0], covariance, rng, label[good]))
-    return certified_with_drawn_machines(samples, done, sizes, rng)
+    return certified_with_possible_machines(samples, done, sizes, rng)
 
 
 def uncertified_geometry(nominal: Struts, identified: Identified, label: Integers) -> Certified:
@@ -183,17 +183,24 @@ def strut_deviation_sizes_of_samples(
     )
 
 
-def certified_with_drawn_machines(
-    samples: Samples, certified: Certified, sizes: StrutDeviationSizes, rng: np.random.Generator
+def certified_with_possible_machines(
+    samples: Samples, certified: Certified, strut_deviation_sizes: StrutDeviationSizes, rng: np.random.Generator
 ) -> Certified:
-    """Certified platform with possible machines drawn from its samples and added."""
+    """Certified platform with draws added of the machines that its samples leave possible."""
     correction, found = certified.correction, _each_configuration(samples, certified)[1]
     noise = draw_fit_variance_ratio(found, correction.nominal, COUNT, rng)
     known = estimate_tolerance_of_stated_geometry(found, correction.nominal)
     return add_machine_draws(
         certified,
         draw_possible_machines(
-            certified.found, known, samples, sizes, correction.nominal, sample_workspace(correction)[0], noise, rng
+            certified.found,
+            known,
+            samples,
+            strut_deviation_sizes,
+            correction.nominal,
+            sample_workspace(correction)[0],
+            noise,
+            rng,
         ),
     )
 

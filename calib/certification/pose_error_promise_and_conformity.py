@@ -22,7 +22,7 @@ from dataclasses import astuple, dataclass
 import numpy as np
 
 from calib.certification import noise_free_errors_and_tolerance_limits
-from calib.certification.held_out_poses_and_distinct_configurations import HeldPoses
+from calib.certification.held_out_pose_errors_and_distinct_configurations import HeldPoses
 from rig.array_and_json_types import Floats, Integers
 
 DRAWS = 400  # of the shared errors

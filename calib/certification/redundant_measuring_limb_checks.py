@@ -19,7 +19,7 @@ from rig.errors import NotConverged, RigError
 from rig.model.design import Design, MeasuringLimbs
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod as mechanism
-from rig.model.mechanisms import redundant_legs
+from rig.model.mechanisms import redundant_leg_closures
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,14 +93,18 @@ def best_six_limbs(stated: MeasuringLimbs, home: RigidTransform, T: RigidTransfo
     Raises RigError for fewer than six, and where no six hold the platform.
     """
     of = stated_limb_legs(stated, home)
-    return np.arange(redundant_legs.SIX) if len(of.names) == redundant_legs.SIX else redundant_legs.best_six_legs(of, T)
+    return (
+        np.arange(redundant_leg_closures.SIX)
+        if len(of.names) == redundant_leg_closures.SIX
+        else redundant_leg_closures.best_six_legs(of, T)
+    )
 
 
-def stated_limb_legs(stated: MeasuringLimbs, home: RigidTransform) -> redundant_legs.RedundantLegs:
+def stated_limb_legs(stated: MeasuringLimbs, home: RigidTransform) -> redundant_leg_closures.RedundantLegs:
     """Legs of all limbs as stated in rig.toml. home : T_base_platform. Raises RigError for fewer than six"""
     _require_six_limbs(stated)
     n = len(stated.channels)
-    return redundant_legs.combine_leg_sets(
+    return redundant_leg_closures.combine_leg_sets(
         [("m", stated, np.full(n, stated.length_sigma), np.zeros((7 * n, 7 * n)))], home
     )
 
@@ -108,7 +112,7 @@ def stated_limb_legs(stated: MeasuringLimbs, home: RigidTransform) -> redundant_
 def _require_six_limbs(stated: MeasuringLimbs) -> None:
     """Raise RigError for limbs that tell no pose."""
     n = len(stated.channels)
-    if n < redundant_legs.SIX:
+    if n < redundant_leg_closures.SIX:
         raise RigError(
             f"rig.toml has {n} measuring limb{'s' * (n > 1)} in [insitu], and a platform has six freedoms: "
             "fewer than six lengths tell no "
@@ -121,7 +125,7 @@ def has_six_measuring_limbs(design: Design) -> bool:
     return (
         design.insitu is not None
         and design.mechanism.plates is not None
-        and len(design.insitu.channels) >= redundant_legs.SIX
+        and len(design.insitu.channels) >= redundant_leg_closures.SIX
     )
 
 
@@ -160,10 +164,12 @@ def _leg(T: RigidTransform, read: Floats, stated: Floats, variance: Floats) -> t
     """
     p, weight = stated.copy(), 1 / np.sqrt(variance)
     for _ in range(STEPS):
-        one = redundant_legs.RedundantLegs(("m",), p[None, :3], p[None, 3:6], p[6:], T[0], np.ones(1), np.zeros((7, 7)))
+        one = redundant_leg_closures.RedundantLegs(
+            ("m",), p[None, :3], p[None, 3:6], p[6:], T[0], np.ones(1), np.zeros((7, 7))
+        )
         told, A = (
-            redundant_legs.leg_length_jacobians(one, T)[0][:, 0],
-            redundant_legs.leg_parameter_jacobians(one, T)[:, 0],
+            redundant_leg_closures.leg_length_jacobians(one, T)[0][:, 0],
+            redundant_leg_closures.leg_parameter_jacobians(one, T)[:, 0],
         )
         rows = np.concatenate([A * weight[:, None], np.eye(7) / PRIOR])
         right = np.concatenate([(read - told) * weight, (stated - p) / PRIOR])
@@ -182,14 +188,14 @@ def _leg(T: RigidTransform, read: Floats, stated: Floats, variance: Floats) -> t
     )
 
 
-def _closures(limbs: Limbs, checks: Checks, lengths: Floats) -> redundant_legs.LegClosures:
+def _closures(limbs: Limbs, checks: Checks, lengths: Floats) -> redundant_leg_closures.LegClosures:
     """Closures of the checks, poses by the six. lengths : (n, limbs) m"""
     m = limbs.hexapod
     covariance = scipy.linalg.block_diag(
         np.zeros((42, 42)), *checks.covariance
     )  # checks are fitted to what the six tell
     order = np.r_[limbs.chosen, checks.limbs].astype(int)
-    of = redundant_legs.RedundantLegs(
+    of = redundant_leg_closures.RedundantLegs(
         tuple(f"m{i + 1}" for i in order),
         np.vstack([m.base_joints, checks.base]),
         np.vstack([m.platform_joints, checks.platform]),
@@ -198,12 +204,12 @@ def _closures(limbs: Limbs, checks: Checks, lengths: Floats) -> redundant_legs.L
         np.r_[limbs.sigma, checks.sigma],
         covariance,
     )
-    return redundant_legs.leg_closures(of, lengths[:, order], np.arange(6))
+    return redundant_leg_closures.leg_closures(of, lengths[:, order], np.arange(6))
 
 
 def held_out_check_errors(limbs: Limbs, stated: MeasuringLimbs, lengths: Floats) -> tuple[Floats, Floats]:
     """Held-out errors (n, k) m of the redundant limbs and their expected sigma, joints fitted elsewhere."""
-    fold, count = time_block_folds(len(lengths), FOLDS), len(stated.channels) - redundant_legs.SIX
+    fold, count = time_block_folds(len(lengths), FOLDS), len(stated.channels) - redundant_leg_closures.SIX
     error, sigma = np.zeros((len(lengths), count)), np.ones((len(lengths), count))
     for k in np.unique(fold) if count else ():  # of six alone nothing is over to be checked
         found = _closures(limbs, fit_redundant_limb_checks(limbs, stated, lengths[fold != k]), lengths[fold == k])

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from calib.certification.calibration_and_claim_sentences import Calibration
-from calib.certification.held_out_poses_and_distinct_configurations import HeldPoses, Repeatability
+from calib.certification.held_out_pose_errors_and_distinct_configurations import HeldPoses, Repeatability
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.model.pose import pose_difference

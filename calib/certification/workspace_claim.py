@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.held_out_errors import HeldErrors
-from calib.certification.held_out_poses_and_distinct_configurations import LEAST
+from calib.certification.held_out_pose_errors_and_distinct_configurations import LEAST
 from calib.certification.strut_deviation_sizes_and_possible_machines import Machines
 from calib.correction.correction import AnyCorrection, Correction, solvable_commands_and_poses
 from calib.correction.interpolation.gaussian_process import Radial

@@ -14,11 +14,11 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.correction.command_route_and_pose_space_map import PoseMap
 from calib.correction.interpolation import gaussian_process
 from calib.correction.interpolation.field_and_combinations import Field, RestrictedMap
 from calib.correction.interpolation.gaussian_process import Radial
 from calib.correction.interpolation.grid import Simplex
-from calib.correction.pose_route_and_pose_space_map import PoseMap
 from calib.models.platform.identification import (
     Identified,
     identify_platform,

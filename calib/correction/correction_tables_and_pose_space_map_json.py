@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.correction import interpolation_methods_and_summand_extension
+from calib.correction.command_route_and_pose_space_map import NAMES, PoseMap
 from calib.correction.correction import AnyCorrection
 from calib.correction.interpolation_methods_and_summand_extension import pose_coordinate_indices
-from calib.correction.pose_route_and_pose_space_map import NAMES, PoseMap
 from calib.models.platform.identification import strut_length_jacobian
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Json

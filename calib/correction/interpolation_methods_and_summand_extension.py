@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction import pose_route_and_pose_space_map
+from calib.correction import command_route_and_pose_space_map
 from calib.correction.correction import AnyCorrection, Correction, solvable_commands_and_poses
 from calib.correction.interpolation.delaunay_and_grid_kernels import Delaunay
 from calib.correction.interpolation.field_and_combinations import (
@@ -256,12 +256,12 @@ def residual_pose_tangents_of_pass(samples: Samples, correction: AnyCorrection) 
     _, all_over = solvable_commands_and_poses(
         sobol_configurations(mechanisms.kinematics_of(nominal).travel_ranges(nominal), PLACES, 1.0), correction
     )
-    x, box = (pose_route_and_pose_space_map.pose_coordinates(poses, home)[:, some] for poses in (T, all_over))
+    x, box = (command_route_and_pose_space_map.pose_coordinates(poses, home)[:, some] for poses in (T, all_over))
     both = np.concatenate([x, box])
     variances = np.einsum("nii->ni", samples.covariance)[:, some]
     return FieldSamples(
         x,
-        pose_route_and_pose_space_map.pose_error_tangents(T, samples.T_base_platform)[:, some],
+        command_route_and_pose_space_map.pose_error_tangents(T, samples.T_base_platform)[:, some],
         variances,
         np.stack([both.min(axis=0), both.max(axis=0)], axis=1),
     )
@@ -282,7 +282,7 @@ def correction_with_map(correction: AnyCorrection, field: Field | None) -> AnyCo
     """Correction with one more map in pose space, applied last; unchanged where the map is None."""
     if field is None:
         return correction
-    one = pose_route_and_pose_space_map.PoseMap(
+    one = command_route_and_pose_space_map.PoseMap(
         home_pose(correction.nominal), pose_coordinate_indices(correction.nominal), field
     )
     return replace(correction, posed=(*correction.posed, one))

@@ -29,7 +29,7 @@ from rig.model.mechanism_kinds_and_hexapod_properties import Struts, require_hex
 from rig.model.mechanisms import hexapod as mechanism
 from rig.model.pose import exp, skew
 from vision import lens
-from vision.bundle.unknown_priors import stated_lens_sigmas
+from vision.bundle.unknown_priors import stated_lens_prior_sigmas
 from vision.corner_observations import Observations
 from vision.predict import State, iterate_observed_cameras, observed_points_base, points_in_camera_frame
 from vision.recording_adjustment import Measurement
@@ -69,10 +69,12 @@ def fit_cameras_and_geometry(
     if observations.on_platform.all():
         raise RigError("a joint solve requires targets on the base: without them the base frame is undefined")
     whitener = np.linalg.inv(np.linalg.cholesky(observations.covariance))
-    sizes = [6 + len(stated_lens_sigmas(camera)) for camera in stated]
+    sizes = [6 + len(stated_lens_prior_sigmas(camera)) for camera in stated]
     starts = 42 + np.r_[0, np.cumsum(sizes)]
     mean = np.concatenate([geometric_parameters(nominal), *[np.r_[np.zeros(6), _lens(c)] for c in stated]])
-    sigma = np.concatenate([np.full(42, PRIOR), *[np.r_[np.full(6, np.inf), stated_lens_sigmas(c)] for c in stated]])
+    sigma = np.concatenate(
+        [np.full(42, PRIOR), *[np.r_[np.full(6, np.inf), stated_lens_prior_sigmas(c)] for c in stated]]
+    )
     begin = np.concatenate(
         [
             geometric_parameters(nominal if start is None else start),

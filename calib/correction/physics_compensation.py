@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.correction.command_route_and_pose_space_map import Route
 from calib.correction.correction import AnyCorrection
-from calib.correction.pose_route_and_pose_space_map import Route
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import MOTION_STAGES, Effect

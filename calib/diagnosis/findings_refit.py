@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 from calib.certification.platform_certification import Certified, Progress, add_machine_draws, silent_progress
 from calib.correction.physics_compensation import Physics, Unknown
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
-from calib.diagnosis.engine.lack_of_fit import LackOfFit
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.misplaced_markers_and_frames import correct_marker_swaps
 from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording, without_distant_corners
@@ -38,7 +38,7 @@ from rig.formats.output_files.atomic_file_and_manifest import load_manifest as m
 from rig.model import mechanisms
 from rig.model.mechanism_kinds_and_hexapod_properties import require_arm, require_struts
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_frames import content_hashes, frames_with_known_hashes
+from rig.recording.recording_frames import content_hashes_of_frames, frames_with_known_hashes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,7 +137,7 @@ def load_findings(folder: Path, recording: Recording, kinds: Kinds = BY_NAME) ->
     unknown = tuple(_unknown(entry) for entry in entries if entry.text("effect") == UNKNOWN)
     origin = manifest(folder).origin
     known = [line.partition(" ")[2] for line in origin.data] if origin is not None else []
-    another = known and not frames_with_known_hashes(content_hashes(recording), known)
+    another = known and not frames_with_known_hashes(content_hashes_of_frames(recording), known)
     return Findings(effects, _sigma(effects, entries, tree) if another else None, unknown)
 
 

@@ -23,7 +23,7 @@ from rig.formats.output_files import write_text
 from rig.model.design import DISTORTION_TERMS, Camera
 from rig.model.pose import pose_to_entry
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_frames import content_hashes, frames_with_known_hashes, hashes_of_frames
+from rig.recording.recording_frames import content_hashes_of_frames, frames_with_known_hashes, hashes_of_frames
 
 KEPT = 8  # latest visits that a change may have begun with; older ones are one
 BELIEVED = 200  # numbers' worth of belief that covariances are right, against which quiet visits' scatter counts
@@ -75,7 +75,7 @@ def add_visit(history: History, recording: Recording, calibration: Calibration) 
     Raises RigError for data that were taken already or that the calibration was made from, and as `visit_equations`
         does
     """
-    of = content_hashes(recording)
+    of = content_hashes_of_frames(recording)
     for known, what in (
         (history.data, "are already in the history"),
         (calibration.provenance.get("data", ()), "were used for the calibration"),

@@ -19,7 +19,7 @@ from calib.diagnosis.problems.arm.linearised_poses import Arms, Geometry, linear
 from calib.diagnosis.problems.arm.nonlinear_parameters import has_continuous_parameters, optimise_nonlinear_parameters
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
 from calib.diagnosis.problems.arm.whitened_columns import Columns, Part
-from calib.diagnosis.problems.platform.temperature_effects_as_alternatives import WARM
+from calib.diagnosis.problems.platform.temperature_alternatives_of_findings import WARM
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.experiment.experiment_questions_and_information import (
     PerFrame,

@@ -99,7 +99,7 @@ def diagnosis_path(folder: Path, number: int) -> Path:
 
 def plan_minutes(plan: Path) -> float:
     """Minutes that a plan takes. Raises FileError for what is no table in time."""
-    t = csv_and_parquet_tables.read(plan, ("frame", "t")).numbers("t")
+    t = csv_and_parquet_tables.read_csv_table(plan, ("frame", "t")).numbers("t")
     return float(t.max() - t.min()) / 60 + SETTING_UP
 
 

@@ -22,7 +22,7 @@ from calib.diagnosis.problems.platform.linearised_residuals import LinearisedMod
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint, remounted_cube_seats
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
-from calib.diagnosis.problems.platform.temperature_effects_as_alternatives import WARM
+from calib.diagnosis.problems.platform.temperature_alternatives_of_findings import WARM
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.experiment.experiment_questions_and_information import (
     Hypothesis,

@@ -23,7 +23,7 @@ from rig.formats import local_and_remote_files
 from rig.formats.local_and_remote_files import read_bytes
 from rig.recording.exposures_and_images import LARGEST_IMAGE_FILE
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_frames import content_hashes, frames_with_known_hashes, hashes_of_frames
+from rig.recording.recording_frames import content_hashes_of_frames, frames_with_known_hashes, hashes_of_frames
 
 PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "rig")
 SEED = 0  # of draws; results are the same from run to run
@@ -98,7 +98,7 @@ def calibration_provenance(
     return {
         "recording": recording.name,
         "inputs_sha256": files,
-        "data": sorted({*hashes_of_frames(content_hashes(recording)), *data}),
+        "data": sorted({*hashes_of_frames(content_hashes_of_frames(recording)), *data}),
         "arguments": list(arguments),
         "seed": seed,
         "versions": package_versions(),
@@ -140,7 +140,7 @@ def additional_pass_provenance(own: Json, previous_provenance: Calibration, requ
 
 def frames_used_in_calibration(calibration: Calibration, recording: Recording) -> list[int]:
     """Frames of a recording that were used in a calibration, directly or through its measurement."""
-    return frames_with_known_hashes(content_hashes(recording), calibration.provenance.get("data", ()))
+    return frames_with_known_hashes(content_hashes_of_frames(recording), calibration.provenance.get("data", ()))
 
 
 def _hash(paths: Iterable[Path]) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.correction.command_route_and_pose_space_map import Pace, Route, timed_route, untimed_route
 from calib.correction.correction import Responses
 from calib.correction.physics_compensation import (
     Machine,
@@ -16,7 +17,6 @@ from calib.correction.physics_compensation import (
     path_memory_length,
     unknown_history_uncertainty,
 )
-from calib.correction.pose_route_and_pose_space_map import Pace, Route, timed_route, untimed_route
 from calib.models.machine_models import corrected_pose_covariance
 from rig.array_and_json_types import Booleans, Floats
 from rig.effects.framework.effect import Effect

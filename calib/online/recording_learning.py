@@ -18,7 +18,7 @@ from rig.errors import RigError
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_frames import Marks, content_hashes, frames_with_known_hashes, hashes_of_frames
+from rig.recording.recording_frames import Marks, content_hashes_of_frames, frames_with_known_hashes, hashes_of_frames
 from vision.api import Progress
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice
 
@@ -156,7 +156,7 @@ def _new_poses(
     """(hashes of the frames not yet learnt, Sampled of their poses, (n, 6) m commands with a calibration's correction
     taken off). Raises RigError where none is left: what is learnt twice counts twice
     """
-    marks = content_hashes(recording)
+    marks = content_hashes_of_frames(recording)
     frames, again = recording.exposures.times()[0], frames_with_known_hashes(marks, learnt)
     _require_new_frames(recording, marks, again)
     if again:

@@ -9,7 +9,7 @@ import numpy as np
 from calib.workspace.workspace_cells_and_reachable_poses import SHORT, Workspace
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect_data_types import PLOT_UNITS
-from rig.formats.number_parsing_and_rounding import round_to_digits
+from rig.formats.number_parsing_and_rounding import number_text
 from rig.report.pages.html_and_svg_elements import (
     heading_html,
     note_html,
@@ -55,7 +55,7 @@ def workspace_lines(workspace: Workspace, unit: str) -> list[str]:
 
 
 def _span(values: Floats) -> str:
-    low, high = round_to_digits(values.min()), round_to_digits(values.max())
+    low, high = number_text(values.min()), number_text(values.max())
     return low if low == high else f"{low} to {high}"
 
 

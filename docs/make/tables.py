@@ -73,7 +73,7 @@ RIG = {"cameras": 1, "cubes": 1}
 def asked() -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
     """{file: (columns that must be there, columns that may be)} as the reader asks for them."""
     found: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {}
-    read = csv_and_parquet_tables.read
+    read = csv_and_parquet_tables.read_csv_table
 
     def noted(path: Any, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> Table:
         found[Path(path).name] = (required, optional)

@@ -22,7 +22,7 @@ from rig.cli.shared.input_file_options import (
     notice_printer,
     read_recordings,
 )
-from rig.cli.shared.terminal_output import Progress
+from rig.cli.shared.output_escaping_and_progress_display import Progress
 from rig.errors import RigError
 
 if TYPE_CHECKING:

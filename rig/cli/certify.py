@@ -21,7 +21,7 @@ from rig.cli.shared.command_options import (
     require_matplotlib,
 )
 from rig.cli.shared.input_file_options import read_recording
-from rig.cli.shared.terminal_output import Progress
+from rig.cli.shared.output_escaping_and_progress_display import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.report.verdict_and_refutations_of_results import exit_status

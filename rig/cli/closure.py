@@ -10,7 +10,7 @@ from rig.cli.shared.command_options import add_json_result_option, add_overwrite
 from rig.cli.shared.input_file_options import add_recording_argument, read_recording
 
 if TYPE_CHECKING:
-    from calib.api.close_loops import LoopClosureResult
+    from calib.api.loop_closures_of_redundant_legs import LoopClosureResult
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -42,7 +42,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> int:
     """Choose six legs, print the closures of the others; 1 where one is worse than its errors and geometry allow."""
-    from calib.api.close_loops import LoopClosureOptions, close_loops
+    from calib.api.loop_closures_of_redundant_legs import LoopClosureOptions, close_loops
     from calib.files import calibration_file
     from calib.online.measuring_limbs_file import load_limbs
 
@@ -66,7 +66,7 @@ def _print_result(result: LoopClosureResult) -> None:
     """Print which legs give the pose, how each other one closes, and which one leg would explain what does not."""
     import numpy as np
 
-    from calib.api.close_loops import STRANGE
+    from calib.api.loop_closures_of_redundant_legs import STRANGE
 
     legs, found, condition = result.legs, result.closures, result.condition
     print(

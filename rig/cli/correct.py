@@ -140,7 +140,7 @@ def _write_read_poses(arguments: Namespace, calibration: Calibration, out: Path)
     from rig.formats import csv_and_parquet_tables
 
     axes = calibration.correction.nominal.axes
-    found = poses_of_readings(calibration, csv_and_parquet_tables.read(arguments.forward, ("frame", *axes)))
+    found = poses_of_readings(calibration, csv_and_parquet_tables.read_csv_table(arguments.forward, ("frame", *axes)))
     found.write(out)
     print(f"{len(found.poses.frame)} poses written to {arguments.out}: {found}")
     if found.physics:

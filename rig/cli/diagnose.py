@@ -15,7 +15,7 @@ from rig.cli.shared.input_file_options import (
     notice_printer,
     read_recordings,
 )
-from rig.cli.shared.terminal_output import Progress
+from rig.cli.shared.output_escaping_and_progress_display import Progress
 from rig.errors import RigError
 from rig.formats.local_and_remote_files import json_files_in_same_folders
 from rig.formats.number_parsing_and_rounding import parse_number
@@ -23,7 +23,7 @@ from rig.formats.number_parsing_and_rounding import parse_number
 if TYPE_CHECKING:
     from calib.api.diagnose import DiagnoseOptions
     from calib.api.next_experiment import ExperimentOptions
-    from calib.diagnosis.report.diagnosis_report import Report
+    from calib.diagnosis.report.report_data_and_verdict import Report
     from rig.recording.recording_folder import Recording
 
 MENTIONED = 4  # remarks, and rows that were left out, in the terminal
@@ -125,7 +125,7 @@ def run(arguments: Namespace) -> None:
             print(f"written: {arguments.next}")
     print(result)
     _print_report(result.report)
-    arguments.outputs.data = recording_frames.hash_lines(recording_frames.content_hashes(result.recording))
+    arguments.outputs.data = recording_frames.hash_lines(recording_frames.content_hashes_of_frames(result.recording))
     arguments.result = json.loads((out / "diagnosis.json").read_text())
     print(f"written: {arguments.out / 'diagnosis.json'}; look at {arguments.out / 'diagnosis.html'}")
 

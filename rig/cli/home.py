@@ -1,4 +1,4 @@
-"""rig home: home all struts and print their positions."""
+"""rig home: homing of all struts by the controller, and their positions printed."""
 
 from argparse import ArgumentParser, Namespace
 

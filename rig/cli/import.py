@@ -72,7 +72,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Make a recording from foreign files, print what was assumed, and save it as a recipe."""
-    from rig.checks.recording_files import recording_file_mistakes
+    from rig.checks.implausible_values_and_image_mistakes import recording_file_mistakes
     from rig.formats import importers
     from rig.formats.output_files import write_text
 

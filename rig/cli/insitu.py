@@ -14,7 +14,7 @@ from rig.cli.shared.command_options import (
     print_frames_without_pose,
 )
 from rig.cli.shared.input_file_options import add_recording_argument, notice_printer, read_recording
-from rig.cli.shared.terminal_output import Progress
+from rig.cli.shared.output_escaping_and_progress_display import Progress
 from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:

@@ -31,7 +31,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Print what joint values give, or all joint values that give poses, step by step where requested."""
-    from calib.api.kinematics import load_arm_kinematics
+    from calib.api.arm_kinematics import load_arm_kinematics
     from rig.formats import csv_and_parquet_tables
     from rig.recording import recording_tables
 
@@ -39,7 +39,7 @@ def run(arguments: Namespace) -> None:
     if machine.left_out is not None:
         print(machine.left_out, file=sys.stderr)
     if arguments.forward:
-        rows = csv_and_parquet_tables.read(arguments.forward, ("frame", *machine.arm.axes))
+        rows = csv_and_parquet_tables.read_csv_table(arguments.forward, ("frame", *machine.arm.axes))
         tree = machine.forward(rows.whole("frame"), rows.matrix(machine.arm.axes), arguments.steps)
     else:
         poses = recording_tables.load_poses(arguments.inverse)
@@ -52,7 +52,7 @@ def run(arguments: Namespace) -> None:
 
 def _forward_text(tree: Json) -> list[str]:
     """Lines of `--forward`, lengths in mm and angles in degrees."""
-    from calib.api.kinematics import SINGULAR
+    from calib.api.arm_kinematics import SINGULAR
 
     lines = []
     for entry in tree["frames"]:

@@ -15,7 +15,7 @@ from rig.cli.shared.input_file_options import (
     notice_printer,
     read_recording,
 )
-from rig.cli.shared.terminal_output import Progress
+from rig.cli.shared.output_escaping_and_progress_display import Progress
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -89,12 +89,12 @@ def _by_limbs(arguments: Namespace, recording: Recording, limbs: LimbSource, pro
     if arguments.hold or arguments.detect or arguments.places != "auto":
         raise RigError("--hold, --places and --detect apply to cameras and what they see; omit them with --limbs")
     from calib.api.limb_acceptance_and_limb_poses import measure_poses_by_limbs
-    from rig.cli.shared.measurement_and_calibration_summary import print_limb_pose_uncertainty
+    from rig.cli.shared.measurement_and_calibration_summary import print_uncertainty_of_poses_from_limbs
     from rig.recording import recording_frames
 
     out = arguments.outputs.folder(arguments.out)
     found = measure_poses_by_limbs(recording, limbs, arguments.anyway, progress, notice_printer(progress))
-    arguments.outputs.data = recording_frames.hash_lines(recording_frames.content_hashes(recording))
+    arguments.outputs.data = recording_frames.hash_lines(recording_frames.content_hashes_of_frames(recording))
     found.write(out)
-    print_limb_pose_uncertainty(found)
+    print_uncertainty_of_poses_from_limbs(found)
     print(f"written: {arguments.out}/poses.csv, rpy.csv (roll, pitch, yaw), rig.toml as stated")

@@ -16,7 +16,7 @@ from rig.cli.shared.command_options import (
     page_path,
     parse_length,
 )
-from rig.cli.shared.terminal_output import Progress
+from rig.cli.shared.output_escaping_and_progress_display import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
@@ -138,7 +138,7 @@ def _visited(path: Path, design: Design) -> Floats:
 
     axes = design.mechanism.axes
     if not path.is_dir():
-        return csv_and_parquet_tables.read(path, ("frame", *axes)).matrix(axes)
+        return csv_and_parquet_tables.read_csv_table(path, ("frame", *axes)).matrix(axes)
     read = rig.load(path)
     if read.design.mechanism.kind != design.mechanism.kind:
         raise RigError(f"{path} is a recording of a mechanism of kind {read.design.mechanism.kind!r}")

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from rig.array_and_json_types import Floats
     from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
     from rig.model.mechanism_geometry_classes import Arm
+    from rig.posture.arm_force_transmission_and_exertable_wrench import ExertionObjective
     from rig.posture.best_posture import PostureOptions
-    from rig.posture.force_transmission_and_exertable_wrench import ExertionObjective
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -147,8 +147,8 @@ def _options(arguments: Namespace, arm: Arm, exertion: ExertionObjective | None)
     import numpy as np
 
     from rig.model.pose import pose
+    from rig.posture.arm_force_transmission_and_exertable_wrench import TransmissionObjective
     from rig.posture.best_posture import PostureOptions
-    from rig.posture.force_transmission_and_exertable_wrench import TransmissionObjective
     from rig.recording import recording_folder
 
     norm = np.inf if arguments.norm == "inf" else 2
@@ -173,7 +173,7 @@ def _exertion(
     """Requested exertion (--exert) or None. gravity : (3,) m/s^2; path : of the arm. Raises RigError for bad options"""
     import numpy as np
 
-    from rig.posture.force_transmission_and_exertable_wrench import ExertionObjective, TorqueBounds
+    from rig.posture.arm_force_transmission_and_exertable_wrench import ExertionObjective, TorqueBounds
 
     if arguments.exert is None:
         if arguments.draw is not None or arguments.limits is not None:
@@ -196,7 +196,7 @@ def _exertion(
 
 
 def _directions(arguments: Namespace) -> tuple[str, ...]:
-    from rig.posture.force_transmission_and_exertable_wrench import DIRECTIONS
+    from rig.posture.arm_force_transmission_and_exertable_wrench import DIRECTIONS
 
     chosen = []
     for kind, texts in (("f", arguments.force), ("m", arguments.moment)):

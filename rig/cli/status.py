@@ -1,4 +1,4 @@
-"""rig status: print the status that the controller reports; nothing moves."""
+"""rig status: controller status, printed; nothing moves."""
 
 from argparse import ArgumentParser, Namespace
 

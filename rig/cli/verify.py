@@ -18,7 +18,7 @@ from rig.cli.shared.command_options import (
     print_json,
 )
 from rig.cli.shared.input_file_options import add_recording_argument, read_recording
-from rig.cli.shared.terminal_output import Progress
+from rig.cli.shared.output_escaping_and_progress_display import Progress
 from rig.report.verdict_and_refutations_of_results import exit_status
 
 if TYPE_CHECKING:

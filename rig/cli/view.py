@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rig.cli.shared.command_options import add_overwrite_option, file_or_stdout, page_links
 from rig.cli.shared.input_file_options import add_recording_argument, read_recording
-from rig.cli.shared.terminal_output import Progress
+from rig.cli.shared.output_escaping_and_progress_display import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 

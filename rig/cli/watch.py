@@ -15,7 +15,7 @@ from rig.cli.shared.command_options import (
     page_path,
     print_json,
 )
-from rig.cli.shared.terminal_output import Progress
+from rig.cli.shared.output_escaping_and_progress_display import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 from rig.report.verdict_and_refutations_of_results import exit_status, refutations_of_file

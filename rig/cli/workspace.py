@@ -1,4 +1,4 @@
-"""rig workspace: effect of a calibration on the workspace: poses lost and gained, limits, singularities."""
+"""rig workspace: reachable workspace with a calibration: poses lost and gained, limits, singularities."""
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path

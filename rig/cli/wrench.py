@@ -69,7 +69,7 @@ def _print_result(result: WrenchResult) -> None:
     """Print both estimates: mean, the largest, and how sure each is."""
     import numpy as np
 
-    from rig.posture.force_transmission_and_exertable_wrench import DIRECTIONS
+    from rig.posture.arm_force_transmission_and_exertable_wrench import DIRECTIONS
 
     record, plain, felt, value, sigma = result.record, result.plain, result.felt, result.value, result.sigma
     other_sigma = 2 * np.sqrt(np.einsum("kii->ki", plain[1][result.settled])[felt])

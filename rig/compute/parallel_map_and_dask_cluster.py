@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar, cast
 
-from rig.compute.worker_processes import Progress, process_map, split_for_workers, worker_count
+from rig.compute.worker_processes import Progress, process_map, split_into_decreasing_parts, worker_count
 from rig.errors import MissingLibrary, RigError
 from rig.formats import local_and_remote_files
 
@@ -51,7 +51,10 @@ class Cluster:
             carried = self._client.submit(
                 bytes, data, pure=False
             )  # a call and no mere data: it is done again where who held it is gone
-            digest, shares = hashlib.sha256(data).hexdigest(), split_for_workers(things, max(self._workers(), 1))
+            digest, shares = (
+                hashlib.sha256(data).hexdigest(),
+                split_into_decreasing_parts(things, max(self._workers(), 1)),
+            )
             futures: list[Future[list[R]]] = [
                 self._client.submit(_done, carried, digest, share, pure=False) for share in shares
             ]

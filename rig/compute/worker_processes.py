@@ -85,8 +85,8 @@ def executor_map(
     return out
 
 
-def split_for_workers(items: Sequence[T], workers: int) -> list[Sequence[T]]:
-    """The items split into parts for the workers: large parts first, single items last."""
+def split_into_decreasing_parts(items: Sequence[T], workers: int) -> list[Sequence[T]]:
+    """The items split into parts of decreasing size, several for each worker, single items last."""
     out, at = [], 0
     while at < len(items):
         size = min(MOST, -(-(len(items) - at) // (SHARES * workers)))
@@ -114,7 +114,7 @@ def process_map(
 
     while left:
         futures: list[Future[list[R]]] = []
-        shares = split_for_workers(left, count)
+        shares = split_into_decreasing_parts(left, count)
         ends = list(accumulate(map(len, shares), initial=len(out)))
 
         def told(done: int, _: int, ends: list[int] = ends) -> None:

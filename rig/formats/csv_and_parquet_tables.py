@@ -107,7 +107,9 @@ def _number_problem(cell: str) -> str | None:
     return "is too large to compute with" if abs(value) > LARGEST_NUMBER else None
 
 
-def read(path: str | Path, required_columns: tuple[str, ...], optional_columns: tuple[str, ...] = ()) -> Table:
+def read_csv_table(
+    path: str | Path, required_columns: tuple[str, ...], optional_columns: tuple[str, ...] = ()
+) -> Table:
     """Read the Table of a CSV file with required and optional columns in its header.
 
     required_columns : column names that must be there; optional_columns : names that may be. Further columns are kept,

@@ -61,10 +61,10 @@ UNITS = {
 }  # as people read them: the first in which a value is below 1000, or the last
 
 
-def round_to_digits(value: float, digits: int = 3) -> str:
-    """Text of a value rounded to significant digits; above 10^digits to the last digit before the point.
+def number_text(value: float, digits: int = 3) -> str:
+    """Text of a number rounded to significant digits; above 10^digits to the last digit before the point.
 
-    >>> round_to_digits(1139.6), round_to_digits(0.0123456), round_to_digits(-0.5)
+    >>> number_text(1139.6), number_text(0.0123456), number_text(-0.5)
     ('1140', '0.0123', '-0.5')
     """
     text = f"{value:.{digits}g}"
@@ -77,7 +77,7 @@ def separating_digits(low: float, high: float, digits: int = 3) -> int:
     >>> separating_digits(199.81, 200.3), separating_digits(1.0, 2.0)
     (4, 3)
     """
-    return next((n for n in range(digits, MOST) if round_to_digits(low, n) != round_to_digits(high, n)), digits)
+    return next((n for n in range(digits, MOST) if number_text(low, n) != number_text(high, n)), digits)
 
 
 def quantity_text(values: float | Sequence[float], unit: str) -> str:
@@ -90,7 +90,7 @@ def quantity_text(values: float | Sequence[float], unit: str) -> str:
     """
     numbers = values if isinstance(values, Sequence) else (values,)
     scale, name = _read(max(map(abs, numbers)), unit)
-    return f"{' '.join(round_to_digits(v * scale) for v in numbers)} {name}".strip()
+    return f"{' '.join(number_text(v * scale) for v in numbers)} {name}".strip()
 
 
 def range_text(low: float, high: float, unit: str) -> str:
@@ -106,8 +106,8 @@ def range_text(low: float, high: float, unit: str) -> str:
     if math.isinf(high):
         return f"{quantity_text(low, unit)} and more"
     first, last = (_read(abs(end or other), unit) for end, other in ((low, high), (high, low)))
-    left = round_to_digits(low * first[0]) if first == last else quantity_text(low, unit)
-    return f"{left} to {round_to_digits(high * last[0])} {last[1]}".strip()
+    left = number_text(low * first[0]) if first == last else quantity_text(low, unit)
+    return f"{left} to {number_text(high * last[0])} {last[1]}".strip()
 
 
 def _read(size: float, unit: str) -> tuple[float, str]:

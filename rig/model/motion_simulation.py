@@ -13,7 +13,7 @@ from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_kinds_and_hexapod_properties import has_stages, require_axes, require_struts
-from rig.model.mechanisms import chain
+from rig.model.mechanisms import mechanism_chain
 from rig.model.pose import exp, pose_difference
 from rig.recording.recording_folder import Commands, Sensors
 
@@ -109,7 +109,7 @@ def simulate_machine_run(
                 left[failed],
             )
     sway = sum((effect.sway(state) for effect in effects), np.zeros((len(state.t), 6)))
-    stages = chain.stage_poses(state.lengths + deviation, m)[:-1] if has_stages(m) else []
+    stages = mechanism_chain.stage_poses(state.lengths + deviation, m)[:-1] if has_stages(m) else []
     return MachineRun(T * exp(sway) if sway.any() else T, deviation, stages=tuple(stages))
 
 

@@ -105,7 +105,7 @@ def _levels_of_text(strokes: Floats, text: str) -> list[Floats]:
 
 
 def _levels_of_file(strokes: Floats, path: Path) -> list[Floats]:
-    rows = csv_and_parquet_tables.read(path, ("axis", "level"))
+    rows = csv_and_parquet_tables.read_csv_table(path, ("axis", "level"))
     axis, level = rows.matrix(("axis", "level")).T
     out = []
     for i, (low, high) in enumerate(strokes):

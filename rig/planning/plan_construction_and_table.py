@@ -137,7 +137,7 @@ def plan_of_time_table(design: Design, path: str) -> Plan | None:
     FileError with line and column for what is no
     such table.
     """
-    rows = csv_and_parquet_tables.read(Path(path), ("frame", *design.mechanism.axes), (PAYLOAD,))
+    rows = csv_and_parquet_tables.read_csv_table(Path(path), ("frame", *design.mechanism.axes), (PAYLOAD,))
     if "t" not in rows.columns:
         return None
     rows.times("t", TimeOrigin())  # which checks them

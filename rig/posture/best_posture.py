@@ -12,8 +12,8 @@ from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
-from rig.posture import force_transmission_and_exertable_wrench, null_space_search, posture_transition
-from rig.posture.force_transmission_and_exertable_wrench import (
+from rig.posture import arm_force_transmission_and_exertable_wrench, null_space_search, posture_transition
+from rig.posture.arm_force_transmission_and_exertable_wrench import (
     ExertionObjective,
     TransmissionObjective,
     force_polytope_corners,
@@ -104,7 +104,7 @@ class PostureResult:
 
     def force_svg(self, exertion: ExertionObjective) -> str:
         """SVG of the forces that it can exert; needs matplotlib. Raises RigError where it cannot hold its own weight"""
-        from rig.posture.force_transmission_and_exertable_wrench import force_polytope_svg
+        from rig.posture.arm_force_transmission_and_exertable_wrench import force_polytope_svg
 
         low, high = exertion.strength.box(self.q, self.arm)
         if (low > 0).any() or (high < 0).any():
@@ -218,7 +218,7 @@ def _figures(arm: Arm, objective: Objective, q: Floats, start: Floats, values: t
     low, high = arm.limits.T
     moved = pose_difference(mechanism.forward(start, arm), mechanism.forward(q, arm))
     columns = (
-        force_transmission_and_exertable_wrench.TransmissionObjective()
+        arm_force_transmission_and_exertable_wrench.TransmissionObjective()
         if isinstance(objective, ExertionObjective)
         else objective
     )
@@ -240,8 +240,8 @@ def _figures(arm: Arm, objective: Objective, q: Floats, start: Floats, values: t
         "at_limit": (np.flatnonzero((q <= low + 1e-6) | (q >= high - 1e-6)) + 1).tolist(),
         "columns": dict(
             zip(
-                columns.directions or force_transmission_and_exertable_wrench.DIRECTIONS,
-                force_transmission_and_exertable_wrench.torque_norms_by_direction(q, arm, columns).tolist(),
+                columns.directions or arm_force_transmission_and_exertable_wrench.DIRECTIONS,
+                arm_force_transmission_and_exertable_wrench.torque_norms_by_direction(q, arm, columns).tolist(),
             )
         ),
     }

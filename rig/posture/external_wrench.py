@@ -13,7 +13,7 @@ from rig.model.mechanism_kinds_and_hexapod_properties import require_arm
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import LinkMasses
 from rig.model.pose import TRIANGLE
-from rig.posture.force_transmission_and_exertable_wrench import DIRECTIONS
+from rig.posture.arm_force_transmission_and_exertable_wrench import DIRECTIONS
 from rig.posture.wrench_estimation_from_torques import (
     ObservedWrench,
     TorqueRecord,

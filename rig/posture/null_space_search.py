@@ -16,8 +16,8 @@ from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
-from rig.posture import force_transmission_and_exertable_wrench
-from rig.posture.force_transmission_and_exertable_wrench import ExertionObjective, TransmissionObjective
+from rig.posture import arm_force_transmission_and_exertable_wrench
+from rig.posture.arm_force_transmission_and_exertable_wrench import ExertionObjective, TransmissionObjective
 
 FIXED_ROWS = {
     "pose": slice(0, 6),
@@ -52,7 +52,7 @@ class SearchResult:
 def postures_without_search(q: Floats, arm: Arm, objective: TransmissionObjective | ExertionObjective) -> SearchResult:
     """SearchResult of postures q (m, n) rad as they are, without a search. Raises RigError outside the joint limits."""
     q = np.array(q, float, ndmin=2)
-    value = force_transmission_and_exertable_wrench.transmission_measure(q, arm, objective)
+    value = arm_force_transmission_and_exertable_wrench.transmission_measure(q, arm, objective)
     return _found(q, value, value, q, arm, 0)
 
 
@@ -72,7 +72,7 @@ def gradient_search(
     q = _starts(q, arm, fixed_hand_part)
     target, start = (
         mechanism.link_frames(q, arm)[:, -1],
-        force_transmission_and_exertable_wrench.transmission_measure(q, arm, objective),
+        arm_force_transmission_and_exertable_wrench.transmission_measure(q, arm, objective),
     )
     first, now, step = q.copy(), start.copy(), np.full(len(q), 0.05)
     low, high = arm.limits.T
@@ -91,7 +91,7 @@ def gradient_search(
         ok &= np.linalg.norm(trial - q[todo], axis=1) < 2 * step[todo] + SHORTEST  # no jump to another branch
         reached = np.full(len(todo), -np.inf)
         if ok.any():
-            reached[ok] = force_transmission_and_exertable_wrench.transmission_measure(trial[ok], arm, objective)
+            reached[ok] = arm_force_transmission_and_exertable_wrench.transmission_measure(trial[ok], arm, objective)
         better = reached > now[todo]
         q[todo[better]], now[todo[better]] = trial[better], reached[better]
         step[todo] = np.where(better, np.minimum(1.6 * step[todo], LONGEST), 0.4 * step[todo])
@@ -116,7 +116,7 @@ def sampled_search(
     q = _starts(q, arm, fixed_hand_part)
     target, start = (
         mechanism.link_frames(q, arm)[:, -1],
-        force_transmission_and_exertable_wrench.transmission_measure(q, arm, objective),
+        arm_force_transmission_and_exertable_wrench.transmission_measure(q, arm, objective),
     )
     first, walker, best, now = q.copy(), q.copy(), q.copy(), start.copy()
     for _ in range(count):
@@ -130,7 +130,7 @@ def sampled_search(
             hand_deviation(trial, target, arm, fixed_hand_part) < STILL
         )
         walker[ok] = trial[ok]
-        reached = force_transmission_and_exertable_wrench.transmission_measure(walker, arm, objective)
+        reached = arm_force_transmission_and_exertable_wrench.transmission_measure(walker, arm, objective)
         better = reached > now
         best[better], now[better] = walker[better], reached[better]
     return _found(best, now, start, first, arm, count)
@@ -150,11 +150,11 @@ def global_search(
             f"the self-motion has {redundant_joint_count(arm, fixed_hand_part)} dimensions; it is traced where it has "
             "one; use the sampled search"
         )
-    start = force_transmission_and_exertable_wrench.transmission_measure(q, arm, objective)
+    start = arm_force_transmission_and_exertable_wrench.transmission_measure(q, arm, objective)
     best, now, steps = q.copy(), start.copy(), 0
     for side in (1.0, -1.0):
         for index, walker in _walk(q, arm, fixed_hand_part, side):
-            reached = force_transmission_and_exertable_wrench.transmission_measure(walker, arm, objective)
+            reached = arm_force_transmission_and_exertable_wrench.transmission_measure(walker, arm, objective)
             better = reached > now[index]
             best[index[better]], now[index[better]], steps = walker[better], reached[better], steps + 1
     polished = gradient_search(best, arm, objective, fixed_hand_part)
@@ -244,7 +244,7 @@ def _tangent(q: Floats, arm: Arm, fixed_hand_part: str) -> Floats:
 
 def _uphill(q: Floats, arm: Arm, wish: TransmissionObjective | ExertionObjective, fixed_hand_part: str) -> Floats:
     """(m, n) projected gradient; joints at a limit that it would leave are held, and the projection is made anew."""
-    slope = force_transmission_and_exertable_wrench.transmission_gradient(q, arm, wish)
+    slope = arm_force_transmission_and_exertable_wrench.transmission_gradient(q, arm, wish)
     low, high = arm.limits.T
     fixed = np.zeros(q.shape, bool)
     for _ in range(q.shape[1]):

@@ -16,8 +16,8 @@ from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
-from rig.posture import force_transmission_and_exertable_wrench, null_space_search
-from rig.posture.force_transmission_and_exertable_wrench import ExertionObjective, TransmissionObjective
+from rig.posture import arm_force_transmission_and_exertable_wrench, null_space_search
+from rig.posture.arm_force_transmission_and_exertable_wrench import ExertionObjective, TransmissionObjective
 from rig.posture.null_space_search import FIXED_ROWS
 from rig.recording.recording_folder import Recording
 
@@ -166,7 +166,7 @@ def best_visited_posture(
             f"{recording.folder}: {there.sum()} of {len(q)} postures have the hand's {fixed_hand_part} where it is "
             "wanted; a comparison requires two"
         )
-    value = force_transmission_and_exertable_wrench.transmission_measure(q[there], arm, objective)
+    value = arm_force_transmission_and_exertable_wrench.transmission_measure(q[there], arm, objective)
     best = int(value.argmax())
     return VisitedPostures(
         frames[there], t[there], q[there], value, best, int((~there).sum()), _back(recording, float(t[there][best]))

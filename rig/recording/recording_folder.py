@@ -167,7 +167,7 @@ def load_recording(folder: str | Path, skip_unreadable: bool = False) -> Recordi
         raise FileError(folder, "is an empty folder; a recording has at least rig.toml and frames.csv")
     design = design_file.load_design(folder / "rig.toml")
     commanded = _command_rows(folder / "commands.csv", design)
-    exposed = csv_and_parquet_tables.read(folder / "frames.csv", ("frame", "t", "camera", "image"))
+    exposed = csv_and_parquet_tables.read_csv_table(folder / "frames.csv", ("frame", "t", "camera", "image"))
     origin = _origin(exposed if commanded is None else commanded)
     exposures, skipped = load_exposures(folder, design, exposed, origin, skip_unreadable)
     commands = None if commanded is None else _commands(commanded, design, exposures, origin)
@@ -226,7 +226,7 @@ def load_wanted_poses(path: str | Path) -> WantedPoses:
     """Load WantedPoses from a table frame,x,y,z,rx,ry,rz with or without t. Raises FileError.
     Raises FileError with line and column.
     """
-    poses, rows = load_poses(path, are_commands=True), csv_and_parquet_tables.read(path, ("frame",))
+    poses, rows = load_poses(path, are_commands=True), csv_and_parquet_tables.read_csv_table(path, ("frame",))
     if "t" not in rows.columns:
         return WantedPoses(poses, None, TimeOrigin())
     origin = _origin(rows)
@@ -235,7 +235,7 @@ def load_wanted_poses(path: str | Path) -> WantedPoses:
 
 def load_sensors(path: str | Path, origin: TimeOrigin) -> Sensors:
     """Load Sensors from a sensors.csv, times relative to an Origin. Raises FileError with line and column."""
-    return _sensor_rows(csv_and_parquet_tables.read(path, ("t",)), origin)
+    return _sensor_rows(csv_and_parquet_tables.read_csv_table(path, ("t",)), origin)
 
 
 def _origin(rows: Table) -> TimeOrigin:
@@ -249,7 +249,7 @@ def _command_rows(path: Path, design: Design) -> Table | None:
         return None
     if not design.mechanism.axes:
         raise FileError(path, 'accompanies a mechanism of kind "free", which cannot be commanded')
-    return csv_and_parquet_tables.read(path, ("t", *design.mechanism.axes))
+    return csv_and_parquet_tables.read_csv_table(path, ("t", *design.mechanism.axes))
 
 
 def _commands(rows: Table, design: Design, exposures: Exposures, origin: TimeOrigin) -> Commands:
@@ -298,7 +298,7 @@ def _increasing(rows: Table, origin: TimeOrigin) -> Floats:
 def _sensors(path: Path, origin: TimeOrigin, exposures: Exposures) -> Sensors | None:
     if not local_and_remote_files.exists(path):
         return None
-    rows = csv_and_parquet_tables.read(path, ("t",))
+    rows = csv_and_parquet_tables.read_csv_table(path, ("t",))
     sensors = _sensor_rows(rows, origin)
     if not all(LIMB.fullmatch(name) for name in sensors.channels):
         _covers(rows, sensors.t, exposures, origin)

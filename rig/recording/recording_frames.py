@@ -126,7 +126,7 @@ LENGTH = 16  # hexadecimal digits of a mark: two of a million alike in one case 
 Marks = dict[int, frozenset[str]]  # of each frame that has any
 
 
-def content_hashes(recording: Recording) -> Marks:
+def content_hashes_of_frames(recording: Recording) -> Marks:
     """Content hashes of a recording's frames, and of the data they were measured from. Raises FileError.
     Raises FileError for an image that cannot be read.
     """
@@ -134,7 +134,7 @@ def content_hashes(recording: Recording) -> Marks:
         return {
             part.frames + frame: own
             for part in recording.parts
-            for frame, own in content_hashes(part.recording).items()
+            for frame, own in content_hashes_of_frames(part.recording).items()
         }
     with start_content_hashing(recording) as marked:
         return marked()

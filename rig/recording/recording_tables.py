@@ -56,7 +56,7 @@ def load_corners(path: Path, design: Design, exposures: Exposures) -> Corners | 
     """
     if not local_and_remote_files.exists(path):
         return None
-    rows = csv_and_parquet_tables.read(path, CORNER_COLUMNS, ("sigma", *CORNER_COVARIANCE))
+    rows = csv_and_parquet_tables.read_csv_table(path, CORNER_COLUMNS, ("sigma", *CORNER_COVARIANCE))
     frame, marker, corner, camera = rows.whole("frame"), rows.whole("marker"), rows.whole("corner"), rows.text("camera")
     uv = rows.matrix(("u", "v"))
     cameras = {c.name for c in design.cameras}
@@ -133,7 +133,9 @@ def load_poses(
     machine has no freedom
     Raises FileError with line and column.
     """
-    rows = csv_and_parquet_tables.read(path, ("frame", *POSE_COLUMNS[: 3 if positions_only else 6]), COVARIANCE_COLUMNS)
+    rows = csv_and_parquet_tables.read_csv_table(
+        path, ("frame", *POSE_COLUMNS[: 3 if positions_only else 6]), COVARIANCE_COLUMNS
+    )
     frame = _frames(rows, known_frames)
     values = np.zeros((len(rows), 6))
     values[:, : 3 if positions_only else 6] = rows.matrix(POSE_COLUMNS[: 3 if positions_only else 6])
@@ -152,7 +154,7 @@ def load_instrument_poses(path: Path, known_frames: set[int], instrument: Instru
     if kind == "pose":
         return load_poses(path, known_frames, instrument is not None and instrument.rotation_sigma is None)
     columns = POSE_COLUMNS[3:] if kind == "orientation" else (DISTANCE,)
-    rows = csv_and_parquet_tables.read(path, ("frame", *columns))
+    rows = csv_and_parquet_tables.read_csv_table(path, ("frame", *columns))
     frame, values = _frames(rows, known_frames), rows.matrix(columns)
     nothing = np.zeros((len(rows), 3))
     if kind == "orientation":

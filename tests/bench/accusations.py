@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.checks import Mistake
-from rig.checks.recording_files import recording_file_mistakes
+from rig.checks.implausible_values_and_image_mistakes import recording_file_mistakes
 from rig.formats.rig_toml import design_file
 from rig.model.design import Camera
 from rig.model.pose import exp

@@ -18,8 +18,8 @@ from calib.models.arm.identification_and_joint_profiles import identify_arm, ind
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics, closed_form_and_numerical_arm_inverse
-from rig.posture import force_transmission_and_exertable_wrench, null_space_search, wrench_estimation_from_torques
-from rig.posture.force_transmission_and_exertable_wrench import TransmissionObjective
+from rig.posture import arm_force_transmission_and_exertable_wrench, null_space_search, wrench_estimation_from_torques
+from rig.posture.arm_force_transmission_and_exertable_wrench import TransmissionObjective
 from tests.calib import secret_arms as worlds
 from tests.cli import RIG
 from tests.conftest import SHARED
@@ -233,7 +233,7 @@ def _postures():
 def _wrenches():
     rng = np.random.default_rng(5)
     q = configurations(PANDA, 20_000, rng, 0.9)
-    q = q[force_transmission_and_exertable_wrench.transmission_measure(q, PANDA, TransmissionObjective()) > 1e-4]
+    q = q[arm_force_transmission_and_exertable_wrench.transmission_measure(q, PANDA, TransmissionObjective()) > 1e-4]
     own = arm_dynamics_and_step_by_step_kinematics.LinkMasses(
         rng.uniform(1, 4, 7), 0.1 * rng.normal(size=(7, 3)), np.tile(0.02 * np.eye(3), (7, 1, 1))
     )

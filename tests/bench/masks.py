@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from calib.api.diagnose import diagnose
-from calib.diagnosis.report.diagnosis_report import Report
+from calib.diagnosis.report.report_data_and_verdict import Report
 from docs.make.results import SCHEMA
 from rig.errors import RigError
 from rig.recording import recording_folder, recording_frames

@@ -71,7 +71,7 @@ def _files(folder, design, held):
         return ((folder / name).read_bytes(),)
 
     def frames(path):
-        rows = csv_and_parquet_tables.read(path, ("frame", "t", "camera", "image"))
+        rows = csv_and_parquet_tables.read_csv_table(path, ("frame", "t", "camera", "image"))
         return load_exposures(folder, design, rows, recording_folder._origin(rows))
 
     def commands(path):

@@ -16,7 +16,7 @@ from rig.errors import NotEnoughData, RigError
 from rig.model.design import Camera
 from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, schur_complement, solve_step
 from vision.bundle.printing_errors import Printing
-from vision.bundle.unknown_priors import adjustment_unknowns, stated_lens_sigmas
+from vision.bundle.unknown_priors import adjustment_unknowns, stated_lens_prior_sigmas
 from vision.bundle.unknowns_and_estimate import (
     POSE_SCALE,
     Estimate,
@@ -94,7 +94,7 @@ def adjust_bundle(
     free: Sequence[str] = ("poses", "lenses"),
     progress: Callable[[float], None] | None = None,
     stated: State | None = None,
-    lens_prior_sigmas: Callable[[Camera], Floats] = stated_lens_sigmas,
+    lens_prior_sigmas: Callable[[Camera], Floats] = stated_lens_prior_sigmas,
     printing: Printing | None = None,
 ) -> Adjustment:
     """Bundle adjustment: the cameras, places and poses that fit all corners best, weighted by covariance.

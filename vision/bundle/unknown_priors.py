@@ -55,7 +55,7 @@ ANCHORS = 2  # markers of the base that show it
 PARTS = ("x", "y", "z", "rx", "ry", "rz")
 
 
-def stated_lens_sigmas(camera: Camera) -> Floats:
+def stated_lens_prior_sigmas(camera: Camera) -> Floats:
     """(4 + terms,) standard deviations (sigmas) that a stated lens is given as a prior."""
     focal = [FOCAL_PRIOR * camera.matrix[0, 0], FOCAL_PRIOR * camera.matrix[1, 1]]
     return np.array(
@@ -92,14 +92,14 @@ def adjustment_unknowns(
     state: State,
     stated: State,
     free: Sequence[str],
-    lens_prior_sigmas: Callable[[Camera], Floats] = stated_lens_sigmas,
+    lens_prior_sigmas: Callable[[Camera], Floats] = stated_lens_prior_sigmas,
     printing: Printing | None = None,
 ) -> tuple[Unknowns, Estimate]:
     """Unknowns of an adjustment with their priors, and the Estimate to start from.
     Raises ValueError for an unknown name in `free`.
 
     stated : State whose markers stand where their owner says; lens_prior_sigmas : (4 + terms,) of a
-        Camera's stated lens, as `stated_lens_sigmas` has it, px
+        Camera's stated lens, as `stated_lens_prior_sigmas` has it, px
     printing : how far markers are taken to be off where they are not free, or None
     """
     if set(free) - set(GROUPS):

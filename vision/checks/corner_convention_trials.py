@@ -139,8 +139,8 @@ ORDERS = {
 }
 
 
-def all_camera_corner_trials(sample: SampledRecording) -> Iterator[Candidate]:
-    """Trials of corrected corner conventions, all cameras alike, and of shifted marker ids.
+def all_camera_corner_corrections(sample: SampledRecording) -> Iterator[Candidate]:
+    """Corrections of corner conventions and marker ids to try, all cameras alike: (mistake, advice, sample).
     Yields (what, what to do, Seen with it undone).
     """
     yield from _of(sample, [("", np.ones(len(sample.corners.frame), bool))])
@@ -158,8 +158,8 @@ def all_camera_corner_trials(sample: SampledRecording) -> Iterator[Candidate]:
             )
 
 
-def single_camera_corner_trials(sample: SampledRecording) -> Iterator[Candidate]:
-    """Trials of corrected corner conventions, of a single camera at a time."""
+def single_camera_corner_corrections(sample: SampledRecording) -> Iterator[Candidate]:
+    """Corrections of corner conventions to try, a single camera at a time: (mistake, advice, corrected sample)."""
     names = np.array(sample.corners.camera)
     if len(sample.design.cameras) > 1:
         yield from _of(

@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from rig.checks import Mistake, platform_commands_and_poses, sort_mistakes
+from rig.checks import Mistake, command_and_pose_disagreements, sort_mistakes
 from rig.model.design import Camera, Design
 from rig.model.image_warp_and_edge_shift import move_edges_inward
 from rig.recording.recording_folder import Recording
@@ -248,11 +248,11 @@ def _tried(first: Trial, most: int) -> tuple[list[tuple[str, str, Trial]], bool]
     makers: list[Maker] = [cameras.alternative_lens_trials]
     if first.misfit > GROSS:
         makers = [
-            order.all_camera_corner_trials,
+            order.all_camera_corner_corrections,
             cameras.exchanged_camera_trials,
             target_mistakes.exchanged_target_trials,
             cameras.alternative_lens_trials,
-            order.single_camera_corner_trials,
+            order.single_camera_corner_corrections,
             *([cameras.alternative_camera_pose_trials] if stated else []),
         ]
     wrong = target_mistakes.suspicious_targets(first) if first.misfit > GROSS else []
@@ -397,17 +397,19 @@ def _moved(recording: Recording, corners: Corners | None, m: Measurement, thorou
     """
     if recording.commands is None or recording.design.mechanism.plates is None:
         return []
-    few = platform_commands_and_poses.commands_and_measured_poses(recording, m.frames, m.T_base_platform)
-    if corners is not None and (thorough or platform_commands_and_poses.commands_disagree_with_poses(few)):
+    few = command_and_pose_disagreements.commands_and_measured_poses(recording, m.frames, m.T_base_platform)
+    if corners is not None and (thorough or command_and_pose_disagreements.commands_disagree_with_poses(few)):
         frames, t = recording.exposures.times()
         many = sample_frames(replace(recording.design, cameras=m.design.cameras), corners, frames, t, MOVING)
         more = measure_trial(many).measured if many is not None else None
         if more is not None:
             m, few = (
                 more,
-                platform_commands_and_poses.commands_and_measured_poses(recording, more.frames, more.T_base_platform),
+                command_and_pose_disagreements.commands_and_measured_poses(
+                    recording, more.frames, more.T_base_platform
+                ),
             )
     unsure = float(
         np.sqrt(np.einsum("nii->ni", m.covariance)[:, :3].sum(axis=1).mean())
     )  # m, shared errors of cameras and lenses included
-    return [] if few.miss() < UNSURE * unsure else list(platform_commands_and_poses.command_pose_mistakes(few))
+    return [] if few.miss() < UNSURE * unsure else list(command_and_pose_disagreements.command_pose_mistakes(few))

@@ -1,8 +1,6 @@
 """Refusal of a recording with mistakes that spoil its poses, and remarks on cube layouts of a rig.toml.
 
-line.
-
-None of it spoils a result; a rig measures better, and alike in all directions, where it is put right.
+None of what is remarked spoils a result; a rig measures better, and alike in all directions, where it is put right.
 Source: the on-line learning patent for Stewart platforms, [0005], [0010]: targets evenly on circles about the middles
     of both plates.
 """
@@ -13,8 +11,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
+from rig.checks.implausible_values_and_image_mistakes import recording_file_mistakes
 from rig.checks.mistake import Mistake
-from rig.checks.recording_files import recording_file_mistakes
 from rig.errors import RigError
 from rig.model.design import Design, Target
 from rig.model.design_comparison_and_cube_remounting import WORDS, quarter_turns_of_cubes

@@ -4,8 +4,8 @@ The whole marker is fitted at once (Gauss-Newton on the pixels near its edges): 
 unknowns), the width of the edges (1), and the grey of black and of white, each a plane over the image (6). How
 brightness climbs across an edge is a tabulated edge spread function, the pixel's own width included: a Gaussian's, or
 one learnt from the images (vision/corners/edge_spread.py), one for each direction of edges. Where two edges meet, their
-product is corrected by a bivariate normal's correlated part (vision/corners/cell_white_share.py), because a marker's
-axes are seldom square in the image.
+product is corrected by a bivariate normal's correlated part (vision/corners/predicted_cell_white_share.py), because a
+marker's axes are seldom square in the image.
 Source: corner accuracy from edges, Rohr 1992; dense alignment of a marker, Wu et al., DodecaPen, UIST 2017
 """
 
@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.array_and_json_types import Floats, Integers
-from vision.corners.cell_white_share import STEPS, Tables, fill_edge_spread_table
 from vision.corners.edge_pixels import KINDS, EdgePixels, Printed, Raster, collect_edge_pixels
 from vision.corners.local_lens import corners_to_image
 from vision.corners.numba_cholesky_and_order_statistics import (
@@ -25,6 +24,8 @@ from vision.corners.numba_cholesky_and_order_statistics import (
     kernel,
     order_statistic,
 )
+from vision.corners.predicted_cell_white_share import STEPS, Tables, fill_edge_spread_table
+from vision.corners.predicted_strip_white_share import ROWS, STRIP
 from vision.corners.square_fit_residuals import (
     TERMS,
     Bow,
@@ -53,7 +54,6 @@ from vision.corners.square_gauss_newton import (
     gauss_newton_step,
 )
 from vision.corners.square_sides import fit_sides, misread_cell_count, square_homography
-from vision.corners.strip_white_share import ROWS, STRIP
 
 SAMPLE = 300  # pixels that take part while the fit is still on its way
 FEWEST = 60  # pixels near edges, below which nothing is fitted

@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.array_and_json_types import Floats, Singles
-from vision.corners.cell_white_share import Tables, edge_white_share
 from vision.corners.edge_pixels import KINDS, LEVEL, MEETING, EdgePixels
 from vision.corners.numba_cholesky_and_order_statistics import cholesky_factor, cholesky_solve, inlined_kernel, kernel
+from vision.corners.predicted_cell_white_share import Tables, edge_white_share
+from vision.corners.predicted_strip_white_share import ROWS, STRIP
 from vision.corners.square_gauss_newton import LIGHT, UNKNOWNS, Square, Work
-from vision.corners.strip_white_share import ROWS, STRIP
 
 SIDE = 0.1  # of the information that the best seen cell's side has; one with less does not count
 SIDES = (

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from vision.corners.cell_white_share import Tables
 from vision.corners.edge_pixels import KINDS, EdgePixels
 from vision.corners.numba_cholesky_and_order_statistics import cholesky_factor, cholesky_solve, inlined_kernel, kernel
-from vision.corners.strip_white_share import ROWS, STRIP, Seen, strip_white_share
+from vision.corners.predicted_cell_white_share import Tables
+from vision.corners.predicted_strip_white_share import ROWS, STRIP, Seen, strip_white_share
 
 UNKNOWNS = 15
 LIGHT = 9  # the first unknown of the greys

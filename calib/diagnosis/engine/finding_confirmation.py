@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Generic
 
 from calib.diagnosis.engine.candidate_score import Alternative, Score, score_raised_to_likelihood_ratio
-from calib.diagnosis.engine.lack_of_fit import LackOfFit
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import column_cosine
 from calib.diagnosis.engine.problem_interface import AliasedNodes, Fit, Model, Problem, Progress
 from calib.diagnosis.engine.selection_inputs import C, SelectionPolicy

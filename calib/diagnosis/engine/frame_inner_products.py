@@ -121,8 +121,8 @@ def solve_with_prior(normal: Normal, prior: Floats | float) -> Solved:
     return Solved((b * size[..., 0]).sum(axis=1), list(size[..., 0]), rank, np.ones(len(b)))
 
 
-def solve_with_unit_coefficient(normal: Normal) -> Solved:
-    """Solved candidates (q = 1) with a coefficient of one: their size is fixed in their node."""
+def chi2_reduction_at_unit_coefficient(normal: Normal) -> Solved:
+    """Chi-square reduction (Solved) of one-column candidates whose coefficient is fixed at one."""
     b, G, raw = normal.b[:, 0], normal.G[:, 0, 0], normal.raw[:, 0]
     seen = G / np.maximum(raw, 1e-300)
     return Solved(

@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol, Self, TypeVar, runtime_checkable
 
 from calib.diagnosis.engine.candidate_score import Score
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.lack_of_fit import LackOfFit
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.selection_inputs import C, SelectionPolicy, StatedTerms
 

@@ -14,7 +14,7 @@ from calib.diagnosis.engine.finding_confirmation import (
     labelled_progress,
     may_become_significant_when_fitted,
 )
-from calib.diagnosis.engine.lack_of_fit import LackOfFit
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.problem_interface import (
     AdmissionRules,
     Companions,

@@ -1,7 +1,4 @@
-"""Covariates ranked by what they explain of the remainder, and formulas suggested for it.
-
-dwell, way travelled.
-"""
+"""Covariates ranked by what they explain of the remainder, and formulas suggested for it."""
 
 from dataclasses import dataclass
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 
-from calib.diagnosis.engine.lack_of_fit import Covariate
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate
 from calib.diagnosis.engine.selection_inputs import StatedTerms
 from calib.diagnosis.problems.evidence_interface import Value
 from calib.diagnosis.problems.remainder_covariates_and_formulas import Suggestion

@@ -14,7 +14,7 @@ from calib.diagnosis.report.diagnosis_json import (
     RemarkEntry,
     SuggestionEntry,
 )
-from rig.formats.number_parsing_and_rounding import UNITS, round_to_digits, separating_digits
+from rig.formats.number_parsing_and_rounding import UNITS, number_text, separating_digits
 
 SCALES = {unit: UNITS[unit][0] for unit in ("m", "rad", "1/K", "N/m")}  # one unit for all sizes, so that they compare
 LONG_TIME = 1000.0  # s; times from there on, and clocks, are written to a tenth of a second
@@ -33,7 +33,7 @@ def value_text(value: float, unit: str, with_unit: bool = True, digits: int = 3)
         if not np.isfinite(value)
         else f"{value:.1f}"
         if unit == "s" and abs(value) >= LONG_TIME
-        else round_to_digits(value * scale, digits)
+        else number_text(value * scale, digits)
     )
     return f"{text} {name}".strip() if with_unit else text
 

@@ -14,7 +14,7 @@ from calib.certification.held_out_errors import (
     held_out_error_statistics,
     is_significant_gain,
 )
-from calib.certification.held_out_poses_and_distinct_configurations import (
+from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     LEAST,
     axis_ranges,
     configuration_folds,

@@ -15,9 +15,9 @@ from calib.models.arm import error_model_and_observations, instrument_placement
 from calib.models.arm.error_model_and_observations import Observations, position_observations
 from calib.models.arm.instrument_placement import nearest_rotation, rigid_transform, solve_rotation_placement
 from rig.array_and_json_types import Floats, Integers
+from rig.checks.command_and_pose_disagreements import LIKELY, written_pose_columns
 from rig.checks.environment_values_and_units import poses_in_other_conventions
 from rig.checks.mistake import Mistake, sort_mistakes
-from rig.checks.platform_commands_and_poses import LIKELY, written_pose_columns
 from rig.errors import RigError
 from rig.model.design import Instrument
 from rig.model.mechanism_geometry_classes import Arm

@@ -85,7 +85,7 @@ def parameter_jacobian(q: Floats, arm: Arm) -> Floats:
     R, p = chain[..., -1, :3, :3], chain[..., -1, :3, 3]
     before, after = chain[..., :n, :, :], chain[..., 1 : n + 1, :, :]
     rows = arm.rows
-    turn = (mechanism.joint_rotations(q, arm) + rows[:, 0])[..., None]
+    turn = (mechanism.joint_turn_angles(q, arm) + rows[:, 0])[..., None]
     along = (
         np.cos(turn) * before[..., :3, 0] + np.sin(turn) * before[..., :3, 1]
     )  # the common normal, x of the turned frame
@@ -324,8 +324,8 @@ def generally_independent_parameters(arm: Arm, kind: str) -> Booleans:
     return free
 
 
-def near_parallel_axis_rows(arm: Arm) -> Booleans:
-    """Rows (n,) bool whose two axes are near parallel, so that beta replaces d."""
+def is_next_axis_near_parallel(arm: Arm) -> Booleans:
+    """Whether (n,) the next axis is near parallel to each row's axis, so that beta (Hayati) replaces d."""
     return np.asarray(np.abs(np.cos(arm.rows[:, 3]) * np.cos(arm.rows[:, 4])) > PARALLEL)
 
 
@@ -335,7 +335,7 @@ def _order(arm: Arm) -> list[int]:
     """
     n = len(arm.joints)
     index = 6 + np.arange(5 * n).reshape(n, 5)
-    parallel = near_parallel_axis_rows(arm)
+    parallel = is_next_axis_near_parallel(arm)
     zeros = joint_zero_indices(arm)
     angles = [*index[:, 3], *index[parallel, 4]]
     lengths = [*index[:, 2], *index[~parallel, 1]]

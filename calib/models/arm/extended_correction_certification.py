@@ -18,7 +18,7 @@ from calib.certification.extended_correction_certification import (
     empty_claim_without_held_out_data,
 )
 from calib.certification.held_out_errors import draw_common_error_squares
-from calib.certification.held_out_poses_and_distinct_configurations import (
+from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     LEAST,
     axis_ranges,
     configuration_folds,

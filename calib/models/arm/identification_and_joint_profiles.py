@@ -72,7 +72,7 @@ def independent_arm_parameters(arm: Arm, kind: str) -> Booleans:
         return error_model_and_observations.generally_independent_parameters(arm, kind)
     n = len(arm.joints)
     free = np.ones((n, 5), bool)
-    parallel = error_model_and_observations.near_parallel_axis_rows(arm)
+    parallel = error_model_and_observations.is_next_axis_near_parallel(arm)
     free[:, 1], free[:, 4] = ~parallel, parallel
     free[0, :2] = False
     free[-1] = False

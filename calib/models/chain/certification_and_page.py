@@ -16,7 +16,7 @@ from calib.certification.held_out_errors import (
     held_out_error_statistics,
     standardised_residuals,
 )
-from calib.certification.held_out_poses_and_distinct_configurations import (
+from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     LEAST,
     configuration_numbers,
     mean_sample_per_configuration,
@@ -40,7 +40,7 @@ from calib.report.pose_figures_and_effect_displacements import correction_error_
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.model.mechanism_geometry_classes import Chain
-from rig.model.mechanisms import chain as mechanism
+from rig.model.mechanisms import mechanism_chain as mechanism
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.planning.configuration_sets import FILL, sobol_configurations
 from rig.recording.recording_folder import Recording

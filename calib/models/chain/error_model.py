@@ -26,7 +26,7 @@ from calib.models.platform.parameter_accuracy import base_motion_columns
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats
 from rig.model.mechanism_geometry_classes import Arm, Chain, Stage
-from rig.model.mechanisms import chain as mechanism
+from rig.model.mechanisms import mechanism_chain as mechanism
 from rig.model.pose import pose_difference
 
 

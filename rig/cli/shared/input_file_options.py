@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.terminal_output import Progress
+from rig.cli.shared.output_escaping_and_progress_display import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 from rig.formats.output_files.atomic_file_and_manifest import file_digest

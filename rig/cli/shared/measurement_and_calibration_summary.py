@@ -42,15 +42,15 @@ def print_measurement(result: MeasurementResult) -> None:
         print(result.determination.summary())
 
 
-def print_limb_pose_uncertainty(limb_measurement: MeasuredLimbPoses) -> None:
-    """Print the standard uncertainty of poses by measuring limbs, and their agreement with vision."""
-    position, rotation = rms_uncertainty(limb_measurement.poses.covariance)
+def print_uncertainty_of_poses_from_limbs(poses_from_limbs: MeasuredLimbPoses) -> None:
+    """Print the standard uncertainty of platform poses from measuring limbs, and their agreement with vision."""
+    position, rotation = rms_uncertainty(poses_from_limbs.poses.covariance)
     print(
         f"poses to {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad (standard uncertainty, RMS), of "
         "which readings "
-        f"{rms_uncertainty(limb_measurement.poses.own)[0] * 1e3:.4f} mm, the limbs' geometry the rest; "
+        f"{rms_uncertainty(poses_from_limbs.poses.own)[0] * 1e3:.4f} mm, the limbs' geometry the rest; "
         "it agreed with vision "
-        f"over {limb_measurement.accepted.agreement.n} poses"
+        f"over {poses_from_limbs.accepted.agreement.n} poses"
     )
 
 

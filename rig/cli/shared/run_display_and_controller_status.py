@@ -10,7 +10,7 @@ import numpy as np
 from calib.online.run_observation import MeasuredFrame, RunDisplay, RunObserver, View
 from calib.online.run_page import RunPage
 from rig.array_and_json_types import Floats
-from rig.cli.shared.terminal_output import unescaped_stream
+from rig.cli.shared.output_escaping_and_progress_display import unescaped_stream
 from rig.driving.controller_status_and_operator_advice import ControllerStatus
 from rig.formats.output_files.atomic_file_and_manifest import escape_unprintable
 from rig.model.design import Design

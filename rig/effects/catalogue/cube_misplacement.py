@@ -7,7 +7,7 @@ import numpy as np
 
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_data_types import Parameter, Place
-from rig.effects.framework.marker_columns import Markers, replace_columns
+from rig.effects.framework.marker_table import Markers, replace_marker_columns
 from rig.model.marker_and_sensor_tolerances import SEAT
 from rig.model.pose import displace_selected_poses, exp
 
@@ -33,6 +33,6 @@ class CubeMisplacement(Effect):
             return markers
         middle = markers.T_body_marker.translation[rows].mean(axis=0)
         shift = exp(np.r_[middle, 0, 0, 0]) * exp(np.asarray(self.motion)) * exp(np.r_[-middle, 0, 0, 0])
-        return replace_columns(
+        return replace_marker_columns(
             markers, T_body_marker=displace_selected_poses(markers.T_body_marker, rows, lambda T: shift * T)
         )

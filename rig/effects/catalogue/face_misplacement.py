@@ -7,7 +7,7 @@ import numpy as np
 
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_data_types import Parameter, Place
-from rig.effects.framework.marker_columns import Markers, replace_columns
+from rig.effects.framework.marker_table import Markers, replace_marker_columns
 from rig.model.marker_and_sensor_tolerances import PLACES
 from rig.model.pose import displace_selected_poses, exp
 
@@ -33,7 +33,7 @@ class FaceMisplacement(Effect):
 
     def attach(self, markers: Markers) -> Markers:
         rows = np.array([self.at(Place("marker", str(number))) for number in markers.id])
-        return replace_columns(
+        return replace_marker_columns(
             markers,
             T_body_marker=displace_selected_poses(
                 markers.T_body_marker, rows, lambda T: T * exp(np.r_[self.offset, self.rotation])

@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_data_types import Drawing, Parameter, Place
-from rig.effects.framework.marker_columns import Markers, replace_columns
+from rig.effects.framework.marker_table import Markers, replace_marker_columns
 from rig.model.pose import displace_selected_poses, exp
 
 
@@ -72,7 +72,7 @@ class MarkerSwap(Effect):
         poses = displace_selected_poses(
             markers.T_body_marker[order], np.isin(np.arange(len(order)), a), lambda T: T * spin
         )
-        return replace_columns(
+        return replace_marker_columns(
             markers,
             T_body_marker=poses,
             on_platform=markers.on_platform[order],

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_data_types import Parameter
-from rig.effects.framework.marker_columns import Markers, replace_columns
+from rig.effects.framework.marker_table import Markers, replace_marker_columns
 from rig.model.marker_and_sensor_tolerances import SIDES
 
 
@@ -27,4 +27,4 @@ class PrintScale(Effect):
     tolerance: ClassVar = SIDES
 
     def attach(self, markers: Markers) -> Markers:
-        return replace_columns(markers, side=markers.side * (1 + self.scale))
+        return replace_marker_columns(markers, side=markers.side * (1 + self.scale))

@@ -32,7 +32,7 @@ from rig.effects.framework.effect_data_types import (
     parameter_values,
 )
 from rig.effects.framework.machine_motion_and_play import SOON, Motion, Path
-from rig.effects.framework.marker_columns import Markers
+from rig.effects.framework.marker_table import Markers
 from rig.errors import RigError
 from rig.model.design import Camera
 from rig.model.marker_and_sensor_tolerances import Tolerance

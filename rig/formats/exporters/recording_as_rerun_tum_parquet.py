@@ -200,7 +200,7 @@ def parquet_tables(recording_folder: Path) -> dict[str, bytes]:
     """
     found = [name for name in RECORDING_TABLES if (recording_folder / f"{name}.csv").is_file()]
     return {
-        name: parquet_bytes(_columns(csv_and_parquet_tables.read(recording_folder / f"{name}.csv", ())))
+        name: parquet_bytes(_columns(csv_and_parquet_tables.read_csv_table(recording_folder / f"{name}.csv", ())))
         for name in found
     }
 

@@ -19,7 +19,7 @@ from rig.formats.importers.foreign_table_columns import (
     TIME,
     Cells,
     axis_header_names,
-    columns_for_recipe,
+    column_headers_for_import_recipe,
     find_columns,
 )
 from rig.formats.importers.import_recipe import ForeignTable
@@ -142,7 +142,7 @@ def read_commands(table: ForeignTable, design: Design) -> ImportedCommands:
     values, table, told = _values(
         cells,
         [found[name] for name in axes],
-        replace(cells.table, columns=columns_for_recipe(table, cells, found)),
+        replace(cells.table, columns=column_headers_for_import_recipe(table, cells, found)),
         design,
     )
     frame = None if "frame" not in found else np.array(cells.numbers(found["frame"]))

@@ -131,10 +131,10 @@ def find_columns(
     return found
 
 
-def columns_for_recipe(
+def column_headers_for_import_recipe(
     table: ForeignTable, cells: Cells, column_indices: dict[str, int]
 ) -> tuple[tuple[str, str], ...]:
-    """Columns (our name, their header) as an import recipe stores them."""
+    """Column headers ((our name, their header), ..) for an import recipe to store."""
     return tuple((ours, cells.header[at]) for ours, at in column_indices.items())
 
 

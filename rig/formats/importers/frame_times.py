@@ -13,7 +13,14 @@ from rig.errors import RigError
 from rig.formats.importers import image_file_frames
 from rig.formats.importers.command_and_sensor_tables import ImportedCommands
 from rig.formats.importers.csv_dialect import read_foreign_table
-from rig.formats.importers.foreign_table_columns import CAMERA, FRAME, IMAGE, TIME, columns_for_recipe, find_columns
+from rig.formats.importers.foreign_table_columns import (
+    CAMERA,
+    FRAME,
+    IMAGE,
+    TIME,
+    column_headers_for_import_recipe,
+    find_columns,
+)
 from rig.formats.importers.image_file_frames import ImportedExposures
 from rig.formats.importers.import_recipe import ForeignTable, Recipe
 from rig.recording.recording_folder import LAST_DWELL
@@ -95,7 +102,9 @@ def _by_table(
     zone = table.zone or (of_images.zone if of_images is not None else None)
     shift = table.shift or (of_images.shift if of_images is not None else 0.0)
     t = cells.times(found["t"], "frames", replace(table, zone=zone, shift=shift), like)
-    resolved = replace(cells.table, columns=columns_for_recipe(table, cells, found), time_unit=t.unit, zone=t.zone)
+    resolved = replace(
+        cells.table, columns=column_headers_for_import_recipe(table, cells, found), time_unit=t.unit, zone=t.zone
+    )
     if "image" in found:
         parts = (
             1 if len({path.name for path in exposed.path}) == len(exposed.path) else 2

@@ -11,7 +11,13 @@ from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError
 from rig.formats.checked_entries import LARGEST_RIG
 from rig.formats.importers.csv_dialect import read_foreign_table
-from rig.formats.importers.foreign_table_columns import FRAME, TIME, Cells, columns_for_recipe, find_columns
+from rig.formats.importers.foreign_table_columns import (
+    FRAME,
+    TIME,
+    Cells,
+    column_headers_for_import_recipe,
+    find_columns,
+)
 from rig.formats.importers.import_recipe import EULER, ForeignTable
 from rig.formats.importers.units_and_timestamps import ANGLES, LENGTHS, ambiguity_error
 from rig.model.design import Design
@@ -74,7 +80,7 @@ def read_poses(
     found = find_columns(
         cells, "poses", {**TIME, **FRAME, **POSITION, **VECTOR, **EULERS, **QUATERNION, **NUMBERED}, ("x", "y", "z")
     )
-    table = replace(cells.table, columns=columns_for_recipe(table, cells, found))
+    table = replace(cells.table, columns=column_headers_for_import_recipe(table, cells, found))
     p, table, said = _positions(cells, found, table, design)
     t = None
     if "t" in found:

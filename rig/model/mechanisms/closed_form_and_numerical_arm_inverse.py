@@ -23,20 +23,20 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError, Unreachable
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
-from rig.model.mechanisms import joint_angle_kernels, six_joint_inverse_kernels
+from rig.model.mechanisms import six_joint_arm_angle_kernels, six_joint_inverse_kernels
 from rig.model.pose import pose_difference
 
 EXACT = 1e-9  # m and rad; by so much axes may miss what the closed form takes for granted
 REASONS = {
-    joint_angle_kernels.OFF_AXIS: "the wrist would be nearer to axis 1 than the arm's offset allows, by",
-    joint_angle_kernels.TOO_FAR: "too far, by",
-    joint_angle_kernels.TOO_NEAR: "too near the shoulder, by",
-    joint_angle_kernels.TURNED_AWAY: "the wrist cannot point there, by",
+    six_joint_arm_angle_kernels.OFF_AXIS: "the wrist would be nearer to axis 1 than the arm's offset allows, by",
+    six_joint_arm_angle_kernels.TOO_FAR: "too far, by",
+    six_joint_arm_angle_kernels.TOO_NEAR: "too near the shoulder, by",
+    six_joint_arm_angle_kernels.TURNED_AWAY: "the wrist cannot point there, by",
 }
 SINGULAR = {
-    joint_angle_kernels.SHOULDER: "shoulder",
-    joint_angle_kernels.ELBOW: "elbow",
-    joint_angle_kernels.WRIST: "wrist",
+    six_joint_arm_angle_kernels.SHOULDER: "shoulder",
+    six_joint_arm_angle_kernels.ELBOW: "elbow",
+    six_joint_arm_angle_kernels.WRIST: "wrist",
 }
 
 
@@ -152,7 +152,7 @@ def _hand(matrix: Floats, six: SixJointArm) -> Floats:
 def forward_by_hand_points(q: Floats, six_arm: SixJointArm) -> RigidTransform:
     """Forward kinematics: T_base_platform (...) of joint angles q (..., 6) rad, by the hand's points."""
     q = np.asarray(q, float)
-    abc = joint_angle_kernels.forward_hand_points(
+    abc = six_joint_arm_angle_kernels.forward_hand_points(
         np.ascontiguousarray(q.reshape(-1, 6)), six_arm.points, six_arm.axes, six_arm.hand
     )
     y, z = abc[:, 2] - abc[:, 0], abc[:, 1] - abc[:, 0]

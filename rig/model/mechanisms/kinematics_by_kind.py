@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Planar2
-from rig.model.mechanisms import arm, chain, hexapod, two_strut_plane
+from rig.model.mechanisms import arm, hexapod, mechanism_chain, two_strut_plane
 
 K = TypeVar("K", bound=Hexapod | Planar2 | Arm | Chain | Free)
 M = TypeVar("M", contravariant=True)  # the geometry of rig.model.design that a kind moves
@@ -89,7 +89,12 @@ class MechanismKinematics(Protocol[M]):
         ...
 
 
-ALL: dict[str, MechanismKinematics[Any]] = {"hexapod": hexapod, "planar2": two_strut_plane, "arm": arm, "chain": chain}
+ALL: dict[str, MechanismKinematics[Any]] = {
+    "hexapod": hexapod,
+    "planar2": two_strut_plane,
+    "arm": arm,
+    "chain": mechanism_chain,
+}
 AXIS_UNITS = {"strut": "m", "slide": "m", "joint": "rad"}  # by what an axis is called
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats, Integers
 from rig.compute.numba_kernels_and_lazy_exports import njit
-from rig.model.mechanisms.joint_angle_kernels import (
+from rig.model.mechanisms.six_joint_arm_angle_kernels import (
     ELBOW,
     FREE,
     OFF_AXIS,

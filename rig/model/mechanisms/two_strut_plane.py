@@ -71,7 +71,7 @@ def travel_ranges(planar: Planar2) -> Floats:
 
 
 def home_values(planar: Planar2) -> Floats:
-    """Home lengths (2,) m: the middle of the strut ranges."""
+    """Home values (2,) m: the strut lengths at the middle of their ranges."""
     return planar.strut_range.mean(axis=1)
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.certification.held_out_errors import errors_before_and_after_correction
-from calib.certification.held_out_poses_and_distinct_configurations import held_out_poses
+from calib.certification.held_out_pose_errors_and_distinct_configurations import held_out_poses
 from calib.certification.noise_free_errors_and_tolerance_limits import least_sample_size
 from calib.certification.pose_error_promise_and_conformity import (
     CONFORMS,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.held_out_poses_and_distinct_configurations import held_out_poses
+from calib.certification.held_out_pose_errors_and_distinct_configurations import held_out_poses
 from calib.certification.iso230_and_iso9283_tests import Duty, iso9283_accuracy_and_repeatability
 from calib.correction.correction import calibrate_correction
 from calib.samples.pose_samples import Samples

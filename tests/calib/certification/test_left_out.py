@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.held_out_poses_and_distinct_configurations import axis_ranges, configuration_numbers
+from calib.certification.held_out_pose_errors_and_distinct_configurations import axis_ranges, configuration_numbers
 from calib.certification.platform_certification import (
     certify_platform,
     platform_pose_covariance,

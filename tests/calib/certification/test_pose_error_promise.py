@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 from scipy.stats import binom
 
-from calib.certification.held_out_poses_and_distinct_configurations import HeldPoses
+from calib.certification.held_out_pose_errors_and_distinct_configurations import HeldPoses
 from calib.certification.noise_free_errors_and_tolerance_limits import least_sample_size
 from calib.certification.pose_error_promise_and_conformity import pose_error_promise
 

@@ -8,7 +8,7 @@ import pytest
 from calib.certification.calibration_and_claim_sentences import claim_lines, verification_line
 from calib.certification.claim_verification import verify_claim
 from calib.certification.held_out_errors import compare_errors, errors_before_and_after_correction
-from calib.certification.held_out_poses_and_distinct_configurations import (
+from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     axis_ranges,
     configuration_folds,
     configuration_numbers,

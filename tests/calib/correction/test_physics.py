@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.correction.command_route_and_pose_space_map import HOLDING, TURNING, Pace, timed_route
 from calib.correction.correction import Correction, calibrate_correction
 from calib.correction.physics_compensation import (
     Machine,
@@ -17,7 +18,6 @@ from calib.correction.physics_compensation import (
     commands_at_poses,
     unknown_history_uncertainty,
 )
-from calib.correction.pose_route_and_pose_space_map import HOLDING, TURNING, Pace, timed_route
 from calib.diagnosis.findings_refit import Findings
 from calib.files import calibration_file
 from calib.models.wanted_pose_commands import commands_along_route

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.lack_of_fit import MATERIAL, detect_excess_scatter
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import MATERIAL, detect_excess_scatter
 from calib.diagnosis.problems.arm.arm_recording_evidence import ArmEvidence
 from calib.diagnosis.problems.arm.linearised_poses import linearise_poses
 from calib.diagnosis.problems.evidence_interface import ASSUMED_NOISE, RESIDUALS, STATED
 from calib.diagnosis.recording_diagnosis import diagnose_evidence
 from calib.diagnosis.report.diagnosis_page import diagnosis_verdict
-from calib.diagnosis.report.diagnosis_report import summary_sentence
-from calib.diagnosis.report.report_entries import diagnosis_report
+from calib.diagnosis.report.report_data_and_verdict import summary_sentence
+from calib.diagnosis.report.report_entries_and_diagnosis_folder import diagnosis_report
 from calib.samples.recording_samples import sample_recording
 from rig.model.design import Arm
 from rig.recording import recording_folder

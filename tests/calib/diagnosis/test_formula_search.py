@@ -24,7 +24,7 @@ from calib.diagnosis.problems.platform.unlisted_strut_effects import suggest_str
 from calib.diagnosis.problems.requested_effects import RequestedEffects
 from calib.diagnosis.report.diagnosis_json import FitEntry, suggested_formula_entries
 from calib.diagnosis.report.diagnosis_page import _suggestions
-from calib.diagnosis.report.diagnosis_report import Report, recommended_actions, write_diagnosis_json
+from calib.diagnosis.report.report_data_and_verdict import Report, recommended_actions, write_diagnosis_json
 from rig.cli.command_line import main
 from rig.effects.framework.formula_quantities import quantities_of_motion
 from rig.effects.texts.effect_file_from_formula import Term, Written

@@ -12,7 +12,7 @@ from calib.diagnosis.engine.term_selection import select_terms
 from calib.diagnosis.problems.arm import lack_of_fit_and_unlisted_effects as arm_excess_scatter
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.arm_recording_evidence import pose_repeatability
-from calib.diagnosis.problems.arm.candidate_search import joint_products, search_candidates, solved_grid, solved_nodes
+from calib.diagnosis.problems.arm.candidate_search import joint_products, score_candidates, solved_grid, solved_nodes
 from calib.diagnosis.problems.arm.joint_candidates import joint_candidates
 from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import find_lack_of_fit_by_joint
 from calib.diagnosis.problems.arm.linearised_poses import linearise_poses
@@ -59,18 +59,18 @@ def test_short_cuts_give_the_best_nodes_their_score_and_the_others_a_bound(searc
 
 def test_a_term_struck_out_or_set_beside_is_the_fit_without_or_with_it(searched):
     now, candidates = searched
-    a, b = [Term.of(s) for s in search_candidates(now, candidates, -np.inf)[:2]]
+    a, b = [Term.of(s) for s in score_candidates(now, candidates, -np.inf)[:2]]
     both = now.with_terms([a, b])
     assert both.without_terms([0, 1]).left == pytest.approx(now.left, abs=1e-12)
     assert both.without_terms([0]).left == pytest.approx(now.with_terms([b]).left, abs=1e-12)
     assert both.cost() < now.with_terms([b]).cost() < now.cost()
-    score = search_candidates(now, [a.candidate], -np.inf)[0]
+    score = score_candidates(now, [a.candidate], -np.inf)[0]
     assert score.delta_chi2 * score.dispersion == pytest.approx(now.cost() - now.with_terms([a]).cost(), rel=1e-6)
 
 
 def test_a_model_by_its_columns_leaks_what_one_by_its_basis_does(searched):
     now, candidates = searched
-    linear = now.with_terms([Term.of(search_candidates(now, candidates)[0])]).linear
+    linear = now.with_terms([Term.of(score_candidates(now, candidates)[0])]).linear
     Q = linear.columns.parts[0] @ linear.half  # the columns are an operator; this is written out
     basis = LinearModel(linear.blocks, Column((Q,)), None, linear.size)
     rng = np.random.default_rng(0)

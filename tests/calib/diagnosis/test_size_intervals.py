@@ -9,7 +9,7 @@ import pytest
 
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.problems.evidence_interface import Value, bounded_value
-from calib.diagnosis.problems.platform import tolerance_columns
+from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_columns
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.simultaneous_refinement import (
@@ -20,7 +20,7 @@ from calib.diagnosis.problems.platform.simultaneous_refinement import (
 from calib.diagnosis.problems.platform.tolerable_findings import (
     parameter_errors_by_tolerances,
     tolerance_sigmas_from_residuals,
-    widen_intervals,
+    widen_intervals_by_temperature_logs_and_tolerances,
 )
 from calib.diagnosis.report import report_sentences
 from calib.diagnosis.report.diagnosis_json import FindingEntry
@@ -61,7 +61,7 @@ def test_sides_of_single_markers_make_the_side_of_all_less_sure(tmp_path, design
     """
     prints = blind_image_settings.draw_printing_errors(design, np.random.default_rng(3), 3e-6, SIDE)
     refined, sensitivities = fitted(tmp_path, design, [prints])
-    found = tolerance_columns.tolerance_model(refined.marginalised, sensitivities)
+    found = marker_and_thermometer_tolerance_columns.tolerance_model(refined.marginalised, sensitivities)
     sigma = tolerance_sigmas_from_residuals(found.projected(refined.marginalised), found)
     singles = {s.place: s.columns.start for s in found.sites if s.effect == "print_scale" and s.place != "markers"}
     together = next(s.columns for s in found.sites if s.place == "markers")
@@ -74,7 +74,10 @@ def test_sides_of_single_markers_make_the_side_of_all_less_sure(tmp_path, design
         for sign in (1, -1)
     }
     assert (by[1] - by[-1]) / (2 * FAR) == pytest.approx(off[0, singles[heaviest]] / sigma[singles[heaviest]], rel=0.1)
-    wide, narrow = (float(np.sqrt(one.covariance[0, 0])) for one in (widen_intervals(refined, sensitivities), refined))
+    wide, narrow = (
+        float(np.sqrt(one.covariance[0, 0]))
+        for one in (widen_intervals_by_temperature_logs_and_tolerances(refined, sensitivities), refined)
+    )
     assert wide > 1.2 * narrow and wide**2 == pytest.approx(narrow**2 + (off[0] ** 2).sum())
     true = np.mean((1 + 2e-3) * (1 + np.array(prints.scales))) - 1
     assert abs(refined.values[0] - true) < Z95 * wide
@@ -83,7 +86,10 @@ def test_sides_of_single_markers_make_the_side_of_all_less_sure(tmp_path, design
 @pytest.mark.slow
 def test_markers_that_are_as_stated_leave_intervals_as_they_are(tmp_path, design):
     refined, sensitivities = fitted(tmp_path, design, [])
-    assert widen_intervals(refined, sensitivities).covariance[0, 0] < 1.1 * refined.covariance[0, 0]
+    assert (
+        widen_intervals_by_temperature_logs_and_tolerances(refined, sensitivities).covariance[0, 0]
+        < 1.1 * refined.covariance[0, 0]
+    )
 
 
 @pytest.mark.parametrize(

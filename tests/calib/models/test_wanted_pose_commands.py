@@ -105,7 +105,7 @@ def test_the_library_commands_what_the_command_line_does_and_refuses_to_leave_ph
     calibration_file.save(tmp_path / "c.json", calibration)
     write_poses(tmp_path / "w.csv", Poses(np.arange(len(wanted)), wanted, None))
     command(capsys)("correct", tmp_path / "c.json", "--poses", tmp_path / "w.csv", "--out", tmp_path / "k.csv")
-    given = csv_and_parquet_tables.read(tmp_path / "k.csv", ("frame", *design.mechanism.axes)).matrix(
+    given = csv_and_parquet_tables.read_csv_table(tmp_path / "k.csv", ("frame", *design.mechanism.axes)).matrix(
         design.mechanism.axes
     )
     again = calibration_file.load(tmp_path / "c.json")

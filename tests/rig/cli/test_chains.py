@@ -19,7 +19,7 @@ from rig.effects.texts.effect_text_and_dict import parse_effect, require_existin
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats import csv_and_parquet_tables, machine_json
 from rig.formats.rig_toml import design_file
-from rig.model.mechanisms import arm, chain, hexapod
+from rig.model.mechanisms import arm, hexapod, mechanism_chain
 from rig.model.mechanisms import axis_places as chain_places
 from rig.model.motion_simulation import simulate_machine_run
 from rig.model.pose import exp, log, pose, pose_difference
@@ -42,40 +42,45 @@ def gantry(design):
 
 
 def test_a_chain_is_its_stages_one_upon_the_other(gantry):
-    x = sobol_configurations(chain.travel_ranges(gantry), 20, 0.9)
+    x = sobol_configurations(mechanism_chain.travel_ranges(gantry), 20, 0.9)
     T = arm.forward(x[:, :3], gantry.stages[0]) * hexapod.forward(x[:, 3:], gantry.stages[1])
-    assert np.abs(pose_difference(T, chain.forward(x, gantry))).max() < 1e-14
+    assert np.abs(pose_difference(T, mechanism_chain.forward(x, gantry))).max() < 1e-14
     assert gantry.axes == ("s1q1", "s1q2", "s1q3", "s2l1", "s2l2", "s2l3", "s2l4", "s2l5", "s2l6")
-    assert chain.limit_excess(x + 1.0, gantry).all() and not chain.limit_excess(x, gantry).any()
+    assert mechanism_chain.limit_excess(x + 1.0, gantry).all() and not mechanism_chain.limit_excess(x, gantry).any()
 
 
 def test_the_jacobians_are_the_differences(gantry):
-    x = sobol_configurations(chain.travel_ranges(gantry), 1, 0.5)[0]
-    at = chain.forward(x, gantry)
+    x = sobol_configurations(mechanism_chain.travel_ranges(gantry), 1, 0.5)[0]
+    at = mechanism_chain.forward(x, gantry)
     np.testing.assert_allclose(
-        chain.jacobian(x, gantry), differences(lambda v: log(at.inv() * chain.forward(v, gantry)), x), atol=1e-8
+        mechanism_chain.jacobian(x, gantry),
+        differences(lambda v: log(at.inv() * mechanism_chain.forward(v, gantry)), x),
+        atol=1e-8,
     )
     still = np.zeros(len(error_model.parameter_names(gantry)))
     of = differences(
-        lambda p: log(at.inv() * chain.forward(x, error_model.chain_with_parameter_step(gantry, p))), still
+        lambda p: log(at.inv() * mechanism_chain.forward(x, error_model.chain_with_parameter_step(gantry, p))), still
     )
     np.testing.assert_allclose(error_model.parameter_jacobian(x[None], gantry)[0], of, atol=1e-7)
 
 
 def test_the_inverse_reaches_poses_within_the_travels_and_says_which_it_does_not(gantry):
-    x = sobol_configurations(chain.travel_ranges(gantry), 12, 0.5, 3)
-    wanted = chain.forward(x, gantry)
-    found = chain.inverse(wanted, gantry)
+    x = sobol_configurations(mechanism_chain.travel_ranges(gantry), 12, 0.5, 3)
+    wanted = mechanism_chain.forward(x, gantry)
+    found = mechanism_chain.inverse(wanted, gantry)
     assert (
-        np.abs(pose_difference(chain.forward(found, gantry), wanted)).max() < 1e-10
-        and not chain.limit_excess(found, gantry).any()
+        np.abs(pose_difference(mechanism_chain.forward(found, gantry), wanted)).max() < 1e-10
+        and not mechanism_chain.limit_excess(found, gantry).any()
     )
-    middle, span = chain.travel_ranges(gantry).mean(axis=1), np.ptp(chain.travel_ranges(gantry), axis=1)
+    middle, span = (
+        mechanism_chain.travel_ranges(gantry).mean(axis=1),
+        np.ptp(mechanism_chain.travel_ranges(gantry), axis=1),
+    )
     assert (
         np.linalg.norm((found - middle) / span, axis=1) < np.linalg.norm((x - middle) / span, axis=1) + 1e-6
     ).all()  # nearest the middle
     with pytest.raises(Unreachable, match="1 of 2 poses") as error:
-        chain.inverse(RigidTransform.concatenate([wanted[0], pose([0, 0, 0.4], [3.0, 0, 0])]), gantry)
+        mechanism_chain.inverse(RigidTransform.concatenate([wanted[0], pose([0, 0, 0.4], [3.0, 0, 0])]), gantry)
     assert error.value.index.tolist() == [1]
 
 
@@ -104,7 +109,7 @@ def test_stages_are_told_from_one_recording_and_what_cannot_be_is_named(tmp_path
     exact = identify_chain(
         replace(
             samples,
-            T_base_platform=chain.forward(samples.commanded, true.mechanism),
+            T_base_platform=mechanism_chain.forward(samples.commanded, true.mechanism),
             covariance=samples.covariance * 1e-8,
         ),
         design.mechanism,
@@ -112,7 +117,8 @@ def test_stages_are_told_from_one_recording_and_what_cannot_be_is_named(tmp_path
     assert (
         np.abs(
             pose_difference(
-                chain.forward(samples.commanded, exact.chain), chain.forward(samples.commanded, true.mechanism)
+                mechanism_chain.forward(samples.commanded, exact.chain),
+                mechanism_chain.forward(samples.commanded, true.mechanism),
             )
         ).max()
         < 1e-7
@@ -137,8 +143,8 @@ def test_stages_are_told_from_one_recording_and_what_cannot_be_is_named(tmp_path
 
 def test_of_a_machine_as_stated_nothing_is_off(gantry):
     """A machine as stated: nothing is found to be off, and what is named as untold is told by parameters of its own."""
-    x = sobol_configurations(chain.travel_ranges(gantry), 40, 0.9)
-    T = chain.forward(x, gantry) * exp(np.zeros(6))
+    x = sobol_configurations(mechanism_chain.travel_ranges(gantry), 40, 0.9)
+    T = mechanism_chain.forward(x, gantry) * exp(np.zeros(6))
     samples = Samples(
         np.arange(40),
         np.arange(40.0),
@@ -171,7 +177,11 @@ def test_a_loop_closes_under_an_instrument(tmp_path, capfd):
         tmp_path / "truth.json",
     )
     m = design.mechanism
-    found = verified(tmp_path, capfd, lines(chain.forward(sobol_configurations(chain.travel_ranges(m), 8, 0.5, 5), m)))
+    found = verified(
+        tmp_path,
+        capfd,
+        lines(mechanism_chain.forward(sobol_configurations(mechanism_chain.travel_ranges(m), 8, 0.5, 5), m)),
+    )
     holds(found)
     assert found["before"]["position"]["rms"] > 10 * found["after"]["position"]["rms"]
     kept = calibration_file.load(tmp_path / "calibration.json").correction
@@ -220,7 +230,7 @@ def test_effects_sit_at_the_axes_of_stages(design, gantry, text, place):
     effect = require_existing_place(parse_effect(text), design)
     assert effect.place == place
     t = np.array([0.0, 1.0, 2.0, 3.0])
-    home, far = chain.home_values(gantry), chain.travel_ranges(gantry)[:, 0]
+    home, far = mechanism_chain.home_values(gantry), mechanism_chain.travel_ranges(gantry)[:, 0]
     still, held = (
         simulate_machine_run(design, Commands(t, np.array([home, far, home, home])), t[2:], effects).deviation
         for effects in ((), (effect,))
@@ -251,8 +261,8 @@ def test_configurations_are_planned_that_tell_all_stages(tmp_path, capfd):
     rows = [line.split() for line in said.splitlines() if " um  " in line or " urad  " in line]
     assert len(rows) == 8 and all(float(row[0]) < float(row[1]) for row in rows)
     m = design_file.load_design(tmp_path / "rig.toml").mechanism
-    assert not chain.limit_excess(
-        csv_and_parquet_tables.read(tmp_path / "plan.csv", ("frame", *m.axes)).matrix(m.axes), m
+    assert not mechanism_chain.limit_excess(
+        csv_and_parquet_tables.read_csv_table(tmp_path / "plan.csv", ("frame", *m.axes)).matrix(m.axes), m
     ).any()
 
 

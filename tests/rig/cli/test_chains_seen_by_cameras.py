@@ -14,7 +14,7 @@ from rig.cli import command_line
 from rig.errors import FileError
 from rig.formats import machine_json
 from rig.formats.rig_toml import design_file
-from rig.model.mechanisms import chain
+from rig.model.mechanisms import mechanism_chain
 from rig.model.pose import pose_difference
 from rig.planning.configuration_sets import sobol_configurations
 from rig.recording import recording_folder
@@ -45,7 +45,7 @@ def test_cubes_on_the_carriage_tell_its_stages_apart(tmp_path, capfd):
     read = recording_folder.load_recording(tmp_path / "rec")
     samples = sample_recording(read).samples
     (stage,) = samples.below
-    stands = chain.stage_poses(samples.commanded, true.mechanism)[0]
+    stands = mechanism_chain.stage_poses(samples.commanded, true.mechanism)[0]
     whole = stage.covariance + stage.common @ np.swapaxes(stage.common, 1, 2)
     off = pose_difference(stands, stage.T_base_stage)
     assert stage.stage == 1 and stage.seen.all() and np.abs(off[:, :3]).max() < 1.5e-4
@@ -66,7 +66,7 @@ def test_cubes_on_the_carriage_tell_its_stages_apart(tmp_path, capfd):
     )
     exact = replace(
         samples,
-        T_base_platform=chain.forward(samples.commanded, true.mechanism),
+        T_base_platform=mechanism_chain.forward(samples.commanded, true.mechanism),
         covariance=samples.covariance * 1e-8,
         common=samples.common[..., :0],
         below=(replace(stage, T_base_stage=stands, covariance=stage.covariance * 1e-8, common=stage.common[..., :0]),),
@@ -141,8 +141,8 @@ def test_cubes_that_cannot_be_measured_on_a_stage_are_told_by_line(tmp_path, cha
 def test_what_stands_on_the_carriage_is_drawn_there_and_hides_what_is_behind(tmp_path):
     design = written(tmp_path, seen=True)
     m = design.mechanism
-    x = sobol_configurations(chain.travel_ranges(m), 1, 0.9, 3)
-    stages = chain.stage_poses(x, m)
+    x = sobol_configurations(mechanism_chain.travel_ranges(m), 1, 0.9, 3)
+    stages = mechanism_chain.stage_poses(x, m)
     poses = rig_meshes.mesh_body_matrices(m, [T[0] for T in stages])
     parts = {part.body for part in rig_meshes.rig_parts(design)}
     assert {
@@ -191,7 +191,7 @@ def test_a_loop_closes_from_images(tmp_path, capfd, carriage):
         verified(
             tmp_path,
             capfd,
-            lines(chain.forward(sobol_configurations(chain.travel_ranges(m), 4, 0.5, 5), m)),
+            lines(mechanism_chain.forward(sobol_configurations(mechanism_chain.travel_ranges(m), 4, 0.5, 5), m)),
             ("--images",),
         )
     )
@@ -214,4 +214,10 @@ def test_a_loop_closes_from_corners(tmp_path, capfd, carriage):
         tmp_path / "truth.json",
     )
     m = design.mechanism
-    holds(verified(tmp_path, capfd, lines(chain.forward(sobol_configurations(chain.travel_ranges(m), 8, 0.5, 5), m))))
+    holds(
+        verified(
+            tmp_path,
+            capfd,
+            lines(mechanism_chain.forward(sobol_configurations(mechanism_chain.travel_ranges(m), 8, 0.5, 5), m)),
+        )
+    )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.api.kinematics import ArmKinematics
+from calib.api.arm_kinematics import ArmKinematics
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.identification_and_joint_profiles import Profile
 from rig.model.mechanisms import arm as mechanism

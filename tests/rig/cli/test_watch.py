@@ -138,7 +138,7 @@ def test_a_visit_is_planned_within_the_strokes_and_tells_more_than_an_even_one(w
     assert main(["watch", str(base / "calibration.json"), "--plan", "--count", "6", "--out", str(out)]) == 0
     rows = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("  ")]
     assert len(rows) == 4 and all(float(row[-3]) < float(row[-2]) for row in rows)
-    commands = csv_and_parquet_tables.read(out, ("frame",)).matrix(design.mechanism.axes)
+    commands = csv_and_parquet_tables.read_csv_table(out, ("frame",)).matrix(design.mechanism.axes)
     low, high = design.mechanism.strut_range.T
     assert commands.shape == (6, 6) and (commands > low).all() and (commands < high).all()
 

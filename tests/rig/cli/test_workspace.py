@@ -83,7 +83,7 @@ def test_the_map_is_said_and_written(kept, tmp_path, capsys):
         and tree["lost"] == made.workspace.lost
         and "oriented as home" in tree["room_of"]
     )
-    rows = csv_and_parquet_tables.read(tmp_path / "map" / "workspace.csv", ("x", "y", "z", "lost"))
+    rows = csv_and_parquet_tables.read_csv_table(tmp_path / "map" / "workspace.csv", ("x", "y", "z", "lost"))
     assert rows.matrix(("lost",)).sum() == made.workspace.lost_in.sum()
     page, links = (tmp_path / "map" / "workspace.html").read_text(), Links()
     links.feed(page)
@@ -133,7 +133,9 @@ def test_plans_avoid_what_was_lost(kept, tmp_path, asked, capsys):
         out.append(
             is_pose_lost(
                 made.correction,
-                csv_and_parquet_tables.read(tmp_path / "plan.csv", ("frame",)).matrix(made.correction.nominal.axes),
+                csv_and_parquet_tables.read_csv_table(tmp_path / "plan.csv", ("frame",)).matrix(
+                    made.correction.nominal.axes
+                ),
             )
         )
     assert out[0].any() and not out[1].any()  # outermost configurations tell most, and are the first to go

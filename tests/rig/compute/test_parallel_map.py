@@ -5,14 +5,14 @@ import os
 import numpy as np
 import pytest
 
-from calib.diagnosis.problems.platform.candidate_search import search_candidates
+from calib.diagnosis.problems.platform.candidate_search import score_candidates
 from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearised_residuals import linearise
 from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnosis.problems.requested_effects import RequestedEffects
 from rig.compute import parallel_map_and_dask_cluster
-from rig.compute.worker_processes import MOST, split_for_workers
+from rig.compute.worker_processes import MOST, split_into_decreasing_parts
 from tests.calib.recordings_with_effects import recorded
 
 
@@ -36,7 +36,7 @@ def test_results_come_in_order_and_progress_reaches_the_end(processes):
 @pytest.mark.parametrize("count", [1, 2, 7])
 def test_parts_hold_all_in_order_and_are_single_at_the_end(count):
     for many in (0, 1, 5, 999):
-        shares = split_for_workers(range(many), count)
+        shares = split_into_decreasing_parts(range(many), count)
         assert [thing for share in shares for thing in share] == list(range(many))
         sizes = [len(share) for share in shares]
         assert (
@@ -65,7 +65,7 @@ def test_a_search_finds_the_same_on_one_process_and_on_several(tmp_path, design,
     for count in (1, 3):
         monkeypatch.setattr(parallel_map_and_dask_cluster, "worker_count", lambda count=count: count)
         sensitivities = Sensitivities(point)
-        both.append((search_candidates(model, candidates, sensitivities), sensitivities.pixels))
+        both.append((score_candidates(model, candidates, sensitivities), sensitivities.pixels))
     (one, pixels), (several, kept) = both
     assert [s.candidate for s in one] == [s.candidate for s in several] and pixels.keys() == kept.keys()
     for a, b in zip(one, several):

@@ -70,13 +70,13 @@ def test_anything_else_is_none_wherever_it_stands(text, tmp_path, capsys):
         with pytest.raises(
             FileError, match="is not finite" if text in UNBOUNDED else "is not a number|is empty|more than any number"
         ) as caught:
-            csv_and_parquet_tables.read(tmp_path / "t.csv", ("a", "b")).numbers("a")
+            csv_and_parquet_tables.read_csv_table(tmp_path / "t.csv", ("a", "b")).numbers("a")
         assert caught.value.line == 3
 
 
 def test_spaces_around_a_cell_are_left_out_and_frames_are_counted_in_ascii(tmp_path):
     (tmp_path / "t.csv").write_text("a\n 1 \n2\t\n")
-    assert csv_and_parquet_tables.read(tmp_path / "t.csv", ("a",)).numbers("a").tolist() == [1.0, 2.0]
+    assert csv_and_parquet_tables.read_csv_table(tmp_path / "t.csv", ("a",)).numbers("a").tolist() == [1.0, 2.0]
     assert parse_frame_ranges(" 3, 7 - 9") == ((3, 3), (7, 9))
     with pytest.raises(RigError):
         parse_frame_ranges("\u0663")
@@ -88,7 +88,7 @@ def test_poses_on_the_command_line():
 
 
 @pytest.mark.parametrize(
-    ("read", "good", "bad"),
+    ("read_csv_table", "good", "bad"),
     [
         (certify.parse_share, "0.9999", ("0.4", "1", "1_0")),
         (certify.parse_relative_uncertainty, "0", ("0.1", "-1e-9", "1_0")),

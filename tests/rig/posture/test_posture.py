@@ -17,12 +17,12 @@ from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.posture import (
-    force_transmission_and_exertable_wrench,
+    arm_force_transmission_and_exertable_wrench,
     null_space_search,
     posture_transition,
     wrench_estimation_from_torques,
 )
-from rig.posture.force_transmission_and_exertable_wrench import TransmissionObjective
+from rig.posture.arm_force_transmission_and_exertable_wrench import TransmissionObjective
 from tests.numerical_derivatives import jacobian
 from tests.rig.arms import SEVEN, UR10, configurations, random_arm
 from tests.rig.pinocchio_arm import build
@@ -42,11 +42,12 @@ WISHES = [
 def test_slope_of_the_measure_agrees_with_differences(wish):
     for arm in (PANDA, random_arm(np.random.default_rng(3), 8)):
         q = configurations(arm, 4, np.random.default_rng(0), 0.8)
-        for one, slope in zip(q, force_transmission_and_exertable_wrench.transmission_gradient(q, arm, wish)):
+        for one, slope in zip(q, arm_force_transmission_and_exertable_wrench.transmission_gradient(q, arm, wish)):
             np.testing.assert_allclose(
                 slope,
                 jacobian(
-                    lambda x, arm=arm: force_transmission_and_exertable_wrench.transmission_measure(x, arm, wish), one
+                    lambda x, arm=arm: arm_force_transmission_and_exertable_wrench.transmission_measure(x, arm, wish),
+                    one,
                 ),
                 atol=1e-7,
             )
@@ -58,21 +59,23 @@ def test_measures_are_hand_worked():
     """
     arm = type(PANDA)([[0, 0, 1.0, 0], [0, 0, 1.0, 0]], [[-3, 3]] * 2)
     np.testing.assert_allclose(
-        force_transmission_and_exertable_wrench.torque_norms_by_direction(np.zeros(2), arm, TransmissionObjective()),
+        arm_force_transmission_and_exertable_wrench.torque_norms_by_direction(
+            np.zeros(2), arm, TransmissionObjective()
+        ),
         [0, np.sqrt(5), 0, 0, 0, np.sqrt(2)],
         atol=1e-15,
     )
     assert (
-        force_transmission_and_exertable_wrench.transmission_measure(
+        arm_force_transmission_and_exertable_wrench.transmission_measure(
             np.zeros(2), arm, TransmissionObjective(("fx", "fy"))
         )
         == 0
-        and force_transmission_and_exertable_wrench.transmission_measure(
+        and arm_force_transmission_and_exertable_wrench.transmission_measure(
             np.zeros(2), arm, TransmissionObjective(("fy",), np.inf)
         )
         == 2
     )
-    assert force_transmission_and_exertable_wrench.transmission_measure(
+    assert arm_force_transmission_and_exertable_wrench.transmission_measure(
         np.zeros(2), arm, TransmissionObjective(("mz",), length=0.1)
     ) == pytest.approx(0.1 * np.sqrt(2))
 
@@ -94,7 +97,9 @@ def test_searches_leave_the_hand_and_keep_the_limits(wish):
             and (found.value >= found.start).all()
         )
         np.testing.assert_allclose(
-            found.value, force_transmission_and_exertable_wrench.transmission_measure(found.q, PANDA, wish), rtol=1e-12
+            found.value,
+            arm_force_transmission_and_exertable_wrench.transmission_measure(found.q, PANDA, wish),
+            rtol=1e-12,
         )
         np.testing.assert_allclose(
             pose_difference(mechanism.forward(q, PANDA), mechanism.forward(found.q, PANDA)), 0, atol=1e-9
@@ -117,7 +122,7 @@ def test_global_search_is_the_best_of_the_traced_self_motion():
             for k in (0, -1)
         ]
         assert all(ends) or np.linalg.norm(np.sin((path[0] - path[-1]) / 2)) < 2 * null_space_search.TRACE
-        reached = force_transmission_and_exertable_wrench.transmission_measure(path, PANDA, wish).max()
+        reached = arm_force_transmission_and_exertable_wrench.transmission_measure(path, PANDA, wish).max()
         assert reached <= value <= reached * 1.001
 
 
@@ -133,7 +138,7 @@ def test_a_full_turn_of_the_elbow_is_traced_once():
 def test_a_limit_suffices():
     q = configurations(PANDA, 20, np.random.default_rng(4), 0.9)
     wish = TransmissionObjective(("fy",))
-    limit = float(np.median(force_transmission_and_exertable_wrench.transmission_measure(q, PANDA, wish)))
+    limit = float(np.median(arm_force_transmission_and_exertable_wrench.transmission_measure(q, PANDA, wish)))
     found = null_space_search.gradient_search(q, PANDA, wish, sufficient_value=limit)
     already = found.start > limit
     assert (
@@ -187,7 +192,7 @@ def test_stated_covariance_of_a_wrench_covers_its_scatter():
     rng = np.random.default_rng(7)
     count, own, gravity = 4000, links(rng), np.array([0, 0, -9.80665])
     q = configurations(PANDA, count, rng, 0.8)
-    q = q[force_transmission_and_exertable_wrench.transmission_measure(q, PANDA, TransmissionObjective()) > 1e-4]
+    q = q[arm_force_transmission_and_exertable_wrench.transmission_measure(q, PANDA, TransmissionObjective()) > 1e-4]
     v, a = rng.normal(size=(2, *q.shape))
     true = rng.normal(size=(len(q), 6)) * [20, 20, 20, 3, 3, 3]
     half = 0.1 * (np.eye(7) + 0.3 * rng.normal(size=(7, 7)))
@@ -258,7 +263,7 @@ def test_the_command_finds_and_certifies(capsys, tmp_path):
     assert (
         tree["value"]
         == pytest.approx(
-            force_transmission_and_exertable_wrench.transmission_measure(q, PANDA, TransmissionObjective(("fy",)))
+            arm_force_transmission_and_exertable_wrench.transmission_measure(q, PANDA, TransmissionObjective(("fy",)))
         )
         and tree["value"] > tree["start"]["value"]
     )

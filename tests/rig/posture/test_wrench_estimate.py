@@ -19,18 +19,18 @@ from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics as dynamics
 from rig.model.pose import pose_difference
 from rig.posture import (
-    force_transmission_and_exertable_wrench,
+    arm_force_transmission_and_exertable_wrench,
     null_space_search,
     posture_transition,
     wrench_estimation_from_torques,
 )
-from rig.posture.external_wrench import SETTLED
-from rig.posture.force_transmission_and_exertable_wrench import (
+from rig.posture.arm_force_transmission_and_exertable_wrench import (
     DIRECTIONS,
     ExertionObjective,
     TorqueBounds,
     TransmissionObjective,
 )
+from rig.posture.external_wrench import SETTLED
 from tests.numerical_derivatives import jacobian
 from tests.rig.arms import UR10, configurations
 
@@ -135,29 +135,29 @@ def test_greatest_forces_are_those_of_linear_programming():
         low, high = STRENGTH.box(one, PANDA)
         assert (low < 0).all() and (high > 0).all()
         A = mechanism.jacobian(one, PANDA, "base").T[:, :3]
-        every = force_transmission_and_exertable_wrench.force_polytope_corners(A, low, high)
+        every = arm_force_transmission_and_exertable_wrench.force_polytope_corners(A, low, high)
         for direction in rng.normal(size=(4, 3)):
             assert (every @ direction).max() == pytest.approx(programmed(A, low, high, direction), rel=1e-9)
             wrench = np.r_[direction, 0, 0, 0]
             along = programmed((A @ direction)[:, None], low, high, np.ones(1))
             assert ExertionObjective(wrench, STRENGTH).value(one, PANDA) == pytest.approx(along, rel=1e-9)
-        least, weak = force_transmission_and_exertable_wrench.weakest_force_direction(A, low, high)
+        least, weak = arm_force_transmission_and_exertable_wrench.weakest_force_direction(A, low, high)
         rays = (
-            force_transmission_and_exertable_wrench.greatest_load_multiple(
+            arm_force_transmission_and_exertable_wrench.greatest_load_multiple(
                 np.vstack([rng.normal(size=(2000, 3)), weak]) @ A.T, low, high
             )
             * np.r_[np.ones(2000), 1.0]
         )
         assert (
-            force_transmission_and_exertable_wrench.greatest_load_multiple(A @ weak, low, high)
+            arm_force_transmission_and_exertable_wrench.greatest_load_multiple(A @ weak, low, high)
             == pytest.approx(least, rel=1e-9)
             == pytest.approx(rays[-1], rel=1e-9)
         )
         unit = rng.normal(size=(2000, 3))
         unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-        assert force_transmission_and_exertable_wrench.greatest_load_multiple(unit @ A.T, low, high).min() >= least * (
-            1 - 1e-12
-        )
+        assert arm_force_transmission_and_exertable_wrench.greatest_load_multiple(
+            unit @ A.T, low, high
+        ).min() >= least * (1 - 1e-12)
 
 
 def test_a_posture_is_found_that_exerts_more_and_its_slope_is_that_of_differences():
@@ -181,7 +181,7 @@ def test_a_weight_that_cannot_be_held_is_negative_and_said():
     q = np.array([0, 0.5, 0, -1.5, 0, 1.5, 0.0])
     assert ExertionObjective(np.eye(6)[2], feeble).value(q, PANDA) < 0
     with pytest.raises(RigError, match="bears any force along"):
-        force_transmission_and_exertable_wrench.force_polytope_corners(
+        arm_force_transmission_and_exertable_wrench.force_polytope_corners(
             np.eye(7, 3) * [1, 1, 0], -np.ones(7), np.ones(7)
         )
 
@@ -265,9 +265,9 @@ def test_the_best_of_postures_visited_is_gone_back_to_the_way_it_came(tmp_path, 
         == 0
     )
     tree = json.loads(capsys.readouterr().out)
-    from rig.posture import force_transmission_and_exertable_wrench
+    from rig.posture import arm_force_transmission_and_exertable_wrench
 
-    value = force_transmission_and_exertable_wrench.transmission_measure(
+    value = arm_force_transmission_and_exertable_wrench.transmission_measure(
         visited[:-1], PANDA, TransmissionObjective(("fz",))
     )
     assert (
@@ -275,7 +275,7 @@ def test_the_best_of_postures_visited_is_gone_back_to_the_way_it_came(tmp_path, 
         and tree["value"] == pytest.approx(value.max(), rel=1e-6)
         and tree["elsewhere"] == 1
     )
-    rows = csv_and_parquet_tables.read(out, ("t", *PANDA.axes)).matrix(PANDA.axes)
+    rows = csv_and_parquet_tables.read_csv_table(out, ("t", *PANDA.axes)).matrix(PANDA.axes)
     np.testing.assert_allclose(rows[[0, -1]], visited[[-1, value.argmax()]], atol=1e-8)
     assert len(rows) == len(visited) - value.argmax()
     assert (
@@ -315,7 +315,7 @@ def test_the_command_tells_the_wrench_beside_the_plain_one(tmp_path, capsys):
         printed, said = capsys.readouterr()
         result = json.loads(printed)
         assert ("motor currents" in said) == (columns == "i") and "weight and motion subtracted" in said
-        rows = csv_and_parquet_tables.read(out, ("t", "fx"))
+        rows = csv_and_parquet_tables.read_csv_table(out, ("t", "fx"))
         late = rows.matrix(DIRECTIONS)[int(SETTLED * 250) :]
         np.testing.assert_allclose(result["mean"], late.mean(axis=0), atol=1e-4)
         np.testing.assert_allclose(np.abs(result["largest"]), np.abs(late).max(axis=0), atol=1e-4)

@@ -25,7 +25,7 @@ def two(tmp_path_factory, design, rig_text):
 
 
 def of(folder):
-    return recording_frames.content_hashes(recording_folder.load_recording(folder))
+    return recording_frames.content_hashes_of_frames(recording_folder.load_recording(folder))
 
 
 def known(folder):

@@ -65,7 +65,7 @@ def test_a_last_row_that_does_not_end_is_said_to_be_cut_off(tmp_path):
     ):
         path.write_text(text)
         with pytest.raises(FileError) as refused:
-            csv_and_parquet_tables.read(path, ("a", "b"))
+            csv_and_parquet_tables.read_csv_table(path, ("a", "b"))
         assert str(refused.value).endswith(says)
 
 

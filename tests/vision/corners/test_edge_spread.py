@@ -6,9 +6,9 @@ from scipy.special import ndtr
 
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.exact_pictures import SIZE, camera, picture, quad
-from vision.corners.cell_white_share import GRID
 from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, WIDTHS, empty_profile, learn_edge_spread
 from vision.corners.marker_detection import fit_read_markers
+from vision.corners.predicted_cell_white_share import GRID
 from vision.corners.whole_image_marker_reader import ReadMarkers
 
 

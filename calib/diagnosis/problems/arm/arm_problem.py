@@ -16,13 +16,13 @@ from calib.diagnosis.engine.cross_validation_and_chance import (
     time_stretch_folds,
 )
 from calib.diagnosis.engine.finding_confirmation import labelled_progress
-from calib.diagnosis.engine.lack_of_fit import LackOfFit
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.problem_interface import Progress, Wald
 from calib.diagnosis.engine.selection_inputs import ARM, SelectionPolicy, StatedTerms
 from calib.diagnosis.engine.term_selection import fit_selected_terms, remove_redundant_terms
 from calib.diagnosis.problems.arm import lack_of_fit_and_unlisted_effects as remainder
-from calib.diagnosis.problems.arm.candidate_search import candidate_with_grid_nodes, score_column, search_candidates
+from calib.diagnosis.problems.arm.candidate_search import candidate_with_grid_nodes, score_candidates, score_column
 from calib.diagnosis.problems.arm.joint_candidates import JointCandidate, JointScore
 from calib.diagnosis.problems.arm.linearised_poses import Arms, Geometry
 from calib.diagnosis.problems.arm.nonlinear_parameters import has_continuous_parameters
@@ -90,7 +90,7 @@ class ArmProblem:
         least: float = 0.0,
         progress: Callable[[int, int], None] | None = None,
     ) -> list[JointScore]:
-        return search_candidates(model, candidates, least, self.policy.cluster, progress)
+        return score_candidates(model, candidates, least, self.policy.cluster, progress)
 
     def rescored(self, model: Fit, fit: Fit, number: int) -> JointScore:
         return self.search(model, [fit.terms[number].only], -np.inf)[0]

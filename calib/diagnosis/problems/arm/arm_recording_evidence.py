@@ -9,7 +9,7 @@ import numpy as np
 from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.finding_confirmation import Finding
-from calib.diagnosis.engine.lack_of_fit import Covariate, LackOfFit
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.engine.selection_inputs import NO_STATED_TERMS, Crowd, LeftOut, NotAsked, Outliers, StatedTerms
 from calib.diagnosis.engine.term_selection import Selection

@@ -35,7 +35,7 @@ SEEN = 4.0  # times what a later node explains with the nuisances in, the most t
 SLOWEST = 0.05  # cycles per radian times 2 pi; a sinusoid of a lower order is a line
 
 
-def search_candidates(
+def score_candidates(
     fit: Fit,
     candidates: list[JointCandidate],
     least_delta_bic: float = 0.0,

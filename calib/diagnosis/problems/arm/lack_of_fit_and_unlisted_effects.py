@@ -13,7 +13,7 @@ from calib.diagnosis.engine.cross_validation_and_chance import (
     time_stretch_folds,
 )
 from calib.diagnosis.engine.formula_search import Formula, Library, Search
-from calib.diagnosis.engine.lack_of_fit import (
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import (
     ALPHA,
     Covariate,
     LackOfFit,

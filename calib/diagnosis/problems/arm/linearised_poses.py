@@ -21,7 +21,7 @@ from rig.model import motion_simulation
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm, Chain
 from rig.model.mechanism_kinds_and_hexapod_properties import require_arm, require_chain
-from rig.model.mechanisms import chain as mechanism
+from rig.model.mechanisms import mechanism_chain as mechanism
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Sensors
 from vision.pose_uncertainty_prediction import PredictedUncertainty

@@ -5,7 +5,7 @@ for the others.
 from dataclasses import replace
 
 from calib.diagnosis.engine.selection_inputs import NO_STATED_TERMS, SelectionPolicy, StatedTerms
-from calib.diagnosis.problems.arm.candidate_search import search_candidates
+from calib.diagnosis.problems.arm.candidate_search import score_candidates
 from calib.diagnosis.problems.arm.joint_candidates import OWN_ANGLE, SPAN, Form, JointCandidate
 from calib.diagnosis.problems.arm.nonlinear_parameters import has_continuous_parameters, optimise_nonlinear_parameters
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_poses
@@ -74,7 +74,7 @@ def merge_sinusoids_into_profiles(
         if len(cycles) <= CYCLES:
             continue
         rest = fit.without_terms(cycles)
-        best = search_candidates(rest, [candidate], correlated_frames=policy.cluster)
+        best = score_candidates(rest, [candidate], correlated_frames=policy.cluster)
         trial = rest.with_terms([Term.of(best[0])]) if best else rest
         if trial.criterion() < fit.criterion() + policy.delta_bic * len(cycles):
             fit = fit_poses(fit.arms, trial.terms, train, fit.weighing, rounds=QUICK)
@@ -89,7 +89,7 @@ def refine_knots_and_parameters(fit: Fit, train: Booleans | None, policy: Select
     fit = optimise_terms(fit, [t for t in fit.terms if has_continuous_parameters(t) and t.stale(fit.scatter[0])])
     for one in [t for t in fit.terms if t.candidate.form in (Form.PROFILE, Form.SINUSOID) and t.stale(fit.scatter[0])]:
         rest = fit.without_terms(_numbers(fit, one))
-        best = search_candidates(rest, [_about(one)], correlated_frames=policy.cluster)
+        best = score_candidates(rest, [_about(one)], correlated_frames=policy.cluster)
         better = best and best[0].node != one.node
         trial = rest.with_terms(
             [replace(Term.at(one.candidate, best[0].node) if better else one, level=float(fit.scatter[0]))]
@@ -136,7 +136,7 @@ def simplify_profiles(
         here, worth = fit.without_terms(_numbers(fit, one)), fit.criterion()
         own = [c for c in candidates if c.joint == one.candidate.joint and c.form in (Form.SLOPE, Form.SINUSOID)]
         for left in range(CYCLES, 0, -1):
-            scores = search_candidates(here, own, correlated_frames=policy.cluster)
+            scores = score_candidates(here, own, correlated_frames=policy.cluster)
             if not scores or here.criterion() - left * max(s.delta_chi2 * s.dispersion for s in scores) > worth:
                 break  # later ones seldom bring more than the first
             here = here.with_terms([Term.of(scores[0])])

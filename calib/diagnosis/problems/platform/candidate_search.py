@@ -50,14 +50,14 @@ def _row_projection_by_frame(local: Floats, rows: Integers, frame: Integers, V: 
                 out[frame[h], k, i] += v * V[h, i]
 
 
-def search_candidates(
+def score_candidates(
     model: LinearisedModel,
     candidates: list[PlatformCandidate],
     sensitivities: Sensitivities,
     least_delta_bic: float = -np.inf,
     progress: Progress | None = None,
 ) -> list[PlatformScore]:
-    """[Score] of all candidates, the greatest raw delta BIC first.
+    """Scores of all candidates, the greatest raw delta BIC first.
 
     sensitivities : at the model's OperatingPoint; progress : called with (done, of), or None
     least_delta_bic : of delta chi-square; what explains less is not asked how likely it is, see `best_node_score`
@@ -211,7 +211,7 @@ def _along_axes(
     least: float,
 ) -> PlatformScore:
     solver: Callable[[inner.Normal], Solved] = (
-        inner.solve_normal_equations if candidate.spec.linear else inner.solve_with_unit_coefficient
+        inner.solve_normal_equations if candidate.spec.linear else inner.chi2_reduction_at_unit_coefficient
     )
     normals = []
     for start in range(0, len(candidate.grid), CHUNK):

@@ -9,7 +9,7 @@ import scipy
 
 from calib.diagnosis.engine.cross_validation_and_chance import scan_p_value
 from calib.diagnosis.engine.frame_inner_products import FrameProducts, solve_normal_equations
-from calib.diagnosis.engine.lack_of_fit import (
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import (
     ALPHA,
     LIKELY,
     Covariate,

@@ -17,7 +17,7 @@ from vision.bundle.corner_jacobians import (
     rotate_jacobian,
     small_motion_jacobian,
 )
-from vision.bundle.unknown_priors import stated_lens_sigmas
+from vision.bundle.unknown_priors import stated_lens_prior_sigmas
 from vision.corner_observations import Observations, find_repeated_base_corners, group_sums
 
 EDGES = "edges"  # name of that freedom of each camera: a bias of all its edges, which the corner finder brings
@@ -85,7 +85,9 @@ def corner_rows(point: OperatingPoint) -> CornerRows:
     for i, rows, J_platform, J_camera, J_lens in corner_jacobians(o, point.state):
         camera = point.stated.cameras[i]
         J_local[at[rows], :, :6] = whitener[rows] @ J_platform
-        blocks = [(J_lens, lens.lens_parameter_names(camera.distortion), (1 / stated_lens_sigmas(camera)).tolist())]
+        blocks = [
+            (J_lens, lens.lens_parameter_names(camera.distortion), (1 / stated_lens_prior_sigmas(camera)).tolist())
+        ]
         if i in point.moving:
             own = 6 + 6 * sorted(point.moving).index(i)
             J_local[at[rows], :, own : own + 6] = whitener[rows] @ J_camera

@@ -7,14 +7,14 @@ from typing import Self
 import numpy as np
 
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.lack_of_fit import LackOfFit
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.problem_interface import Wald
 from calib.diagnosis.engine.selection_inputs import PLATFORM, SelectionPolicy, StatedTerms
 from calib.diagnosis.engine.term_selection import Selection
 from calib.diagnosis.problems.platform import lack_of_fit as remainder
-from calib.diagnosis.problems.platform import tolerance_columns
-from calib.diagnosis.problems.platform.candidate_search import candidate_column, search_candidates
+from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_columns
+from calib.diagnosis.problems.platform.candidate_search import candidate_column, score_candidates
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, effect_parameter_directions
 from calib.diagnosis.problems.platform.held_out_validation import cross_validate_effects
@@ -65,15 +65,15 @@ class PlatformProblem:
         if self.tolerant:
             return False
         model = fit.refined.marginalised
-        found = tolerance_columns.tolerance_model(model, self.sensitivities)
+        found = marker_and_thermometer_tolerance_columns.tolerance_model(model, self.sensitivities)
         if found is None:
             return False
         seen = found.projected(model)
-        if not tolerance_columns.tolerances_explain_residuals(seen, found.sigma):
+        if not marker_and_thermometer_tolerance_columns.tolerances_explain_residuals(seen, found.sigma):
             return False
-        return best is None or tolerance_columns.log_likelihood_ratio_with_tolerances(seen, found.sigma) > float(
-            best.raw_delta_bic(model.size)
-        )
+        return best is None or marker_and_thermometer_tolerance_columns.log_likelihood_ratio_with_tolerances(
+            seen, found.sigma
+        ) > float(best.raw_delta_bic(model.size))
 
     def with_tolerances(self) -> Self:
         other = replace(self, tolerant=True)
@@ -108,8 +108,12 @@ class PlatformProblem:
 
     def beside_tolerances(self, model: LinearisedModel) -> LinearisedModel:
         """LinearisedModel with what tolerances do among the nuisances, where this problem is tolerant."""
-        found = tolerance_columns.tolerance_model(model, self.sensitivities) if self.tolerant else None
-        return model if found is None else tolerance_columns.model_with_tolerances(model, found)
+        found = (
+            marker_and_thermometer_tolerance_columns.tolerance_model(model, self.sensitivities)
+            if self.tolerant
+            else None
+        )
+        return model if found is None else marker_and_thermometer_tolerance_columns.model_with_tolerances(model, found)
 
     def covered(self, fit: PlatformFit, number: int, left: list[LackOfFit]) -> LinearisedModel:
         model = self.beside(fit, number)
@@ -125,7 +129,7 @@ class PlatformProblem:
         least: float = -np.inf,
         progress: Callable[[int, int], None] | None = None,
     ) -> list[PlatformScore]:
-        return search_candidates(model, candidates, self.sensitivities.at(model.point), least, progress)
+        return score_candidates(model, candidates, self.sensitivities.at(model.point), least, progress)
 
     def rescored(self, model: LinearisedModel, fit: PlatformFit, number: int) -> PlatformScore:
         return self.search(model, [fit.terms[number]])[0]

@@ -9,7 +9,7 @@ import numpy as np
 from calib.certification.calibration_and_claim_sentences import Calibration
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.finding_confirmation import Finding
-from calib.diagnosis.engine.lack_of_fit import Covariate, LackOfFit
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.engine.selection_inputs import NotAsked, Outliers, StatedTerms
 from calib.diagnosis.problems.evidence_interface import (
@@ -46,8 +46,11 @@ from calib.diagnosis.problems.platform.operating_point import (
     without_distant_corners,
 )
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
-from calib.diagnosis.problems.platform.temperature_effects_as_alternatives import add_temperature_alternatives
-from calib.diagnosis.problems.platform.tolerable_findings import separate_tolerable_findings, widen_intervals
+from calib.diagnosis.problems.platform.temperature_alternatives_of_findings import add_temperature_alternatives
+from calib.diagnosis.problems.platform.tolerable_findings import (
+    separate_tolerable_findings,
+    widen_intervals_by_temperature_logs_and_tolerances,
+)
 from calib.diagnosis.problems.platform.unlisted_strut_effects import suggest_strut_formulas
 from calib.diagnosis.problems.remainder_covariates_and_formulas import Suggestion
 from calib.diagnosis.problems.repeated_commands import repeatability_of_pairs, repeated_pairs
@@ -115,7 +118,9 @@ class PlatformEvidence:
         return suggest_strut_formulas(_problem(selection), selection.fit, left, progress)
 
     def with_widened_intervals(self, selection: PlatformSelection) -> PlatformSelection:
-        refined = widen_intervals(selection.fit.refined, _problem(selection).sensitivities)
+        refined = widen_intervals_by_temperature_logs_and_tolerances(
+            selection.fit.refined, _problem(selection).sensitivities
+        )
         return replace(selection, fit=replace(selection.fit, refined=refined))
 
     def repeats(self, selection: PlatformSelection) -> Repeats | None:

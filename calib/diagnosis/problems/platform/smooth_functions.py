@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import null_space
 
-from calib.diagnosis.engine.lack_of_fit import LackOfFit
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.problems.platform.candidate_search import camera_mount_pixel_derivatives
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel, linearise
 from calib.diagnosis.problems.platform.operating_point import OperatingPoint

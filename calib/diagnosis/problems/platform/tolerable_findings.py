@@ -8,7 +8,7 @@ import scipy
 from calib.diagnosis.engine.candidate_score import Score
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.engine.finding_confirmation import Finding, is_significant
-from calib.diagnosis.engine.lack_of_fit import LackOfFit
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, Projection, join_columns
 from calib.diagnosis.engine.selection_inputs import C
 from calib.diagnosis.problems.evidence_interface import Remark, Tolerable, Value
@@ -17,11 +17,7 @@ from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidat
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.held_out_validation import residual_change_column
 from calib.diagnosis.problems.platform.linearised_residuals import CORNERS, LinearisedModel
-from calib.diagnosis.problems.platform.operating_point import OperatingPoint
-from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
-from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
-from calib.diagnosis.problems.platform.temperature_effects_as_alternatives import WARM
-from calib.diagnosis.problems.platform.tolerance_columns import (
+from calib.diagnosis.problems.platform.marker_and_thermometer_tolerance_columns import (
     TOGETHER,
     SignificantTolerance,
     ToleranceModel,
@@ -30,6 +26,10 @@ from calib.diagnosis.problems.platform.tolerance_columns import (
     significant_tolerances,
     tolerance_model,
 )
+from calib.diagnosis.problems.platform.operating_point import OperatingPoint
+from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
+from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
+from calib.diagnosis.problems.platform.temperature_alternatives_of_findings import WARM
 from rig.array_and_json_types import Floats
 from rig.model.marker_and_sensor_tolerances import STILL
 
@@ -128,8 +128,10 @@ def _corner_displacement(fit: PlatformFit, number: int) -> float:
     return float(model.corner_noise() * np.sqrt(max(square, 0.0) / max(touched, 1)))
 
 
-def widen_intervals(refinement: Refinement, sensitivities: Sensitivities) -> Refinement:
-    """Refined with intervals (its covariance) widened by temperature log errors and tolerances."""
+def widen_intervals_by_temperature_logs_and_tolerances(
+    refinement: Refinement, sensitivities: Sensitivities
+) -> Refinement:
+    """Refinement with intervals (its covariance) widened by errors of temperature logs and by tolerances."""
     added = [
         half
         for half in (

@@ -13,7 +13,7 @@ from calib.diagnosis.engine.cross_validation_and_chance import (
 )
 from calib.diagnosis.engine.formula_search import Formula, Library, Search
 from calib.diagnosis.engine.frame_inner_products import FrameProducts
-from calib.diagnosis.engine.lack_of_fit import LackOfFit
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import LinearModel
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.engine.reduced_least_squares import Reduced

@@ -11,7 +11,7 @@ from rig.errors import FileError, RigError
 from rig.formats import structured_files
 from rig.formats.checked_entries import LARGEST_RIG, Entries, name_problem
 from rig.formats.importers.camera_calibrations.calibration_programs import PROGRAMS
-from rig.formats.importers.camera_calibrations.foreign_camera_and_fisheye_lens import ForeignCamera
+from rig.formats.importers.camera_calibrations.foreign_camera_checks_and_fisheye_conversion import ForeignCamera
 from rig.formats.importers.import_recipe import Cameras
 from rig.formats.local_and_remote_files import read_text, short_repr
 from rig.formats.number_parsing_and_rounding import parse_numbers

@@ -19,7 +19,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
 from rig.formats.checked_entries import Entries
-from rig.formats.importers.camera_calibrations.foreign_camera_and_fisheye_lens import (
+from rig.formats.importers.camera_calibrations.foreign_camera_checks_and_fisheye_conversion import (
     ForeignCamera,
     checked_camera_matrix,
     checked_camera_transform,

@@ -1,4 +1,4 @@
-"""White share (0..1) predicted in and around one cell of a marker, by edge spread functions.
+"""Predicted white share (0..1) in and around one cell of a marker, by edge spread functions.
 
 Source: bivariate normal, Drezner and Wesolowsky 1990
 """

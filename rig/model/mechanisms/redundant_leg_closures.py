@@ -1,4 +1,4 @@
-"""Redundant legs of a platform (more than six): best six for the pose, closure errors of the others.
+"""Redundant leg closures of a platform (more than six legs): best six for the pose, closure errors of the others.
 
 Legs are driven struts and measuring limbs alike. What a closure is expected to be follows from every leg's own error
 and from how well its geometry is known; one leg that is off by the same all along shows in all closures that depend on

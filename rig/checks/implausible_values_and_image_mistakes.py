@@ -1,4 +1,4 @@
-"""Checks of a recording's files without vision: values of rig.toml, image files, cameras, corners."""
+"""Implausible values of rig.toml, and image mistakes: unused cameras, duplicate images, corners outside images."""
 
 import tomllib
 from collections import defaultdict

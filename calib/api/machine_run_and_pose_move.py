@@ -1,4 +1,4 @@
-"""Runs at the machine: a plan's configurations driven and recorded (run), or one pose gone to (go)."""
+"""Run of a plan at the machine, driven and recorded (run), or move of the machine to one pose (go)."""
 
 import hashlib
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Terminal output: control characters escaped, a closed pipe survived, progress shown as bars or lines."""
+"""Escaping of terminal output (control characters, closed pipes), and display of progress as bars or lines."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands and measured poses of a platform compared: wrong struts, joints, clocks, frames or conventions."""
+"""Disagreements of a platform's commands and measured poses: wrong struts, joints, clocks, frames, conventions."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -100,7 +100,7 @@ def commands_and_measured_poses(
 
 def written_pose_columns(recording: Recording) -> Floats:
     """(n, 6) m and rad pose columns of poses.csv as written, rotation vectors longer than pi included."""
-    return csv_and_parquet_tables.read(recording.folder / "poses.csv", POSE_COLUMNS).matrix(POSE_COLUMNS)
+    return csv_and_parquet_tables.read_csv_table(recording.folder / "poses.csv", POSE_COLUMNS).matrix(POSE_COLUMNS)
 
 
 def commands_disagree_with_poses(moves: CommandsAndPoses) -> bool:

@@ -1,4 +1,4 @@
-"""Temperature effects as alternatives of findings, where temperature was not logged, or its log has errors."""
+"""Temperature effects as alternatives of a platform's findings, where a temperature log is missing or wrong."""
 
 import inspect
 from dataclasses import replace

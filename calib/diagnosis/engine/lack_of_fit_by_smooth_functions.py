@@ -1,4 +1,4 @@
-"""Tests of lack of fit in residuals: smooth functions, excess scatter, covariates ranked by explained share."""
+"""Lack of fit by smooth functions of covariates that residuals follow; excess scatter; covariates ranked."""
 
 from collections import Counter
 from dataclasses import dataclass, replace

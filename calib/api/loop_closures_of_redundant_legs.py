@@ -1,4 +1,4 @@
-"""Loop closures of a platform with more length readings than six: which six give the pose, how the others close."""
+"""Loop closures of redundant legs: which six of more lengths give a platform's pose, how the others close."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from calib.online.measuring_limbs_file import Accepted
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
 from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
-from rig.model.mechanisms.redundant_legs import (
+from rig.model.mechanisms.redundant_leg_closures import (
     LegClosures,
     RedundantLegs,
     best_six_legs,

@@ -1,4 +1,4 @@
-"""Columns of manufacturing tolerances, each with its prior: what they do to corners and struts."""
+"""Columns of marker and thermometer tolerances, each with its prior: what they do to corners and struts."""
 
 from dataclasses import dataclass, replace
 
@@ -8,9 +8,9 @@ from scipy.sparse import csr_array
 
 from calib.diagnosis.engine.frame_inner_products import (
     Normal,
+    chi2_reduction_at_unit_coefficient,
     solve_normal_equations,
     solve_with_prior,
-    solve_with_unit_coefficient,
 )
 from calib.diagnosis.engine.linear_model import Column, Projection
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
@@ -199,7 +199,7 @@ def share_not_explained_by_tolerances(
     )
     right, gram = alone.right - cross @ taken[:, 0], alone.gram - cross @ taken[:, 1:]
     deltas = [
-        (solve_with_unit_coefficient if sized else solve_normal_equations)(
+        (chi2_reduction_at_unit_coefficient if sized else solve_normal_equations)(
             Normal(b[None], G[None], np.diag(alone.gram)[None])
         ).delta_chi2[0]
         for b, G in ((alone.right, alone.gram), (right, gram))

@@ -1,4 +1,4 @@
-"""Columns of a table of markers that effects displace, and the table with some of them replaced."""
+"""Table of markers (identities, poses on bodies, sides) that effects change, and a copy with columns replaced."""
 
 from dataclasses import replace
 from typing import Any, Protocol, TypeVar, cast
@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Booleans, Floats, Integers
 
 
-class MarkerColumns(Protocol):
+class MarkerTable(Protocol):
     """A dataclass of markers, a row each, as vision.targets has it.
 
     id : (m,); on_platform : (m,) bool; T_body_marker : RigidTransform (m,); side : (m,) m; target : m names; stage :
@@ -40,9 +40,9 @@ class MarkerColumns(Protocol):
         """Numbers of their stages, (m,)."""
 
 
-Markers = TypeVar("Markers", bound=MarkerColumns)
+Markers = TypeVar("Markers", bound=MarkerTable)
 
 
-def replace_columns(markers: Markers, **columns: object) -> Markers:
+def replace_marker_columns(markers: Markers, **columns: object) -> Markers:
     """The table of markers with some columns replaced."""
     return cast(Markers, replace(cast(Any, markers), **columns))  # a Protocol cannot say that it is a dataclass

@@ -1,4 +1,4 @@
-"""White share predicted at a strip of a square's edge pixels, with its derivatives.
+"""Predicted white share at a strip of a square's edge pixels, with its derivatives.
 
 All numbers are in single precision, a strip is one flat array, and places in it are unsigned: so compilers work out
 many pixels at once.
@@ -10,7 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from vision.corners.cell_white_share import (
+from vision.corners.edge_pixels import KINDS, LEVEL, MEETING, REACH, UPRIGHT, EdgePixels
+from vision.corners.numba_cholesky_and_order_statistics import inlined_kernel, kernel
+from vision.corners.predicted_cell_white_share import (
     NODES,
     SKEW,
     SPAN,
@@ -22,8 +24,6 @@ from vision.corners.cell_white_share import (
     cell_white_share,
     wide_edge_cell_white_share,
 )
-from vision.corners.edge_pixels import KINDS, LEVEL, MEETING, REACH, UPRIGHT, EdgePixels
-from vision.corners.numba_cholesky_and_order_statistics import inlined_kernel, kernel
 
 ROWS = 16  # of a strip
 STRIP = 256  # pixels in a strip; its rows fit the processor's first cache
@@ -137,7 +137,7 @@ def _single(
 @inlined_kernel
 def _meetings(pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, tables: Tables, strip: Floats) -> None:
     """The same for pixels that see an upright and a level edge meet. Their product is corrected as in
-    vision/corners/cell_white_share.py.
+    vision/corners/predicted_cell_white_share.py.
     """
     x, y, lines, levels, looks, slope = pixels.x, pixels.y, pixels.i, pixels.j, pixels.looks, seen.slope
     g = seen.g.astype(np.float32)

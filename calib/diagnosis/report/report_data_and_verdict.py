@@ -1,4 +1,4 @@
-"""Report of a diagnosis: its content as data, its summary, the verdict on the recording's model."""
+"""Data of a diagnosis report, with its summary, doubts and actions, and the verdict on the recording's model."""
 
 import json
 from collections.abc import Collection

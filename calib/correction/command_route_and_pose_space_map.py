@@ -1,4 +1,4 @@
-"""Route through wanted poses in time, and the map of pose errors in pose space with the pose to request.
+"""Route of commands in time, and the map of pose errors in pose space with the pose to request.
 
 Source: configuration-space patent, [0035] (error maps and compensation in the configuration space, the workspace or
     both)

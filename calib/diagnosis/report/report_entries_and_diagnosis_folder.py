@@ -1,6 +1,4 @@
-"""Entries of a Report made from a Diagnosis, and the folder written: diagnosis.json, and what it takes to draw
-the recording anew as it was found.
-"""
+"""Entries of a Report made from a Diagnosis, and the diagnosis folder: diagnosis.json, and files to simulate by."""
 
 import json
 from dataclasses import asdict
@@ -9,7 +7,7 @@ from typing import Any
 
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.finding_confirmation import Finding
-from calib.diagnosis.engine.lack_of_fit import LackOfFit, first_of_each_place
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit, first_of_each_place
 from calib.diagnosis.problems.evidence_interface import MeasuredFinding, Misfit, ScatterSize, Value
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report import residual_figures_and_contributions
@@ -28,7 +26,7 @@ from calib.diagnosis.report.diagnosis_json import (
     recording_entries,
     suggested_formula_entries,
 )
-from calib.diagnosis.report.diagnosis_report import Report, write_diagnosis_json
+from calib.diagnosis.report.report_data_and_verdict import Report, write_diagnosis_json
 from calib.diagnosis.report.residual_figures_and_contributions import held_out_entries
 from rig.effects.framework.effect import Effect
 from rig.formats import local_and_remote_files, machine_json

@@ -1,4 +1,4 @@
-"""Held-out poses of recordings with errors and repeatability, and distinct configurations of samples.
+"""Held-out pose errors of recordings with repeatability, and distinct configurations: numbers, folds, mean samples.
 
 Only exposures of a machine at rest count, and of each configuration the first visit alone speaks for poses at large:
 the others are repeats, from which repeatability is read.
