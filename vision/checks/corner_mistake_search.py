@@ -24,9 +24,7 @@ from vision.recording_adjustment import Measurement
 FINE = 0.3  # px; a misfit below it is noise and what calibration takes up
 GROSS = 2.0  # px; a misfit beyond it is no matter of sizes and lenses alone
 UNEXPLAINED = 5.0  # px; a misfit that nothing explains, places of markers neither, is spoken of from here on
-# times the least misfit: of mistakes that explain as much, the one is meant that leaves the cameras where they are
-# stated
-ALIKE = 1.5
+ALIKE = 1.5  # times the least misfit: of mistakes that explain as much, the one that leaves cameras as stated is meant
 LIKELY = 0.85  # proof of a mistake that explains all: figures that are impossible by themselves go first
 HALF = 0.5  # of the squares that a wrong size may leave: of hundreds of corners that is no chance
 BIASES = (-0.5, -0.35, -0.2, 0.2, 0.35, 0.5)  # px
@@ -35,8 +33,7 @@ DONE = 0.5  # px; a mistake that leaves less explains all
 SEARCH = 20  # mistakes that are tried before a measurement; not seconds, of which a slow machine would try fewer
 THOROUGH = 300  # likewise, where somebody asks for nothing else
 AWAY = (0.15, 0.25)  # m, rad that a camera may stand from where it is stated: nobody measures them better by hand
-# of how far a camera stands from there, which a mistake named may leave: another way of stating it is nearer by chance
-MENDED = 0.25
+MENDED = 0.25  # of how far a camera stands from there, which a mistake named may leave
 HALVED = 0.5  # the same of each of several cameras with one mistake, which chance does not bring about
 SAME = 0.05  # of that, which another reading of the stated lens may leave
 BENT = 2.0  # px, RMS over the image, that a lens may be from what is stated
@@ -218,9 +215,7 @@ def _sized(first: Trial) -> tuple[list[Mistake], Trial]:
 
 
 def _edges(first: Trial) -> float:
-    """px that an edge bias leaves: black that spreads or shrinks by as much in every image is the cameras' doing, not
-    the printer's.
-    """
+    """Misfit (px) that a common edge bias leaves: black that spreads alike in every image is due to the cameras."""
 
     def put(bias: float) -> SampledRecording:
         seen, names = first.seen, np.array(first.seen.corners.camera)
@@ -349,9 +344,7 @@ def _elsewhere(one: Trial) -> float:
 
 
 def _lens(m: Measurement, design: Design) -> list[Mistake]:
-    """Lenses that adjusting brought to what another sign or order of the stated terms is, where all others are as
-    stated.
-    """
+    """Mistakes of lenses that adjustment brought to another sign or order of the stated terms, the others as stated."""
     found: dict[tuple[str, str], list[str]] = {}
     ones = list(zip(design.cameras, m.design.cameras))
     if not all(

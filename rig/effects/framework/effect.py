@@ -224,16 +224,12 @@ class Effect:
 
     @classmethod
     def follows(cls, place: str, context: Context) -> tuple[tuple[str, ...], ...]:
-        """Temperatures that it follows at a place, the channels any one of which tells each; none for what follows no
-        temperature.
-        """
+        """Temperatures that it follows at a place: of each the channels that measure it; none without a temperature."""
         return ()
 
     @classmethod
     def sites(cls, context: Context) -> tuple[str, ...]:
-        """The places at which a recording can be asked for it. Raises RigError where the recording lacks what it
-        needs.
-        """
+        """Places at which a recording can show it. Raises RigError where the recording lacks what it needs."""
         commanded = cls.stage in MOTION_STAGES
         if commanded and context.motion is None:
             raise RigError("nothing was commanded")
@@ -249,9 +245,7 @@ class Effect:
 
     @classmethod
     def lacking(cls, context: Context) -> dict[str, str]:
-        """{place: why not} of the axes, or the rig, at which it cannot be asked for, for what the recording lacks
-        there: a slide without a lead.
-        """
+        """{place: reason} of places where the recording lacks what it needs: a slide without a lead."""
         return {place: reason for place in cls._places(context) if (reason := cls(place).needs(context.moved()))}
 
     @classmethod
@@ -262,9 +256,7 @@ class Effect:
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
-        """Candidates at a place: by default every linear parameter a column, and a grid of what its roles leave to be
-        searched.
-        """
+        """Candidates at a place: by default every linear parameter a column, and a grid of the nonlinear ones."""
         parameters = [p.at(place) for p in cls.parameters]
         grids = {
             p.name: parameter_grid(p, context.t) for p in parameters if p.role in ("size", "log", "even", "moment")
@@ -295,9 +287,7 @@ class Effect:
 
     @classmethod
     def columns(cls, candidate: Candidate, node: Node, motion: Motion) -> Floats:
-        """(n, axes, q): see Candidate.deviation. The model is linear in these, so that a small step of each tells
-        all.
-        """
+        """(n, axes, q): see Candidate.deviation. The model is linear in these, so a small step of each suffices."""
         if not candidate.linear:
             return candidate.effect(node, np.zeros(0)).deviation(motion)[..., None]
         out = []
