@@ -27,12 +27,12 @@ if TYPE_CHECKING:
     from calib.api.investigate import investigate as investigate
     from calib.api.learn import LearnOptions as LearnOptions
     from calib.api.learn import learn as learn
-    from calib.api.limb_acceptance_and_limb_poses import AcceptLimbsOptions as AcceptLimbsOptions
-    from calib.api.limb_acceptance_and_limb_poses import accept_limbs as accept_limbs
     from calib.api.loop_closures_of_redundant_legs import LoopClosureOptions as LoopClosureOptions
     from calib.api.loop_closures_of_redundant_legs import close_loops as close_loops
     from calib.api.machine_run_and_pose_move import RunOptions as RunOptions
     from calib.api.machine_run_and_pose_move import plan_run as plan_run
+    from calib.api.measuring_limb_acceptance_and_platform_poses import AcceptLimbsOptions as AcceptLimbsOptions
+    from calib.api.measuring_limb_acceptance_and_platform_poses import accept_limbs as accept_limbs
     from calib.api.plan import plan as plan
     from calib.api.plan_options_and_result import PlanOptions as PlanOptions
     from calib.api.recording_check_and_preparation import check as check
@@ -88,7 +88,9 @@ __getattr__ = lazy_getattr(
         "watch": "calib.api.verify_and_watch",
         "certify": "calib.api.certify",
         **dict.fromkeys(("learn", "LearnOptions"), "calib.api.learn"),
-        **dict.fromkeys(("accept_limbs", "AcceptLimbsOptions"), "calib.api.limb_acceptance_and_limb_poses"),
+        **dict.fromkeys(
+            ("accept_limbs", "AcceptLimbsOptions"), "calib.api.measuring_limb_acceptance_and_platform_poses"
+        ),
         **dict.fromkeys(("close_loops", "LoopClosureOptions"), "calib.api.loop_closures_of_redundant_legs"),
         **dict.fromkeys(("export", "ExportOptions"), "calib.api.export"),
         **dict.fromkeys(("plan_run", "RunOptions"), "calib.api.machine_run_and_pose_move"),

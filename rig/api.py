@@ -8,7 +8,7 @@ import numpy as np
 from rig.array_and_json_types import Floats, Json
 from rig.checks.mistake import Mistake, sort_mistakes
 from rig.errors import FileError, RigError
-from rig.formats.local_and_remote_files import read_bytes
+from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import CommandOutputs, write_bytes
 from rig.model import mechanisms
 from rig.model.design import Design
@@ -33,7 +33,7 @@ def load(path: Path | str, skip_unreadable: bool = False, mask: str | None = Non
     4
     """
     from rig.checks.unreadable_recording import unreadable_recording_mistakes
-    from rig.recording.recording_frames import remove_frames
+    from rig.recording.frame_selection_and_content_hashes import remove_frames
 
     path = Path(path)
     try:

@@ -11,13 +11,13 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.framework.effect_data_types import Drawing, log_uniform
+from rig.effects.framework.effect_places_parameters_and_covariates import Drawing, log_uniform
 from rig.errors import RigError
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Design, Instrument
-from rig.model.mechanism_kinds_and_hexapod_properties import require_arm
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_arm
 from rig.model.pose import exp
 from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.plan import build_plan, plan_of_configurations

@@ -10,8 +10,8 @@ from pathlib import Path
 from rig.array_and_json_types import Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.errors import FileError, RigError
-from rig.formats import structured_files
-from rig.formats.local_and_remote_files import read_bytes, short_repr
+from rig.formats import json_toml_and_yaml_loading
+from rig.formats.local_and_remote_input_files import read_bytes, short_repr
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 from rig.formats.output_files import write_text
 from rig.report.pages.html_and_svg_elements import result_html
@@ -135,7 +135,7 @@ class Campaign:
         """Write what makes this campaign, and make its folders. Raises RigError where the folder holds another."""
         path = self.folder / "campaign.json"
         if path.exists():
-            _require_same(structured_files.load_json(path, "campaign").tree, settings, self.folder)
+            _require_same(json_toml_and_yaml_loading.load_json(path, "campaign").tree, settings, self.folder)
         write_text(path, json.dumps(settings, indent=1) + "\n")
         for name in FOLDERS:
             (self.folder / name).mkdir(exist_ok=True)
@@ -155,7 +155,7 @@ class Campaign:
         if not path.exists():
             return None
         try:
-            table = structured_files.load_json(path, "record of a diagnosis")
+            table = json_toml_and_yaml_loading.load_json(path, "record of a diagnosis")
             return table.number("seconds", least=0), None if table.get("failed") is None else table.text("failed")
         except FileError as error:
             self.notice(f"case {index}: it is diagnosed anew: {error}")

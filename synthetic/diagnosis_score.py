@@ -10,10 +10,10 @@ import scipy
 
 from rig.array_and_json_types import Json
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.framework.effect_data_types import Place
-from rig.formats import structured_files
+from rig.effects.framework.effect_places_parameters_and_covariates import Place
+from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
-from rig.formats.local_and_remote_files import short_repr
+from rig.formats.local_and_remote_input_files import short_repr
 
 STRONG = 7.0  # signal-to-noise from which an effect must be found
 Group = tuple[str, list["Figure"], dict[str, int]]  # (effect or strength, detected .. covered, {taken for: times})
@@ -142,7 +142,7 @@ def score_case(
     index: int, truth: Path, diagnosis: Path | None, seconds: float = float("nan"), failed: str | None = None
 ) -> Case:
     """Case scored from a truth file and a diagnosis.json (None where it failed)."""
-    tree = structured_files.load_json(truth, "truth of a case")
+    tree = json_toml_and_yaml_loading.load_json(truth, "truth of a case")
     effects = tree.tables("effects")
     hidden = [
         _hidden(table, strength) for table, strength in zip(effects, tree.array("strengths", (len(effects),)).tolist())
@@ -150,7 +150,7 @@ def score_case(
     kind, disturbance = tree.text("kind"), tree.text("disturbance") if tree.get("disturbance") is not None else None
     if diagnosis is None:
         return Case(index, kind, disturbance, hidden, [], False, float("nan"), seconds, failed)
-    tree = structured_files.load_json(diagnosis, "diagnosis")
+    tree = json_toml_and_yaml_loading.load_json(diagnosis, "diagnosis")
     found, fit = [_found(table) for table in tree.tables("findings")], tree.table("fit")
     after, floor = (fit.number(key, nulls=True) for key in ("heldout_after", "noise_floor"))
     unexplained = tree.get("unexplained") is not None or any(f.effect == "unknown" for f in found)

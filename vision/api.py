@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from rig.recording.recording_folder import Recording
 from vision.bundle.adjustment_validation_and_determinacy import crossvalidate_adjustment, determined_combinations
 from vision.bundle.marker_displacements import compare_stated_and_adjusted_places
-from vision.checks.recording_refusal_and_cube_layout_remarks import (
+from vision.checks.recording_refusal_and_uneven_cube_layouts import (
     Notice,
     ignore_notice,
     make_spoilt_corner_refusal,

@@ -21,8 +21,12 @@ from rig.recording.combined_recordings import (
     require_one_rig,
     target_owner_recordings,
 )
+from rig.recording.frame_selection_and_content_hashes import (
+    content_hashes_of_frames,
+    frames_with_known_hashes,
+    hashes_of_frames,
+)
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_frames import content_hashes_of_frames, frames_with_known_hashes, hashes_of_frames
 from vision.recording_adjustment import Measurement
 from vision.recording_measurement import measure_recording
 

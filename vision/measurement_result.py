@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rig.array_and_json_types import Json
-from rig.formats.local_and_remote_files import read_text
+from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import replace_cameras, replace_target_markers
 from rig.model.pose import pose_to_vector, rms_uncertainty

@@ -7,10 +7,14 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from calib.api.correction_extension import ExtendedCorrection, ExtendOptions, certify_correction_extension
+from calib.api.correction_over_configuration_or_pose_space import (
+    ExtendedCorrection,
+    ExtendOptions,
+    certify_correction_extension,
+)
 from calib.api.recording_check_and_preparation import prepare_recordings
 from calib.certification import platform_certification
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence import calibration_verdict
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.certification.workspace_claim import Claim
@@ -25,14 +29,14 @@ from calib.diagnosis import findings_refit
 from calib.diagnosis.calibration_left_out_physics import mark_as_not_searched, search_left_out_physics
 from calib.diagnosis.findings_refit import Findings, findings_of_diagnosis, load_findings
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
-from calib.files.calibration_from_recording import SEED, calibration_with_provenance
+from calib.files.calibration_provenance_and_used_frames import SEED, calibration_with_provenance
 from calib.models.arm import calibration_page as arm_page
 from calib.models.arm import certification as arm_certification
-from calib.models.arm.extended_correction_certification import joint_correction_summands_of_stated_model
+from calib.models.arm.joint_space_correction_certification import joint_correction_summands_of_stated_model
 from calib.models.chain import certification_and_page as chain_certification
 from calib.models.chain import certification_and_page as chain_page
 from calib.models.machine_models import Certified
-from calib.online.measuring_limb_poses import LimbSource, sample_by_limbs
+from calib.online.platform_poses_from_measuring_limbs import LimbSource, sample_by_limbs
 from calib.report import platform_and_lens_calibration_pages as platform_page
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled, sample_recording
@@ -41,13 +45,18 @@ from rig.effects.texts.effect_text_and_dict import Kinds
 from rig.effects.texts.user_effect_file_loading import Plugin, catalogue_with_files
 from rig.errors import RigError
 from rig.model.design import Design
-from rig.model.mechanism_kinds_and_hexapod_properties import require_arm, require_chain, require_hexapod, require_struts
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import (
+    require_arm,
+    require_chain,
+    require_hexapod,
+    require_struts,
+)
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import write_table
 from rig.report.pages.html_and_svg_elements import result_html
 from rig.report.pages.page_templates_and_page_index import Link
 from rig.report.verdict_and_refutations_of_results import Verdict
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
+from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,7 @@ from calib.certificate import certificate_json_and_si_values, certificate_page, 
 from calib.certificate.certificate import Certificate, calibration_certificate, certificate_verdict
 from calib.certificate.certificate_contents import CertifyOptions
 from calib.certificate.digital_certificate_xml import Issuer
-from calib.certification.calibration_and_claim_sentences import Calibration, refutation_sentence
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration, refutation_sentence
 from calib.certification.calibration_evidence import (
     AgainstClaim,
     calibration_evidence,
@@ -19,15 +19,19 @@ from calib.certification.calibration_evidence import (
     evidence_with_verification,
 )
 from calib.certification.platform_certification import Progress
-from calib.files import calibration_from_recording
-from calib.files.calibration_from_recording import SEED
+from calib.files import calibration_provenance_and_used_frames
+from calib.files.calibration_provenance_and_used_frames import SEED
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.recording_samples import Sampled, sample_recording
 from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.formats.output_files import write_text
+from rig.recording.frame_selection_and_content_hashes import (
+    content_hashes_of_frames,
+    frames_with_known_hashes,
+    hashes_of_frames,
+)
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_frames import content_hashes_of_frames, frames_with_known_hashes, hashes_of_frames
 from rig.report.pages.page_templates_and_page_index import Link
 from rig.report.verdict_and_refutations_of_results import Evidence, Refutation, Verdict
 
@@ -99,7 +103,7 @@ def certify(
     made = calibration.provenance
     source = provenance or {
         "calibration": {"recording": made.get("recording"), "created": made.get("created")},
-        "versions": calibration_from_recording.package_versions(),
+        "versions": calibration_provenance_and_used_frames.package_versions(),
         "seed": SEED,
         "recordings": [recording.name for recording in every],
     }
@@ -137,7 +141,7 @@ def _held_out_recordings(
     known: set[str] = set()
     for recording in recordings:
         path, frames = recording.folder, len(recording.exposures.times()[0])
-        same = calibration_from_recording.frames_used_in_calibration(calibration, recording)
+        same = calibration_provenance_and_used_frames.frames_used_in_calibration(calibration, recording)
         if same:
             raise RigError(
                 f"{path}: {len(same)} of {frames} frames (the first: {same[0]}) took part in fitting {name}, "

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from calib.api.next_experiment import ExperimentOptions, NextExperiment, next_experiment
 from calib.api.recording_check_and_preparation import prepare_recordings
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence import OfCalibrations
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.diagnosis import recording_diagnosis
@@ -22,25 +22,25 @@ from calib.diagnosis.calibration_left_out_physics import (
     refuted_calibrations,
     unexplained_and_refuted_calibrations,
 )
-from calib.diagnosis.engine.selection_inputs import StatedTerms
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import StatedTerms
 from calib.diagnosis.recording_diagnosis import Diagnosis, DiagnosisOptions
-from calib.diagnosis.report.diagnosis_json import UNKNOWN
+from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
 from calib.diagnosis.report.diagnosis_page import arm_or_platform_page_view, diagnosis_page
 from calib.diagnosis.report.report_data_and_verdict import Report, diagnosis_verdict
 from calib.diagnosis.report.report_entries_and_diagnosis_folder import diagnosis_report, write_diagnosis_folder
 from calib.experiment.experiment_questions_and_information import Question
-from calib.files import calibration_from_recording
+from calib.files import calibration_provenance_and_used_frames
 from calib.samples.recording_samples import Sampled, sample_recording
 from rig.effects.texts.effect_text_and_dict import Kinds, parse_effect_and_place, require_known_effect
 from rig.effects.texts.user_effect_file_loading import Plugin, catalogue_with_files
 from rig.errors import RigError
-from rig.formats import structured_files
+from rig.formats import json_toml_and_yaml_loading
+from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_frames import content_hashes_of_frames
 from rig.report.pages.html_and_svg_elements import result_html
 from rig.report.pages.page_templates_and_page_index import Link
 from rig.report.verdict_and_refutations_of_results import State, Verdict
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice, recorded_or_sampled_corners
+from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice, recorded_or_sampled_corners
 
 
 def diagnosis_questions(d: Diagnosis) -> Sequence[Question[object]]:
@@ -88,7 +88,7 @@ class DiagnoseOptions:
         before = []
         if self.before is not None:
             path = self.before / "diagnosis.json"
-            table = structured_files.load_json(path, "diagnosis", "diagnosis/1")
+            table = json_toml_and_yaml_loading.load_json(path, "diagnosis", "diagnosis/1")
             for finding in table.tables("findings"):
                 name, place = finding.text("effect"), finding.text("place")
                 if name not in (*kinds, UNKNOWN):
@@ -178,7 +178,7 @@ def _refuse_same_data(options: DiagnoseOptions, recording: Recording) -> None:
     """Raise RigError where a calibration was made from this very recording, which would count twice."""
     if options.calibration is None:
         return
-    same = calibration_from_recording.frames_used_in_calibration(options.calibration, recording)
+    same = calibration_provenance_and_used_frames.frames_used_in_calibration(options.calibration, recording)
     if same:
         raise RigError(
             f"{options.name} was made from {len(same)} of the frames of {recording.folder}, which would count twice; "

@@ -25,12 +25,12 @@ from calib.files import calibration_file
 from calib.models.arm import error_model_and_observations
 from rig.array_and_json_types import Json
 from rig.errors import RigError
-from rig.formats import structured_files
+from rig.formats import json_toml_and_yaml_loading
 from rig.formats.output_files import write_bytes, write_text
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_kinds_and_hexapod_properties import require_arm
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_arm
 from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan
 from rig.planning.plan_construction_and_table import write_plan_table
@@ -208,7 +208,7 @@ def _begin(out: Path, rig: InvestigatedRig) -> None:
     options = rig.options
     own = {"schema": "investigation/1", "rig": rig.digest, "by": rig.by, "seed": options.seed}
     if options.resume:
-        kept = structured_files.load_json(out / STATE, "investigation", "investigation/1")
+        kept = json_toml_and_yaml_loading.load_json(out / STATE, "investigation", "investigation/1")
         for name, value in own.items():
             if kept.tree.get(name) != value:
                 kept.fail(f"is of another {name}: {kept.tree.get(name)!r}, not {value!r}", name)

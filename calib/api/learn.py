@@ -1,4 +1,4 @@
-"""Parameters learnt from a recording's poses, one at a time: the current estimate, and sudden changes."""
+"""Learning of parameters from a recording, pose by pose: the current estimate, and sudden changes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -6,27 +6,27 @@ from functools import partial
 from pathlib import Path
 
 from calib.api.recording_check_and_preparation import refuse_unfit_recording
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence import OfCalibrations, calibration_evidence
 from calib.diagnosis.calibration_left_out_physics import unexplained_and_refuted_calibrations
 from calib.online.information_filter import Online
 from calib.online.learners import save_learner
-from calib.online.measuring_limb_poses import LimbSource, sample_by_limbs
+from calib.online.platform_poses_from_measuring_limbs import LimbSource, sample_by_limbs
 from calib.online.recording_learning import FILTER, Learning, learn_by_filter, learn_by_simple_learner, simple_learner
 from calib.report.online_and_limb_pages import OnlineResult, online_verdict, write_online_page
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.recording_samples import Sampled, sample_recording
 from rig.array_and_json_types import Json
 from rig.errors import RigError
-from rig.formats.local_and_remote_files import json_files_in_same_folders
-from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
+from rig.formats.local_and_remote_input_files import json_files_in_same_folders
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_hexapod
+from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_frames import content_hashes_of_frames
 from rig.report.pages.html_and_svg_elements import result_html
 from rig.report.pages.page_templates_and_page_index import Link
 from rig.report.verdict_and_refutations_of_results import Refutation, Verdict
 from vision.api import Progress
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
+from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification import measuring_limbs, redundant_measuring_limb_checks
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification import measuring_limb_calibration_and_slips, redundant_measuring_limb_checks
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.online.measuring_limbs_file import Accepted
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
-from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_hexapod
 from rig.model.mechanisms.redundant_leg_closures import (
     LegClosures,
     RedundantLegs,
@@ -135,8 +135,11 @@ def close_loops(recording: Recording, options: LoopClosureOptions = LoopClosureO
 
 def _legs(recording: Recording, options: LoopClosureOptions) -> tuple[RedundantLegs, Integers, Floats]:
     """(Legs of struts and limbs, frames (n,), lengths (n, legs) m as commanded and read)."""
-    machine, stated = require_hexapod(recording.design.mechanism), measuring_limbs.stated_limbs(recording.design)
-    frames, lengths = measuring_limbs.limb_readings(recording)
+    machine, stated = (
+        require_hexapod(recording.design.mechanism),
+        measuring_limb_calibration_and_slips.stated_limbs(recording.design),
+    )
+    frames, lengths = measuring_limb_calibration_and_slips.limb_readings(recording)
     n = len(stated.channels)
     every, _, values = recording.commanded()
     commanded = values[np.searchsorted(every, frames)]

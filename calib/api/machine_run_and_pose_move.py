@@ -10,12 +10,12 @@ from threading import Thread
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.correction.correction import require_reachable
 from calib.models.wanted_pose_commands import commands_along_route
-from calib.online.run_observation import RunDisplay, RunObserver, RunStop
-from calib.online.run_preparation import RunOptions as RunOptions
-from calib.online.run_preparation import (
+from calib.online.observer_of_run_frames import RunDisplay, RunObserver, RunStop
+from calib.online.run_options_and_equipment import RunOptions as RunOptions
+from calib.online.run_options_and_equipment import (
     compile_kernels_for_run,
     open_cameras,
     open_run_equipment,
@@ -27,22 +27,22 @@ from rig.driving import straight_move_profile
 from rig.driving.cameras.camera_interface_and_grabbing import Settling, parse_settling
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_status_and_operator_advice import TRUST, ControllerStatus
-from rig.driving.driver_session import open_driver, settled_status
+from rig.driving.driver_opening_and_settled_status import open_driver, settled_status
 from rig.driving.emulators.emulator_opening import home_lengths
 from rig.driving.move_and_record_loop import RunOperator
 from rig.driving.run_journal_and_recording import Began, Journal
 from rig.driving.run_steps_and_progress import Step, check_steps, step_distances, steps_of_plan
 from rig.driving.strut_driver import Driver
 from rig.errors import PositionLost, RigError
-from rig.formats.local_and_remote_files import read_bytes
+from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_bytes
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.design_comparison_and_cube_remounting import quarter_turns_of_cubes, turning_instructions
-from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod, require_struts
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_hexapod, require_struts
 from rig.model.pose import pose_to_vector
 from rig.planning.plan import build_plan
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
+from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -29,13 +29,13 @@ from rig.array_and_json_types import Floats, Integers
 from rig.checks import command_and_pose_disagreements
 from rig.checks.mistake import Mistake, sort_mistakes
 from rig.model import mechanisms
-from rig.model.mechanism_kinds_and_hexapod_properties import Struts, require_struts
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts, require_struts
 from rig.model.pose import exp
 from rig.recording.combined_recordings import is_measured_by_instrument
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
 from vision.checks import find_corner_mistakes
-from vision.checks.recording_refusal_and_cube_layout_remarks import (
+from vision.checks.recording_refusal_and_uneven_cube_layouts import (
     Notice,
     make_spoilt_corner_refusal,
     recorded_or_sampled_corners,
@@ -256,7 +256,7 @@ def check(path: Path | str, detect: bool = False) -> CheckResult:
     found = [*files.found, *pose_mistakes(recording)]
     corners = recording.corners
     if recording.has_images and (corners is None or detect):
-        from vision.checks.image_sample import read_corners_of_image_sample
+        from vision.checks.image_sample_corners_and_dictionary_mistakes import read_corners_of_image_sample
 
         seen, more = read_corners_of_image_sample(recording)
         found += more

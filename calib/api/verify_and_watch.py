@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_and_claim_sentences import Calibration, refutation_sentence
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration, refutation_sentence
 from calib.certification.calibration_evidence import calibration_evidence, verify_claim_on_samples
 from calib.certification.claim_verification import Verification
 from calib.certification.held_out_errors import (
@@ -21,8 +21,8 @@ from calib.certification.platform_certification import Progress, silent_progress
 from calib.drift import change_sentences
 from calib.drift.change_evidence import Verdict as ChangeVerdict
 from calib.drift.visit_history import History, add_visit
-from calib.files import calibration_from_recording
-from calib.files.calibration_from_recording import SEED
+from calib.files import calibration_provenance_and_used_frames
+from calib.files.calibration_provenance_and_used_frames import SEED
 from calib.models.machine_models import corrected_pose_covariance
 from calib.report.verification_and_visit_pages import (
     Verified,
@@ -148,7 +148,7 @@ def verify(
         verify_claim_on_samples(calibration, samples, np.random.default_rng(SEED)),
         calibration,
         refutations,
-        calibration_from_recording.frames_used_in_calibration(calibration, recording),
+        calibration_provenance_and_used_frames.frames_used_in_calibration(calibration, recording),
         None if wanted is None else _driven(calibration, recording, sampled.samples, wanted),
         sampled.measurement.unsolved if sampled.measurement is not None else {},
         confounds_of_recordings([recording]),

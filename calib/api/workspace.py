@@ -1,4 +1,4 @@
-"""Effect of a calibration on the workspace: poses lost and gained, room to limits, singularities, error bounds."""
+"""Workspace change by a calibration: poses lost and gained, room to limits, singularities, error bounds."""
 
 import hashlib
 import json
@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.files import calibration_file
 from calib.models.machine_models import calibration_with_workspace
 from calib.workspace import workspace_page
-from calib.workspace.workspace_cells_and_reachable_poses import (
+from calib.workspace.workspace_map_and_lost_poses import (
     COLUMNS,
     Workspace,
     axis_margin_description,
@@ -20,16 +20,16 @@ from calib.workspace.workspace_cells_and_reachable_poses import (
 )
 from rig.array_and_json_types import Floats, Json
 from rig.errors import FileError, RigError
-from rig.formats import structured_files
+from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
-from rig.formats.local_and_remote_files import read_bytes
+from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_text
 from rig.model import mechanisms
 from rig.recording.recording_tables import write_table
 from rig.report.pages.html_and_svg_elements import result_html
 from rig.report.pages.page_templates_and_page_index import Link
 from rig.report.verdict_and_refutations_of_results import Verdict
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
+from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,7 +110,7 @@ def analyse_workspace(path: Path, certificate: Path | None = None, notice: Notic
 
 def load_certificate(path: Path, calibration: Path) -> Entries:
     """Entries of a certificate. Raises FileError for a file that is none, or one of another calibration"""
-    tree = structured_files.load_json(path, "certificate", "certificate/1")
+    tree = json_toml_and_yaml_loading.load_json(path, "certificate", "certificate/1")
     marks = tree.table("inputs_sha256")
     mine = hashlib.sha256(read_bytes(calibration)).hexdigest()
     if mine not in {marks.table(name).text("file", default=None) for name in marks.tree}:

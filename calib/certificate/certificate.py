@@ -12,7 +12,7 @@ import numpy as np
 from calib.certificate import certificate_sentences
 from calib.certificate.certificate_contents import CertifyOptions, Contents, measured_volume, measuring_conditions
 from calib.certification import noise_free_errors_and_tolerance_limits, pose_error_promise_and_conformity
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence import confound_sentences
 from calib.certification.held_out_errors import error_statistics, errors_before_and_after_correction
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
@@ -37,14 +37,14 @@ from calib.certification.pose_error_promise_and_conformity import (
     promise_by_cell,
 )
 from calib.certification.uncertainty_budget import rms_length_uncertainty, thermometer_covariance, uncertainty_budget
-from calib.files import calibration_from_recording
+from calib.files import calibration_provenance_and_used_frames
 from calib.models.machine_models import corrected_pose_covariance
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.recording_samples import Sampled
 from rig.array_and_json_types import Floats, Json
 from rig.errors import NotEnoughData
+from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, hashes_of_frames
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_frames import content_hashes_of_frames, hashes_of_frames
 from rig.report.pages.html_and_svg_elements import result_html
 from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
 
@@ -224,7 +224,9 @@ def certificate_provenance(
     inputs = {path.name: {"file": hashlib.sha256(path.read_bytes()).hexdigest()}}
     for recording in recordings:
         name = recording.folder.resolve().name
-        origin = calibration_from_recording.calibration_provenance(recording, (), seed, recording.has_images)
+        origin = calibration_provenance_and_used_frames.calibration_provenance(
+            recording, (), seed, recording.has_images
+        )
         content = hashlib.sha256("\n".join(hashes_of_frames(content_hashes_of_frames(recording))).encode()).hexdigest()
         inputs[name if name not in inputs else str(recording.folder)] = {
             **origin["inputs_sha256"],
@@ -235,7 +237,7 @@ def certificate_provenance(
     return {
         "inputs_sha256": inputs,
         "calibration": {"recording": made.get("recording"), "created": made.get("created")},
-        "versions": calibration_from_recording.package_versions(),
+        "versions": calibration_provenance_and_used_frames.package_versions(),
         "seed": seed,
         "arguments": list(arguments),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),

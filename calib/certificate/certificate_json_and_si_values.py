@@ -15,7 +15,7 @@ from calib.certification.held_out_errors import Figures
 from calib.certification.pose_error_promise_and_conformity import Promise
 from calib.certification.uncertainty_budget import COVERAGE, Budget
 from rig.array_and_json_types import Json
-from rig.formats.structured_files import nan_to_null
+from rig.formats.json_toml_and_yaml_loading import nan_to_null
 
 SCHEMA = "certificate/1"
 

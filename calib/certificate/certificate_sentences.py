@@ -1,7 +1,10 @@
 """Sentences of a certificate: scale, promise, volume, basis, conformity, ISO figures and uncertainties."""
 
 from calib.certificate.certificate_contents import Contents
-from calib.certification.calibration_and_claim_sentences import claim_status_text, explaining_rigid_motion_text
+from calib.certification.calibration_data_type_and_claim_sentences import (
+    claim_status_text,
+    explaining_rigid_motion_text,
+)
 from calib.certification.calibration_evidence import AgainstClaim
 from calib.certification.iso230_and_iso9283_tests import POSES, VISITS, AxisTest
 from calib.certification.pose_error_promise_and_conformity import CONFORMS, FAILS

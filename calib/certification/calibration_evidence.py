@@ -7,7 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.certification.calibration_and_claim_sentences import WHERE, Calibration, claim_lines, refutation_sentence
+from calib.certification.calibration_data_type_and_claim_sentences import (
+    WHERE,
+    Calibration,
+    claim_lines,
+    refutation_sentence,
+)
 from calib.certification.claim_verification import Part, Verification, verify_claim
 from calib.certification.held_out_errors import HeldOut, pose_errors
 from calib.certification.held_out_pose_errors_and_distinct_configurations import axis_ranges, configuration_numbers

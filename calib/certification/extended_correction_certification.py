@@ -45,7 +45,7 @@ from calib.certification.workspace_claim import (
 )
 from calib.correction import interpolation_methods_and_summand_extension
 from calib.correction.correction import AnyCorrection, solvable_commands_and_poses
-from calib.correction.interpolation.field_and_combinations import Field, FieldSamples, WeightedField
+from calib.correction.interpolation.field_interface_and_combinations import Field, FieldSamples, WeightedField
 from calib.correction.interpolation.gaussian_process import RadialMap
 from calib.correction.interpolation.grid import grid_lattice_of_configurations
 from calib.correction.interpolation_methods_and_summand_extension import (
@@ -65,7 +65,7 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanism_kinds_and_hexapod_properties import Struts
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
 from rig.model.pose import pose_difference
 from rig.planning.configuration_sets import FILL, sobol_configurations
 

@@ -16,7 +16,7 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Chain
-from rig.model.mechanism_kinds_and_hexapod_properties import Struts
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
 from rig.model.pose import exp, pose_difference
 from rig.recording.recording_folder import Commands
 

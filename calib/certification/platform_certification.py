@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.certification.held_out_errors import (
     HeldErrors,
     HeldOut,
@@ -43,7 +43,7 @@ from calib.models.platform.parameter_accuracy import estimate_tolerance_of_state
 from calib.samples.pose_samples import Samples, inverse_covariance
 from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
-from rig.model.mechanism_kinds_and_hexapod_properties import Struts
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
 
 Progress = Callable[[str, int, int], None]  # called with (label, done, of) as work goes on
 

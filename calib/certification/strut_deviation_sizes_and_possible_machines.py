@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.certification.strut_deviation_covariance_kernels import CONDITION, CONFIGURATION, PLACE, SAMPLE, Component
+from calib.certification.strut_deviation_covariance_functions import CONDITION, CONFIGURATION, PLACE, SAMPLE, Component
 from rig.array_and_json_types import Booleans, Floats, Integers
 
 SOUND, ALIKE, MIXED = 0.3, 0.4, 0.3  # probabilities, before the poses, of the three kinds

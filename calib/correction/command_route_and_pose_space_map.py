@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction.interpolation.field_and_combinations import Field
+from calib.correction.interpolation.field_interface_and_combinations import Field
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotConverged, Unreachable
 from rig.model.pose import exp, log

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.correction.command_route_and_pose_space_map import PoseMap
 from calib.correction.interpolation import gaussian_process
-from calib.correction.interpolation.field_and_combinations import Field, RestrictedMap
+from calib.correction.interpolation.field_interface_and_combinations import Field, RestrictedMap
 from calib.correction.interpolation.gaussian_process import Radial
 from calib.correction.interpolation.grid import Simplex
 from calib.models.platform.identification import (
@@ -30,11 +30,11 @@ from calib.models.platform.parameter_accuracy import estimate_tolerance_of_state
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
-from rig.effects.framework.effect_data_types import PLOT_UNITS
+from rig.effects.framework.effect_places_parameters_and_covariates import PLOT_UNITS
 from rig.errors import NotConverged, RigError, Unreachable
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
-from rig.model.mechanism_kinds_and_hexapod_properties import Struts, require_struts
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts, require_struts
 
 ITERATIONS = 100
 TOLERANCE = 1e-12  # m

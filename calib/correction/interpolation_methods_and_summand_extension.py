@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.correction import command_route_and_pose_space_map
 from calib.correction.correction import AnyCorrection, Correction, solvable_commands_and_poses
 from calib.correction.interpolation.delaunay_and_grid_kernels import Delaunay
-from calib.correction.interpolation.field_and_combinations import (
+from calib.correction.interpolation.field_interface_and_combinations import (
     Field,
     FieldSamples,
     RestrictedMap,
@@ -37,9 +37,9 @@ from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.formats.checked_entries import Entries
-from rig.formats.structured_files import json_data
+from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.model import mechanisms
-from rig.model.mechanism_kinds_and_hexapod_properties import Struts
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
 from rig.planning.configuration_sets import FILL, sobol_configurations
 
 SHAPES = {  # of the arrays: a axes, m outputs, the other letters any number, the same wherever they stand

@@ -25,7 +25,7 @@ from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.design import Camera, Design
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanism_kinds_and_hexapod_properties import Struts, require_hexapod
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts, require_hexapod
 from rig.model.mechanisms import hexapod as mechanism
 from rig.model.pose import exp, skew
 from vision import lens

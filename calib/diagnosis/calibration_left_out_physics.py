@@ -16,24 +16,24 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import gammaincinv
 
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence import OfCalibrations, calibration_evidence, verify_claim_on_samples
 from calib.certification.held_out_errors import pose_errors
 from calib.certification.workspace_claim import Claim
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.diagnosis.report import report_sentences
-from calib.diagnosis.report.diagnosis_json import UNKNOWN
+from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
 from calib.diagnosis.report.report_data_and_verdict import Report, doubts_of_report, unexplained_sentences
 from calib.diagnosis.report.report_entries_and_diagnosis_folder import diagnosis_report
 from calib.files import calibration_file
-from calib.files.calibration_from_recording import SEED
+from calib.files.calibration_provenance_and_used_frames import SEED
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import Sampled
 from rig.array_and_json_types import Floats, Json
 from rig.errors import NotEnoughData
+from rig.recording.frame_selection_and_content_hashes import Marks, frames_with_known_hashes
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_frames import Marks, frames_with_known_hashes
 from rig.report.verdict_and_refutations_of_results import State, refutations_of_file
 
 LARGEST = 50_000_000  # bytes of a file that is looked into

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint, group_sightings
 from calib.diagnosis.problems.platform.linearised_residuals import linearise
-from calib.diagnosis.problems.platform.operating_point import OperatingPoint, group_sightings
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters
 from calib.models.machine_models import independent_geometric_parameters
@@ -17,7 +17,7 @@ from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanism_kinds_and_hexapod_properties import has_plates
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_plates
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Recording, Sensors

@@ -13,12 +13,15 @@ from calib.correction.physics_compensation import Physics, Unknown
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform.linearisation_operating_point import (
+    operating_point_of_recording,
+    without_distant_corners,
+)
 from calib.diagnosis.problems.platform.misplaced_markers_and_frames import correct_marker_swaps
-from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording, without_distant_corners
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement, refine_operating_point
 from calib.diagnosis.problems.temperature_smoothing import smooth_temperatures
 from calib.diagnosis.recording_diagnosis import Diagnosis
-from calib.diagnosis.report.diagnosis_json import SCHEMA, UNKNOWN
+from calib.diagnosis.report.diagnosis_json_entries import SCHEMA, UNKNOWN
 from calib.models.arm.certification import UNPLACED, CertifiedArm, start_arm
 from calib.models.arm.error_model_and_observations import parameter_names, sample_observations
 from calib.models.arm.joint_effects_fit_and_held_out_scatter import History, JointFit, Prior, fit_geometry_and_effects
@@ -29,16 +32,16 @@ from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
-from rig.effects.framework.effect_data_types import Place
+from rig.effects.framework.effect_places_parameters_and_covariates import Place
 from rig.effects.texts.effect_text_and_dict import Kinds
 from rig.errors import FileError, RigError
-from rig.formats import machine_json, structured_files
+from rig.formats import json_toml_and_yaml_loading, machine_json
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files.atomic_file_and_manifest import load_manifest as manifest
 from rig.model import mechanisms
-from rig.model.mechanism_kinds_and_hexapod_properties import require_arm, require_struts
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_arm, require_struts
+from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, frames_with_known_hashes
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_frames import content_hashes_of_frames, frames_with_known_hashes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,7 +129,7 @@ def load_findings(folder: Path, recording: Recording, kinds: Kinds = BY_NAME) ->
     """
     if folder.is_dir() and not (folder / "diagnosis.json").exists():
         raise FileError(folder, "holds no diagnosis.json; --diagnosis requires a folder that `rig diagnose` wrote")
-    tree = structured_files.load_json(folder / "diagnosis.json", "diagnosis", SCHEMA)
+    tree = json_toml_and_yaml_loading.load_json(folder / "diagnosis.json", "diagnosis", SCHEMA)
     if not (folder / "machine.json").exists():
         raise FileError(
             folder / "machine.json",

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.drift.visit_equations_and_reference import (
     AT_ORIGIN,
     GAP,
@@ -21,7 +21,7 @@ from calib.drift.visit_equations_and_reference import (
 )
 from calib.models.platform.identification import pose_parameter_jacobian
 from calib.models.platform.optimal_configurations import allowed_configurations
-from calib.workspace.workspace_cells_and_reachable_poses import is_pose_lost
+from calib.workspace.workspace_map_and_lost_poses import is_pose_lost
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError
 from rig.model.design import Actuator, Design

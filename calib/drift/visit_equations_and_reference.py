@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.models.platform.identification import inverse_strut_length_jacobian, pose_parameter_jacobian
 from calib.samples.pose_samples import Samples
 from calib.samples.recording_samples import sample_recording
@@ -22,7 +22,7 @@ from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Camera, Design, Platform
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_hexapod
 from rig.model.pose import log, skew
 from rig.recording.recording_folder import Commands, Recording, Sensors
 from vision.bundle.normal_equations import linearise, normal_equations

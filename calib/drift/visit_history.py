@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.drift.change_evidence import (
     Verdict,
     change_hypotheses,
@@ -17,13 +17,17 @@ from calib.drift.change_evidence import (
 )
 from calib.drift.visit_equations_and_reference import GEOMETRY, OWN, Equations, Reference, visit_equations
 from rig.errors import FileError, RigError
-from rig.formats import structured_files
+from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files import write_text
 from rig.model.design import DISTORTION_TERMS, Camera
 from rig.model.pose import pose_to_entry
+from rig.recording.frame_selection_and_content_hashes import (
+    content_hashes_of_frames,
+    frames_with_known_hashes,
+    hashes_of_frames,
+)
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_frames import content_hashes_of_frames, frames_with_known_hashes, hashes_of_frames
 
 KEPT = 8  # latest visits that a change may have begun with; older ones are one
 BELIEVED = 200  # numbers' worth of belief that covariances are right, against which quiet visits' scatter counts
@@ -190,7 +194,7 @@ def read_history(path: Path | str, calibration: str) -> History:
 
     Raises FileError for a file that is missing, cut off, none of these, or of another calibration
     """
-    tree = structured_files.load_json(Path(path), "history of a watch", SCHEMA)
+    tree = json_toml_and_yaml_loading.load_json(Path(path), "history of a watch", SCHEMA)
     if tree.text("calibration_sha256") != calibration:
         raise FileError(path, "is the history of another calibration; name another file, and a new history begins")
     places = tree.texts("places")

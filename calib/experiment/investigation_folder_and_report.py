@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.diagnosis.report.diagnosis_json import SCHEMA, UNKNOWN
-from rig.formats import csv_and_parquet_tables, structured_files
+from calib.diagnosis.report.diagnosis_json_entries import SCHEMA, UNKNOWN
+from rig.formats import csv_and_parquet_tables, json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
 from rig.report.pages.html_and_svg_elements import heading_html, list_html, note_html, paragraph_html, table_html
 from rig.report.pages.page_templates_and_page_index import Page, write_page
@@ -114,8 +114,8 @@ def read_investigation_rounds(folder: Path) -> list[InvestigationRound]:
 def _look(folder: Path, number: int) -> InvestigationRound:
     at = diagnosis_path(folder, number)
     found, after = (
-        structured_files.load_json(at / "diagnosis.json", "diagnosis", SCHEMA),
-        structured_files.load_json(at / "next.json", "list of experiments", "next/1"),
+        json_toml_and_yaml_loading.load_json(at / "diagnosis.json", "diagnosis", SCHEMA),
+        json_toml_and_yaml_loading.load_json(at / "next.json", "list of experiments", "next/1"),
     )
     findings = [f for f in found.tables("findings") if f.text("effect") != UNKNOWN]
     unknown = [f for f in found.tables("findings") if f.text("effect") == UNKNOWN]

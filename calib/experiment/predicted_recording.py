@@ -5,7 +5,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.diagnosis.problems.platform.operating_point import OperatingPoint, group_sightings, remounted_cube_seats
+from calib.diagnosis.problems.platform.linearisation_operating_point import (
+    OperatingPoint,
+    group_sightings,
+    remounted_cube_seats,
+)
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from rig.errors import RigError
 from rig.model import motion_simulation

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.certification.held_out_errors import Figures, HeldOut
 from calib.certification.workspace_claim import Claim
 from calib.correction.correction_tables_and_pose_space_map_json import pose_map_dict
@@ -24,11 +24,11 @@ from calib.files.calibration_file_entries import (
 from calib.models.arm.correction import ArmCorrection
 from calib.models.machine_models import model_of
 from calib.samples.confounded_conditions import confounds_from_entries
-from calib.workspace.workspace_cells_and_reachable_poses import workspace_dict, workspace_from_entries
+from calib.workspace.workspace_map_and_lost_poses import workspace_dict, workspace_from_entries
 from rig.array_and_json_types import Floats, Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.texts.effect_text_and_dict import Kinds
-from rig.formats import structured_files
+from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files import write_text
 
@@ -66,12 +66,12 @@ def save(path: Path | str, calibration: Calibration) -> None:
         "parameter_covariance": calibration.covariance.tolist(),
         model.scatter_key: calibration.scatter.tolist(),
         **({} if calibration.strut_covariance is None else {"strut_covariance": calibration.strut_covariance.tolist()}),
-        "remainder": structured_files.json_data(correction.remainder),
+        "remainder": json_toml_and_yaml_loading.json_data(correction.remainder),
         **({"extension": field_to_dict(correction.extension)} if correction.extension is not None else {}),
         **({"pose_maps": [pose_map_dict(one) for one in correction.posed]} if correction.posed else {}),
         **({"visited": correction.visited.tolist()} if isinstance(correction, ArmCorrection) else {}),
         "fit": {"frames": list(calibration.frames), "left_out": list(calibration.left_out)},
-        "held_out": structured_files.nan_to_null(asdict(calibration.held_out or NOT_HELD_OUT)),
+        "held_out": json_toml_and_yaml_loading.nan_to_null(asdict(calibration.held_out or NOT_HELD_OUT)),
         "claim": calibration.claim and asdict(calibration.claim),
         **({} if calibration.physics is None else {"physics": physics_dict(calibration.physics)}),
         **({} if calibration.workspace is None else {"workspace": workspace_dict(calibration.workspace)}),
@@ -83,7 +83,7 @@ def save(path: Path | str, calibration: Calibration) -> None:
 
 def load(path: Path | str, effect_kinds: Kinds = BY_NAME) -> Calibration:
     """Load a Calibration from calibration.json. effect_kinds : effects that it may hold. Raises FileError"""
-    tree = structured_files.load_json(Path(path), "calibration", SCHEMA, WITH_PHYSICS, WITH_POSE_MAPS)
+    tree = json_toml_and_yaml_loading.load_json(Path(path), "calibration", SCHEMA, WITH_PHYSICS, WITH_POSE_MAPS)
     nominal, fitted = mechanism_from_entries(tree.table("nominal"), True), mechanism_from_entries(tree.table("fitted"))
     require_same_ranges(tree, nominal, fitted)
     schema = tree.text("schema")

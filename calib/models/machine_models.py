@@ -9,12 +9,12 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification import platform_certification
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.certification.platform_certification import Progress
 from calib.certification.workspace_claim import Claim
 from calib.correction.correction import AnyCorrection, Correction
 from calib.correction.correction_tables_and_pose_space_map_json import pose_map_from_entries
-from calib.correction.interpolation.field_and_combinations import Field
+from calib.correction.interpolation.field_interface_and_combinations import Field
 from calib.correction.interpolation_methods_and_summand_extension import gaussian_process_from_entries
 from calib.models.arm import certification as arm_certification
 from calib.models.arm import error_model_and_observations, identification_and_joint_profiles
@@ -27,12 +27,12 @@ from calib.models.chain import error_model as chain_errors
 from calib.models.chain import error_model as chains
 from calib.models.platform.identification import NAMES, PRIOR, geometric_parameters, pose_parameter_jacobian
 from calib.samples.recording_samples import Sampled
-from calib.workspace.workspace_cells_and_reachable_poses import map_workspace
+from calib.workspace.workspace_map_and_lost_poses import map_workspace
 from rig.array_and_json_types import Booleans, Floats
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
-from rig.model.mechanism_kinds_and_hexapod_properties import (
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import (
     Commanded,
     Mechanism,
     require_arm,

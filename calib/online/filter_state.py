@@ -31,7 +31,7 @@ from calib.online.filter_kernels_and_change_detection import (
 )
 from rig.array_and_json_types import Floats
 from rig.errors import FileError, RigError
-from rig.formats import structured_files
+from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.output_files import write_text
 from rig.model.mechanism_geometry_classes import Hexapod
@@ -252,7 +252,7 @@ def save_filter_state(path: Path | str, saved: Saved) -> None:
 
 def load_filter_state(path: Path | str) -> Saved:
     """Load a filter's Saved state. Raises FileError for a file that is missing, cut off or of another kind."""
-    tree = structured_files.load_json(Path(path), "state of on-line learning", SCHEMA)
+    tree = json_toml_and_yaml_loading.load_json(Path(path), "state of on-line learning", SCHEMA)
     nominal, s = _nominal(tree.table("nominal")), tree.array("s", (None,))
     if len(s) > MOST_SHARED:
         tree.fail(f"s has {len(s)} draws, more than {MOST_SHARED}", "s")

@@ -52,8 +52,8 @@ class Update:
 class Online:
     """The filter. Its estimate is `hexapod`, with `covariance`; `save` and `load` carry it over a restart exactly.
 
-    number : poses so far; data : marks of what was learnt (see rig.recording.recording_frames), so that it is not
-        learnt again
+    number : poses so far; data : marks of what was learnt (see rig.recording.frame_selection_and_content_hashes), so
+        that it is not learnt again
     """
 
     def __init__(

@@ -17,11 +17,11 @@ from calib.models.platform.identification import PRIOR, geometric_parameters, me
 from calib.models.platform.parameter_accuracy import PLAUSIBLE
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
-from rig.formats import structured_files
+from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import LARGEST_RIG
 from rig.formats.output_files import write_text
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanism_kinds_and_hexapod_properties import has_plates
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_plates
 
 NO_SCATTER = np.zeros(6)
 
@@ -30,8 +30,8 @@ class Learner(ABC):
     """nominal : Hexapod; the estimate is `hexapod`; `memory` : what is kept of the poses beside it; `setting` : its one
     choice, named SETTING.
 
-    number : poses so far; data : marks of what was learnt (see rig.recording.recording_frames), so that it is not
-        learnt again
+    number : poses so far; data : marks of what was learnt (see rig.recording.frame_selection_and_content_hashes), so
+        that it is not learnt again
     """
 
     SETTING: ClassVar[str]
@@ -221,7 +221,7 @@ def save_learner(path: Path | str, learner: Learner) -> None:
 
 def load_learner(path: Path | str) -> Learner:
     """Load a Learner from its file. Raises FileError for a file that is missing, cut off or of another kind."""
-    tree = structured_files.load_json(Path(path), "state of a learner", SCHEMA)
+    tree = json_toml_and_yaml_loading.load_json(Path(path), "state of a learner", SCHEMA)
     kind = LEARNERS[tree.text("learner", tuple(LEARNERS))]
     nominal = mechanism_from_entries(tree.table("nominal"))
     if not has_plates(nominal):

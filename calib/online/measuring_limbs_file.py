@@ -7,18 +7,18 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.measuring_limbs import Agreement, limb_hexapod, stated_limbs
+from calib.certification.measuring_limb_calibration_and_slips import Agreement, limb_hexapod, stated_limbs
 from calib.certification.redundant_measuring_limb_checks import Checks, Limbs
 from calib.files.calibration_file import covariance_from_entries
 from calib.files.calibration_file_entries import mechanism_dict, mechanism_from_entries
 from rig.array_and_json_types import Json
 from rig.errors import FileError, RigError
-from rig.formats import structured_files
+from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files import write_text
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanism_kinds_and_hexapod_properties import has_plates
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_plates
 
 SCHEMA = "limbs/1"
 UNITS = (
@@ -92,7 +92,7 @@ def save_limbs(path: Path | str, accepted: Accepted) -> None:
 
 def load_limbs(path: Path | str) -> Accepted:
     """Load Accepted limbs from a limbs.json, whatever its verdict. Raises FileError"""
-    tree = structured_files.load_json(Path(path), "limbs.json", SCHEMA)
+    tree = json_toml_and_yaml_loading.load_json(Path(path), "limbs.json", SCHEMA)
     nominal, hexapod = _hexapod(tree, "stated"), _hexapod(tree, "limbs")
     sigma, table = tree.array("reading_sigma", (6,)), tree.table("agreement")
     if not (sigma > 0).all():

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.models.platform.identification import geometric_parameters
 from calib.online.filter_kernels_and_change_detection import Change, change_sentence
 from calib.online.information_filter import Online, Update
@@ -16,11 +16,16 @@ from calib.samples.recording_samples import Sampled
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_hexapod
+from rig.recording.frame_selection_and_content_hashes import (
+    Marks,
+    content_hashes_of_frames,
+    frames_with_known_hashes,
+    hashes_of_frames,
+)
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_frames import Marks, content_hashes_of_frames, frames_with_known_hashes, hashes_of_frames
 from vision.api import Progress
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice
+from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice
 
 RETURNS = 0.5  # of the sum of its changes' sizes, within which a strut that changes comes back to where it was
 FILTER = "filter"  # the learner that names what jumped; the others are in LEARNERS

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification import measuring_limbs, redundant_measuring_limb_checks
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification import measuring_limb_calibration_and_slips, redundant_measuring_limb_checks
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
 from calib.online.filter_kernels_and_change_detection import Change
 from calib.online.information_filter import Online
@@ -122,8 +122,8 @@ class LimbWatch:
     """
 
     def __init__(self, design: Design) -> None:
-        self._design, self._stated = design, measuring_limbs.stated_limbs(design)
-        self._home = measuring_limbs.limb_hexapod(design).home
+        self._design, self._stated = design, measuring_limb_calibration_and_slips.stated_limbs(design)
+        self._home = measuring_limb_calibration_and_slips.limb_hexapod(design).home
         self.channels = self._stated.channels
         self._read: list[tuple[Floats, RigidTransform, Floats]] = []
         self._limbs: redundant_measuring_limb_checks.Limbs | None = None
@@ -133,8 +133,8 @@ class LimbWatch:
         """Whether limbs that read lengths (limbs,) m newly disagree with vision's pose and its covariance (6, 6)."""
         if self._limbs is None:
             self._read.append((lengths, T_base_platform, covariance))
-            if len(self._read) == measuring_limbs.FEWEST:
-                n = np.arange(measuring_limbs.FEWEST)
+            if len(self._read) == measuring_limb_calibration_and_slips.FEWEST:
+                n = np.arange(measuring_limb_calibration_and_slips.FEWEST)
                 read, poses, covariances = zip(*self._read)
                 T = RigidTransform.concatenate(poses)
                 chosen = redundant_measuring_limb_checks.best_six_limbs(self._stated, self._home, T)
@@ -144,10 +144,12 @@ class LimbWatch:
                     np.array(read)[:, chosen],
                     T,
                     np.array(covariances),
-                    np.zeros((measuring_limbs.FEWEST, 6, 0)),
+                    np.zeros((measuring_limb_calibration_and_slips.FEWEST, 6, 0)),
                 )
-                limbs, _ = measuring_limbs.calibrate_limbs(
-                    samples, measuring_limbs.limb_hexapod(self._design, chosen), self._stated.length_sigma
+                limbs, _ = measuring_limb_calibration_and_slips.calibrate_limbs(
+                    samples,
+                    measuring_limb_calibration_and_slips.limb_hexapod(self._design, chosen),
+                    self._stated.length_sigma,
                 )
                 self._limbs = replace(limbs, chosen=chosen)
             return False
@@ -155,6 +157,6 @@ class LimbWatch:
         own, common = self._limbs.uncertainty(T)
         before, self._agreed = (
             self._agreed,
-            measuring_limbs.vision_agrees_with_limbs(T_base_platform, covariance, T, own, common),
+            measuring_limb_calibration_and_slips.vision_agrees_with_limbs(T_base_platform, covariance, T, own, common),
         )
         return before and not self._agreed

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification.calibration_evidence import ALONE, OfCalibrations, confound_sentences
-from calib.certification.measuring_limbs import AXES, MOVES, Agreement
+from calib.certification.measuring_limb_calibration_and_slips import AXES, MOVES, Agreement
 from calib.samples.confounded_conditions import Confounds
 from rig.array_and_json_types import Floats, Integers
 from rig.report.pages.html_and_svg_elements import heading_html, list_html, note_html, paragraph_html, table_html

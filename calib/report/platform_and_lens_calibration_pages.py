@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_and_claim_sentences import Calibration, claim_lines
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration, claim_lines
 from calib.certification.calibration_evidence import calibration_verdict
 from calib.certification.held_out_errors import Figures, HeldOut, errors_before_and_after_correction
 from calib.correction.correction import Correction
@@ -21,7 +21,7 @@ from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
 from rig.array_and_json_types import Json
 from rig.model import mechanisms
-from rig.model.mechanism_kinds_and_hexapod_properties import Struts
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_and_svg_elements import (

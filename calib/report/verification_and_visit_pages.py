@@ -7,7 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_and_claim_sentences import Calibration, refutation_sentence, verification_line
+from calib.certification.calibration_data_type_and_claim_sentences import (
+    Calibration,
+    refutation_sentence,
+    verification_line,
+)
 from calib.certification.calibration_evidence import (
     calibration_evidence,
     evidence_with_confounds,

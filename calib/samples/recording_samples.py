@@ -10,7 +10,7 @@ from calib.samples.pose_samples import Samples, add_stage_measurements, pair_sam
 from rig.array_and_json_types import Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Instrument
-from rig.model.mechanism_kinds_and_hexapod_properties import has_links
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_links
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners, Poses
 from vision.reading.recording_corners import Collected
@@ -25,7 +25,7 @@ CAMERAS = Instrument("free", "free", *UNSTATED)  # that see an arm's hand, or th
 class Sampled:
     """samples : Samples; source : where the poses came from, in words; measurement, collected : from vision, or None
     files : beside the recording, from which the poses were computed; data : marks of what those were learnt from (see
-        rig.recording.recording_frames)
+        rig.recording.frame_selection_and_content_hashes)
     instrument : who saw the poses and whether it is known where it stands and where its target sits: of an arm that
     cameras see neither is, so that its base among the base's targets and its hand in the platform's frame are solved
     for; None where all are known

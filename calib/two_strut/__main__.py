@@ -1,4 +1,4 @@
-"""Command python -m calib.two_strut FOLDER: write the figures of the two-strut worked example there."""
+"""Command-line entry point (python -m calib.two_strut FOLDER) that writes the worked example's figures."""
 
 import sys
 from pathlib import Path

@@ -34,7 +34,7 @@ from rig.model.design import (
     SensorPort,
     Target,
 )
-from rig.model.mechanism_kinds_and_hexapod_properties import has_links
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_links
 from rig.planning.layout import hexapod_layout_and_camera_placement, shipped_arm_layout
 
 HEAD = """# rig.toml, table by table

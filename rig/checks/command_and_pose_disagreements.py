@@ -9,12 +9,12 @@ import scipy
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.checks.environment_values_and_units import poses_in_other_conventions
 from rig.checks.mistake import Mistake
+from rig.checks.unit_and_convention_mistakes import poses_in_other_conventions
 from rig.errors import RigError
 from rig.formats import csv_and_parquet_tables
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_hexapod
 from rig.model.mechanisms import hexapod as kinematics
 from rig.recording.recording_folder import Commands, Recording
 from rig.recording.recording_tables import POSE_COLUMNS

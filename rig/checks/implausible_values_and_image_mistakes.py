@@ -7,14 +7,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from rig.array_and_json_types import Json
-from rig.checks import clock_mistakes, environment_values_and_units
+from rig.checks import clock_mistakes, unit_and_convention_mistakes
 from rig.checks.mistake import Mistake, sort_mistakes
-from rig.formats import local_and_remote_files
-from rig.formats.local_and_remote_files import read_text
+from rig.formats import local_and_remote_input_files
+from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.output_files.atomic_file_and_manifest import file_digest
 from rig.model.design import Camera, Design
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanism_kinds_and_hexapod_properties import has_links
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_links
 from rig.recording.recording_folder import Recording
 
 TURN = 2.2 * np.pi  # rad; nobody writes a rotation vector that is longer
@@ -180,7 +180,7 @@ def duplicate_images(recording: Recording) -> Iterator[Mistake]:
     e, sizes = recording.exposures, defaultdict(list)
     for i, name in enumerate(e.image):
         if name:
-            sizes[local_and_remote_files.file_size(recording.folder / name)].append(i)
+            sizes[local_and_remote_input_files.file_size(recording.folder / name)].append(i)
     alike = defaultdict(list)
     for rows in sizes.values():
         for i in rows if len(rows) > 1 else ():
@@ -261,11 +261,11 @@ def _all(recording: Recording) -> Iterator[Mistake]:
     r, design = recording, recording.design
     yield from overlong_rotation_vectors(tomllib.loads(read_text(r.folder / "rig.toml")))
     yield from implausible_values(design)
-    yield from environment_values_and_units.environment_mistakes(design)
+    yield from unit_and_convention_mistakes.environment_mistakes(design)
     times = {"frames.csv": r.exposures.times()[1]}
     if r.commands is not None:
         times["commands.csv"] = r.commands.t
-        odd = list(environment_values_and_units.command_unit_mistakes(r.commands, design))
+        odd = list(unit_and_convention_mistakes.command_unit_mistakes(r.commands, design))
         yield from odd
         if not odd:
             unit = design.mechanism.axis_unit
@@ -278,7 +278,7 @@ def _all(recording: Recording) -> Iterator[Mistake]:
             )
     if r.sensors is not None:
         times["sensors.csv"] = r.sensors.t
-        yield from environment_values_and_units.sensor_mistakes(r.sensors, design)
+        yield from unit_and_convention_mistakes.sensor_mistakes(r.sensors, design)
     apart = list(clock_mistakes.time_range_mistakes(times))
     yield from apart
     if r.commands is not None and not apart:

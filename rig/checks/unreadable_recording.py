@@ -11,8 +11,8 @@ from rig.array_and_json_types import Floats, Json
 from rig.checks import clock_mistakes, implausible_values_and_image_mistakes
 from rig.checks.mistake import Mistake, sort_mistakes
 from rig.errors import FileError, RigError
-from rig.formats import csv_and_parquet_tables, local_and_remote_files
-from rig.formats.local_and_remote_files import read_text
+from rig.formats import csv_and_parquet_tables, local_and_remote_input_files
+from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.rig_toml import design_file
 
 SPREAD = {
@@ -153,7 +153,7 @@ def _times(folder: Path, complaint: str) -> Iterator[Mistake]:
         return
     times = {}
     for name in FILES:
-        if local_and_remote_files.exists(folder / name):
+        if local_and_remote_input_files.exists(folder / name):
             times[name] = csv_and_parquet_tables.read_csv_table(folder / name, ("t",)).numbers("t")
     yield from clock_mistakes.time_range_mistakes(times)
 

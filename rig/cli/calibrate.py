@@ -27,7 +27,7 @@ from rig.errors import RigError
 
 if TYPE_CHECKING:
     from calib.api.calibrate import CalibrateOptions
-    from calib.api.correction_extension import ExtendOptions
+    from calib.api.correction_over_configuration_or_pose_space import ExtendOptions
 
 WAYS = ("linear", "simplex", "delaunay", "axes", "radial", "polynomial", "auto")
 SPACES = ("configuration", "pose", "both")
@@ -171,7 +171,7 @@ def _extend_options(arguments: Namespace) -> ExtendOptions | None:
         if arguments.space or arguments.within:
             raise RigError("--space and --within apply to a pass; name with --onto its base")
         return None
-    from calib.api.correction_extension import ExtendOptions
+    from calib.api.correction_over_configuration_or_pose_space import ExtendOptions
     from calib.files import calibration_file
 
     onto = None if arguments.onto is None else calibration_file.load(arguments.onto)

@@ -14,7 +14,7 @@ from rig.formats.number_parsing_and_rounding import parse_numbers
 
 if TYPE_CHECKING:
     from calib.api.correct import CorrectionResult, CorrectOptions
-    from calib.certification.calibration_and_claim_sentences import Calibration
+    from calib.certification.calibration_data_type_and_claim_sentences import Calibration
     from rig.array_and_json_types import Floats
     from rig.recording.recording_folder import WantedPoses
 
@@ -136,7 +136,7 @@ def _start(text: str) -> Floats | None:
 
 def _write_read_poses(arguments: Namespace, calibration: Calibration, out: Path) -> None:
     """Write the poses that a measuring machine's readings stand for."""
-    from calib.api.limb_acceptance_and_limb_poses import poses_of_readings
+    from calib.api.measuring_limb_acceptance_and_platform_poses import poses_of_readings
     from rig.formats import csv_and_parquet_tables
 
     axes = calibration.correction.nominal.axes

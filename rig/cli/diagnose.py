@@ -17,7 +17,7 @@ from rig.cli.shared.input_file_options import (
 )
 from rig.cli.shared.output_escaping_and_progress_display import Progress
 from rig.errors import RigError
-from rig.formats.local_and_remote_files import json_files_in_same_folders
+from rig.formats.local_and_remote_input_files import json_files_in_same_folders
 from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def run(arguments: Namespace) -> None:
     progress("reading the recording", 0, 1)
     recordings = read_recordings(arguments)
     from calib.api.diagnose import diagnose
-    from rig.recording import recording_frames
+    from rig.recording import frame_selection_and_content_hashes
 
     out, options = arguments.outputs.folder(arguments.out), _options(arguments, recordings)
     notice = notice_printer(progress)
@@ -125,7 +125,9 @@ def run(arguments: Namespace) -> None:
             print(f"written: {arguments.next}")
     print(result)
     _print_report(result.report)
-    arguments.outputs.data = recording_frames.hash_lines(recording_frames.content_hashes_of_frames(result.recording))
+    arguments.outputs.data = frame_selection_and_content_hashes.hash_lines(
+        frame_selection_and_content_hashes.content_hashes_of_frames(result.recording)
+    )
     arguments.result = json.loads((out / "diagnosis.json").read_text())
     print(f"written: {arguments.out / 'diagnosis.json'}; look at {arguments.out / 'diagnosis.html'}")
 

@@ -51,7 +51,7 @@ def run(arguments: Namespace) -> None:
     """Go to a pose: the corrected lengths, checked, commanded and read back."""
     from calib.api.machine_run_and_pose_move import plan_pose_move, require_same_rig
     from rig.cli.shared.run_display_and_controller_status import print_status
-    from rig.driving.driver_session import design_with_controller_port, open_driver
+    from rig.driving.driver_opening_and_settled_status import design_with_controller_port, open_driver
 
     require_share(arguments.speed)
     design = design_with_controller_port(arguments.rig, arguments.port)

@@ -18,8 +18,8 @@ from rig.cli.shared.output_escaping_and_progress_display import Progress
 from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
-    from calib.api.limb_acceptance_and_limb_poses import LimbAcceptance
-    from calib.certification.measuring_limbs import Agreement
+    from calib.api.measuring_limb_acceptance_and_platform_poses import LimbAcceptance
+    from calib.certification.measuring_limb_calibration_and_slips import Agreement
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -58,7 +58,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> int:
     """Test the measuring limbs against vision, print whether they pass, save that, and learn from them if so."""
-    from calib.api.limb_acceptance_and_limb_poses import AcceptLimbsOptions, accept_limbs
+    from calib.api.measuring_limb_acceptance_and_platform_poses import AcceptLimbsOptions, accept_limbs
     from calib.online.measuring_limbs_file import is_limbs_file
     from rig.cli.shared.measurement_and_calibration_summary import print_learning
 
@@ -118,7 +118,7 @@ def _print_checks(result: LimbAcceptance) -> None:
 
 def _print_agreement(found: Agreement, source: str) -> None:
     """Print how far each axis agrees with vision, against its tolerance."""
-    from calib.certification.measuring_limbs import AXES, MOVES
+    from calib.certification.measuring_limb_calibration_and_slips import AXES, MOVES
 
     print(
         f"measuring limbs minus vision ({source}), {found.n} poses, each by limbs fitted to other stretches; "

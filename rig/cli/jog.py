@@ -40,7 +40,7 @@ def run(arguments: Namespace) -> None:
     import numpy as np
 
     from rig.cli.shared.run_display_and_controller_status import print_status
-    from rig.driving.driver_session import design_with_controller_port, open_driver
+    from rig.driving.driver_opening_and_settled_status import design_with_controller_port, open_driver
 
     design = design_with_controller_port(arguments.design, arguments.port)
     count = len(design.mechanism.axes)

@@ -19,7 +19,7 @@ from rig.cli.shared.output_escaping_and_progress_display import Progress
 from rig.errors import RigError
 
 if TYPE_CHECKING:
-    from calib.online.measuring_limb_poses import LimbSource
+    from calib.online.platform_poses_from_measuring_limbs import LimbSource
     from rig.recording.recording_folder import Recording
 
 
@@ -56,16 +56,16 @@ def run(arguments: Namespace) -> None:
         return _by_limbs(arguments, recording, limbs, progress)
     from calib.report.measurement_page import write_measurement_page
     from rig.cli.shared.measurement_and_calibration_summary import print_measurement
-    from rig.recording import recording_frames
+    from rig.recording import frame_selection_and_content_hashes
     from vision.api import MeasureOptions, measure
 
     out, options = (
         arguments.outputs.folder(arguments.out),
         MeasureOptions(hold, arguments.places, arguments.detect, arguments.anyway),
     )
-    with recording_frames.start_content_hashing(recording) as marks:
+    with frame_selection_and_content_hashes.start_content_hashing(recording) as marks:
         result = measure(recording, options, progress, notice_printer(progress))
-        arguments.outputs.data = recording_frames.hash_lines(marks())
+        arguments.outputs.data = frame_selection_and_content_hashes.hash_lines(marks())
     result.write(out)
     write_measurement_page(out / "report.html", result, page_links(arguments, arguments.out / "report.html"))
     arguments.result = result.tree()
@@ -88,13 +88,15 @@ def _by_limbs(arguments: Namespace, recording: Recording, limbs: LimbSource, pro
     """Write the poses of measuring limbs, with covariance; rig.toml remains as stated, since no camera was adjusted."""
     if arguments.hold or arguments.detect or arguments.places != "auto":
         raise RigError("--hold, --places and --detect apply to cameras and what they see; omit them with --limbs")
-    from calib.api.limb_acceptance_and_limb_poses import measure_poses_by_limbs
+    from calib.api.measuring_limb_acceptance_and_platform_poses import measure_poses_by_limbs
     from rig.cli.shared.measurement_and_calibration_summary import print_uncertainty_of_poses_from_limbs
-    from rig.recording import recording_frames
+    from rig.recording import frame_selection_and_content_hashes
 
     out = arguments.outputs.folder(arguments.out)
     found = measure_poses_by_limbs(recording, limbs, arguments.anyway, progress, notice_printer(progress))
-    arguments.outputs.data = recording_frames.hash_lines(recording_frames.content_hashes_of_frames(recording))
+    arguments.outputs.data = frame_selection_and_content_hashes.hash_lines(
+        frame_selection_and_content_hashes.content_hashes_of_frames(recording)
+    )
     found.write(out)
     print_uncertainty_of_poses_from_limbs(found)
     print(f"written: {arguments.out}/poses.csv, rpy.csv (roll, pitch, yaw), rig.toml as stated")

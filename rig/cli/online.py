@@ -22,7 +22,7 @@ from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
     from calib.api.learn import LearningResult, LearnOptions
-    from calib.online.measuring_limb_poses import LimbSource
+    from calib.online.platform_poses_from_measuring_limbs import LimbSource
 
 FILTER = "filter"  # the learner of calib.online.information_filter
 SETTINGS = {"forgetting": "kept", "drifting": "drift", "first-order": "step"}

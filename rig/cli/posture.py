@@ -119,7 +119,7 @@ def _add_exertion_options(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Search, and print the posture with what certifies it."""
     from rig.formats.rig_toml import arm_dynamics_entries
-    from rig.model.mechanism_kinds_and_hexapod_properties import require_arm
+    from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_arm
     from rig.planning.layout import shipped_arm_layout
     from rig.posture.best_posture import best_posture
 

@@ -79,7 +79,7 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Check, home, and visit every pose of the plan; or go on where another process ended."""
     from calib.api.machine_run_and_pose_move import plan_run
-    from rig.driving.driver_session import design_with_controller_port
+    from rig.driving.driver_opening_and_settled_status import design_with_controller_port
 
     design = design_with_controller_port(arguments.design, arguments.port)
     planned = plan_run(design, arguments.design, arguments.plan, _options(arguments))

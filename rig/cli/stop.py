@@ -17,7 +17,7 @@ def run(arguments: Namespace) -> None:
     from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.clock import SystemClock
     from rig.driving.controller_lock import stop_lock_holder
-    from rig.driving.driver_session import design_with_controller_port, open_driver
+    from rig.driving.driver_opening_and_settled_status import design_with_controller_port, open_driver
 
     design = design_with_controller_port(arguments.design, arguments.port)
     other = stop_lock_holder(design.driver().port, SystemClock(), PATIENCE, design.driver().usb)

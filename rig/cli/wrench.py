@@ -10,7 +10,7 @@ from rig.cli.shared.command_options import add_json_result_option, add_overwrite
 from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
-    from rig.posture.external_wrench import WrenchResult
+    from rig.posture.external_wrench_from_torque_table import WrenchResult
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -49,7 +49,7 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Estimate the wrench by a momentum observer, and by the pseudo-inverse for comparison; print both."""
     from rig.planning.layout import shipped_arm_layout
-    from rig.posture.external_wrench import WrenchOptions, measure_wrench
+    from rig.posture.external_wrench_from_torque_table import WrenchOptions, measure_wrench
 
     path = shipped_arm_layout.shipped_arm_path(arguments.arm)
     sigma, rate = (None if value is None else tuple(value) for value in (arguments.sigma, arguments.rate))

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, TypeVar, cast
 
 from rig.compute.worker_processes import Progress, process_map, split_into_decreasing_parts, worker_count
 from rig.errors import MissingLibrary, RigError
-from rig.formats import local_and_remote_files
+from rig.formats import local_and_remote_input_files
 
 if TYPE_CHECKING:
     from dask.distributed import Client, Future
@@ -165,7 +165,7 @@ def current_cluster() -> Cluster | None:
 
 def path_on_workers(path: Path) -> Path:
     """The path of a file as the cluster's workers find it."""
-    return path if _at_work is None else local_and_remote_files.absolute_path(path)
+    return path if _at_work is None else local_and_remote_input_files.absolute_path(path)
 
 
 def is_cluster_worker() -> bool:

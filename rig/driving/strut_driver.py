@@ -1,4 +1,4 @@
-"""Driver that moves the struts: checks each move, sends it, monitors the read-back, stops on failure."""
+"""Driver of struts: checks and sends each move, monitors the read-back, stops on failure."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -26,7 +26,7 @@ from rig.driving.straight_move_profile import straight_move_segment
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Unreachable
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_kinds_and_hexapod_properties import require_struts
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_struts
 
 T = TypeVar("T")
 PATIENCE, SHORT_PATIENCE = 30.0, 3.0  # s of trying to connect anew; in order to stop

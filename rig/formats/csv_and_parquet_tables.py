@@ -14,7 +14,7 @@ import numpy as np
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import FileError, MissingLibrary
 from rig.formats.checked_entries import LARGEST_NUMBER, LARGEST_WHOLE
-from rig.formats.local_and_remote_files import open_regular_file, read_text, short_repr
+from rig.formats.local_and_remote_input_files import open_regular_file, read_text, short_repr
 from rig.formats.number_parsing_and_rounding import LONGEST_NUMBER, NotFinite, parse_number, parse_numbers
 from rig.recording.time_origin import LATEST, TimeOrigin, likely_time_unit
 

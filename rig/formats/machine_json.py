@@ -12,10 +12,10 @@ from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_text_and_dict import Kinds, effect_from_dict, effect_to_dict, require_existing_place
 from rig.errors import FileError, RigError
-from rig.formats import structured_files
+from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.model.design import Camera, Design
-from rig.model.mechanism_kinds_and_hexapod_properties import Mechanism, has_stages
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import Mechanism, has_stages
 from rig.model.pose import pose, pose_to_vector
 
 LIMBS = ("base_joints", "platform_joints", "zeros")
@@ -27,7 +27,10 @@ def machine_dict(design: Design, effects: Iterable[Effect]) -> Json:
     out = {"effects": [effect_to_dict(effect) for effect in effects], **_geometry(m)}
     out["cameras"] = [
         {
-            **{name: structured_files.json_data(getattr(c, name)) for name in ("name", "matrix", "distortion")},
+            **{
+                name: json_toml_and_yaml_loading.json_data(getattr(c, name))
+                for name in ("name", "matrix", "distortion")
+            },
             "pose": pose_to_vector(c.pose).tolist(),
         }
         for c in design.cameras
@@ -55,7 +58,7 @@ def load_machine(
 
     Raises FileError for a file that is none of this rig
     """
-    found, limbs = structured_files.load_json(path, "truth of this rig"), nominal_design.insitu
+    found, limbs = json_toml_and_yaml_loading.load_json(path, "truth of this rig"), nominal_design.insitu
     if "effects" not in found.tree:
         found.fail("is not a truth of this rig: effects are missing", "effects")
     mechanism = _mechanism(nominal_design.mechanism, found)

@@ -1,4 +1,4 @@
-"""Design of a rig as its owner states it: mechanism, cameras, targets, platform and controller settings."""
+"""Design of a rig with cameras and targets, as its owner states it: mechanism, platform, controller settings."""
 
 from __future__ import annotations
 

@@ -10,11 +10,11 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Floats
 from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables
-from rig.formats.local_and_remote_files import short_repr
+from rig.formats.local_and_remote_input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_hexapod
 from rig.model.pose import pose
 
 FILL = 0.8  # of the strokes that plans use

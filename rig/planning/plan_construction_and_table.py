@@ -9,7 +9,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.errors import FileError
 from rig.formats import csv_and_parquet_tables
-from rig.formats.local_and_remote_files import short_repr
+from rig.formats.local_and_remote_input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.design_comparison_and_cube_remounting import COLUMN, QUARTERS, find_cube

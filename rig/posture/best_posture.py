@@ -12,7 +12,7 @@ from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
-from rig.posture import arm_force_transmission_and_exertable_wrench, null_space_search, posture_transition
+from rig.posture import arm_force_transmission_and_exertable_wrench, arm_motion_between_postures, null_space_search
 from rig.posture.arm_force_transmission_and_exertable_wrench import (
     ExertionObjective,
     TransmissionObjective,
@@ -95,7 +95,7 @@ class PostureResult:
 
     def write(self, path: Path) -> None:
         """Write the motion into it, as commands."""
-        t = posture_transition.posture_times(self.motion, self.options.speed)
+        t = arm_motion_between_postures.posture_times(self.motion, self.options.speed)
         rows = [
             ",".join([f"{moment:.6f}", *(f"{angle:.12f}" for angle in angles)])
             for moment, angles in zip(t, self.motion)
@@ -128,7 +128,9 @@ def _best_visited(arm: Arm, options: PostureOptions) -> PostureResult:
     """The best of the postures of a recording, and the motion back to it."""
     recording, objective = options.recording, options.maximised
     assert recording is not None
-    found = posture_transition.best_visited_posture(recording, arm, objective, options.fixed, options.T_base_hand)
+    found = arm_motion_between_postures.best_visited_posture(
+        recording, arm, objective, options.fixed, options.T_base_hand
+    )
     best, first = found.best, found.q[0]
     figures = _figures(arm, objective, found.q[best], first, (float(found.value[best]), float(found.value[0])))
     figures |= {
@@ -157,9 +159,9 @@ def _best_searched(arm: Arm, options: PostureOptions) -> PostureResult:
     found, name, k = _best_of_searches(arm, options, first, starts)
     best = found[name]
     motion = (
-        posture_transition.motion_with_straight_hand(now if now is not None else first, best.q[k], arm)
+        arm_motion_between_postures.motion_with_straight_hand(now if now is not None else first, best.q[k], arm)
         if options.on_the_way
-        else posture_transition.motion_with_hand_still(starts[k], best.q[k], arm, options.fixed)
+        else arm_motion_between_postures.motion_with_hand_still(starts[k], best.q[k], arm, options.fixed)
     )
     figures = _figures(arm, objective, best.q[k], starts[k], (float(best.value[k]), float(best.start[k])))
     figures |= {

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Integers
 from rig.errors import RigError
-from rig.formats import local_and_remote_files
+from rig.formats import local_and_remote_input_files
 from rig.model.design import Camera, Design, Target
 from rig.model.design_comparison_and_cube_remounting import design_contradictions, same_lens
 from rig.recording.exposures_and_images import Exposures
@@ -32,7 +32,7 @@ def require_one_rig(recordings: Sequence[Recording]) -> None:
     first = recordings[0]
     seen: set[str] = set()
     for recording in recordings:
-        place = str(local_and_remote_files.absolute_path(recording.folder))
+        place = str(local_and_remote_input_files.absolute_path(recording.folder))
         if place in seen:
             raise RigError(f"{recording.folder} is named twice; the same poses do not count twice")
         seen.add(place)
@@ -164,7 +164,7 @@ def _exposures(parts: Sequence[RecordingPart], owners: Owners) -> Exposures:
         np.concatenate([part.t + e.t for part, e in seen]),
         [combined_camera_name(name, own) if name else "" for (_, e), own in zip(seen, owners) for name in e.camera],
         [
-            str(local_and_remote_files.absolute_path(part.recording.folder) / name) if name else ""
+            str(local_and_remote_input_files.absolute_path(part.recording.folder) / name) if name else ""
             for part, e in seen
             for name in e.image
         ],

@@ -9,9 +9,9 @@ import numpy as np
 
 from rig.array_and_json_types import Floats, Integers, Pixels
 from rig.errors import FileError
-from rig.formats import local_and_remote_files
+from rig.formats import local_and_remote_input_files
 from rig.formats.csv_and_parquet_tables import Table
-from rig.formats.local_and_remote_files import read_bytes
+from rig.formats.local_and_remote_input_files import read_bytes
 from rig.model.design import Camera, Design
 from rig.recording.image_file_check import MOST_PIXELS, image_file_problem, image_path_problem, open_image_file_problem
 from rig.recording.time_origin import TimeOrigin
@@ -140,7 +140,7 @@ def load_exposures(
 
 def _unusable(folder: Path, name: str, frame: int, camera: Camera, line: int, decode: bool) -> UnreadableImage | None:
     """Unreadable of an image named in a line of frames.csv, or None. decode : whether it is decoded too"""
-    look = _listed if local_and_remote_files.is_remote(folder) else image_file_problem
+    look = _listed if local_and_remote_input_files.is_remote(folder) else image_file_problem
     problem = (
         image_path_problem(folder, name)
         or look(folder / name, camera)
@@ -155,7 +155,7 @@ def _listed(path: Path, _: Camera) -> str | None:
     """What is wrong with an image behind a URL, as far as its folder's listing tells; the rest is seen when it is
     fetched to be measured.
     """
-    size = local_and_remote_files.file_size(path)
+    size = local_and_remote_input_files.file_size(path)
     return "no such image" if size is None else "is an empty file" if not size else None
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from rig.errors import FileError
-from rig.formats import local_and_remote_files
-from rig.formats.local_and_remote_files import open_regular_file
+from rig.formats import local_and_remote_input_files
+from rig.formats.local_and_remote_input_files import open_regular_file
 from rig.model.design import Camera
 
 PNG, JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
@@ -120,7 +120,7 @@ def image_path_problem(folder: Path, name: str) -> str | None:
     """Problem of an image's path as text, or None: it must lie in the recording's folder."""
     if not name.isprintable() or len(name) > 1000:
         return "is not a file name"
-    if local_and_remote_files.is_remote(folder):
+    if local_and_remote_input_files.is_remote(folder):
         return (
             "lies outside the recording, whose images are in its folder"
             if ".." in Path(name).parts or name.startswith("/")

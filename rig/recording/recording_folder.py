@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike
 
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import FileError, RigError
-from rig.formats import csv_and_parquet_tables, local_and_remote_files
+from rig.formats import csv_and_parquet_tables, local_and_remote_input_files
 from rig.formats.checked_entries import name_problem
 from rig.formats.csv_and_parquet_tables import Table
 from rig.formats.output_files import require_complete_folder
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design
-from rig.model.mechanism_kinds_and_hexapod_properties import target_bodies
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import target_bodies
 from rig.recording.exposures_and_images import Exposures, UnreadableImage, load_exposures
 from rig.recording.recording_tables import Corners, Poses, load_corners, load_instrument_poses, load_poses
 from rig.recording.time_origin import TimeOrigin, parse_exact_decimal
@@ -157,13 +157,14 @@ def load_recording(folder: str | Path, skip_unreadable: bool = False) -> Recordi
     ('hexapod', (14, 6))
     """
     folder = Path(folder)
-    local_and_remote_files.clear_listing_cache()
-    if not local_and_remote_files.is_folder(folder):
+    local_and_remote_input_files.clear_listing_cache()
+    if not local_and_remote_input_files.is_folder(folder):
         raise FileError(
-            folder, "is a file, not a recording folder" if local_and_remote_files.exists(folder) else "no such folder"
+            folder,
+            "is a file, not a recording folder" if local_and_remote_input_files.exists(folder) else "no such folder",
         )
     require_complete_folder(folder)
-    if local_and_remote_files.is_empty(folder):
+    if local_and_remote_input_files.is_empty(folder):
         raise FileError(folder, "is an empty folder; a recording has at least rig.toml and frames.csv")
     design = design_file.load_design(folder / "rig.toml")
     commanded = _command_rows(folder / "commands.csv", design)
@@ -175,7 +176,7 @@ def load_recording(folder: str | Path, skip_unreadable: bool = False) -> Recordi
     known = set(exposures.frame.tolist())
     poses = (
         load_instrument_poses(folder / "poses.csv", known, design.instrument)
-        if local_and_remote_files.exists(folder / "poses.csv")
+        if local_and_remote_input_files.exists(folder / "poses.csv")
         else None
     )
     sensors = _sensors(folder / "sensors.csv", origin, exposures)
@@ -199,7 +200,7 @@ def _stages(folder: Path, design: Design, known: set[int]) -> dict[int, Poses]:
     """
     bodies = target_bodies(design.mechanism)
     out = {}
-    for name in local_and_remote_files.list_folder(folder):
+    for name in local_and_remote_input_files.list_folder(folder):
         if not name.startswith("poses_stage") or not name.endswith(".csv"):
             continue
         body = name.removesuffix(".csv").replace("poses_stage", "stage ")
@@ -245,7 +246,7 @@ def _origin(rows: Table) -> TimeOrigin:
 
 
 def _command_rows(path: Path, design: Design) -> Table | None:
-    if not local_and_remote_files.exists(path):
+    if not local_and_remote_input_files.exists(path):
         return None
     if not design.mechanism.axes:
         raise FileError(path, 'accompanies a mechanism of kind "free", which cannot be commanded')
@@ -296,7 +297,7 @@ def _increasing(rows: Table, origin: TimeOrigin) -> Floats:
 
 
 def _sensors(path: Path, origin: TimeOrigin, exposures: Exposures) -> Sensors | None:
-    if not local_and_remote_files.exists(path):
+    if not local_and_remote_input_files.exists(path):
         return None
     rows = csv_and_parquet_tables.read_csv_table(path, ("t",))
     sensors = _sensor_rows(rows, origin)

@@ -10,10 +10,10 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import FileError
-from rig.formats import csv_and_parquet_tables, local_and_remote_files
+from rig.formats import csv_and_parquet_tables, local_and_remote_input_files
 from rig.formats.checked_entries import LARGEST_RIG
 from rig.formats.csv_and_parquet_tables import Table
-from rig.formats.local_and_remote_files import read_bytes
+from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_bytes, write_text
 from rig.model.design import Design, Instrument
 from rig.model.pose import TRIANGLE, angle_sigmas, covariance_from_triangle, pose, pose_to_vector, roll_pitch_yaw
@@ -54,7 +54,7 @@ def load_corners(path: Path, design: Design, exposures: Exposures) -> Corners | 
     """Load the Corners of a corners.csv, None where there is none. Raises FileError.
     Raises FileError with line and column.
     """
-    if not local_and_remote_files.exists(path):
+    if not local_and_remote_input_files.exists(path):
         return None
     rows = csv_and_parquet_tables.read_csv_table(path, CORNER_COLUMNS, ("sigma", *CORNER_COVARIANCE))
     frame, marker, corner, camera = rows.whole("frame"), rows.whole("marker"), rows.whole("corner"), rows.text("camera")
@@ -291,5 +291,5 @@ def copy_frames_commands_and_sensors(source: Path, target: Path, exposures: Expo
     ]
     write_text(Path(target) / "frames.csv", "\n".join(lines) + "\n")
     for name in ("commands.csv", "sensors.csv"):
-        if local_and_remote_files.exists(Path(source) / name):
+        if local_and_remote_input_files.exists(Path(source) / name):
             write_bytes(Path(target) / name, read_bytes(Path(source) / name))

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from rig.array_and_json_types import Json
 from rig.errors import FileError
-from rig.formats.local_and_remote_files import require_schema
+from rig.formats.local_and_remote_input_files import require_schema
 from rig.formats.output_files import write_text
 from rig.formats.output_files.atomic_file_and_manifest import file_digest
 

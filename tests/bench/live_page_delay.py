@@ -13,10 +13,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from calib.online.live_run_page import RunPage
+from calib.online.observer_of_run_frames import RunObserver, RunStop
 from calib.online.run_learning import Learner
-from calib.online.run_observation import RunObserver, RunStop
-from calib.online.run_page import RunPage
-from calib.online.run_preparation import compile_kernels_for_run
+from calib.online.run_options_and_equipment import compile_kernels_for_run
 from rig.driving.cameras.camera_interface_and_grabbing import Frame, SynchronisedCameras, parse_settling
 from rig.driving.clock import SystemClock
 from rig.driving.move_and_record_loop import RunEquipment, RunOperator
@@ -30,7 +30,7 @@ from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
 from synthetic.image_simulation import Images
 from vision.reading.live_measurement import TAUGHT, Live
-from vision.reading.parallel_image_reading import save_image
+from vision.reading.parallel_image_map_and_marker_rendering import save_image
 from vision.reading.recording_corners import read_image
 
 FRAMES = 20

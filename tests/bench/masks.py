@@ -24,7 +24,7 @@ from calib.api.diagnose import diagnose
 from calib.diagnosis.report.report_data_and_verdict import Report
 from docs.make.results import SCHEMA
 from rig.errors import RigError
-from rig.recording import recording_folder, recording_frames
+from rig.recording import frame_selection_and_content_hashes, recording_folder
 from tests.bench.result_provenance import commit, machine, release
 from tests.truth import FAULTS, PLANS, SIGHTS, Case, draw, record
 from tests.truth.draw_faults import fits
@@ -99,7 +99,9 @@ def tried(hidden: Hidden, folder: Path) -> dict[str, Any]:
     found: dict[str, Any] = {"clean": _diagnosed(recording_folder.load_recording(record(case, folder / "clean")))}
     spoiled = recording_folder.load_recording(record(bad, folder / "wild"))
     for name, mask in masks(frames, np.random.default_rng([hidden.seed, 6])).items():
-        found[name] = _diagnosed(recording_frames.remove_frames(spoiled, mask) if mask else spoiled) | {"mask": mask}
+        found[name] = _diagnosed(
+            frame_selection_and_content_hashes.remove_frames(spoiled, mask) if mask else spoiled
+        ) | {"mask": mask}
     same, as_clean = counted(found)
     return {
         "recording": hidden.name,

@@ -10,7 +10,7 @@ import numpy as np
 from rig.driving.clock import SimulatedClock
 from rig.driving.controller_requests_and_answers import Link
 from rig.driving.emulators.controller_faults import Faults
-from rig.driving.emulators.emulated_machine import EmulatedMachine, MovingAxes
+from rig.driving.emulators.emulated_axis_motion_and_homing import EmulatedMachine, MovingAxes
 from rig.driving.emulators.own_strut_protocol import Struts as EmulatedStruts
 from rig.driving.protocols.gcs import GCS
 from rig.driving.protocols.grblhal import GrblHAL

@@ -1,4 +1,4 @@
-"""Edge pixels of a square, collected for the fit and sorted by kind: upright edge, level edge, meeting."""
+"""Edge pixels collected around a square for its fit, by kind of edge (upright, level, where two meet)."""
 
 import math
 from typing import NamedTuple

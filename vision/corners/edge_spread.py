@@ -13,8 +13,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from rig.array_and_json_types import Floats, Integers
+from vision.corners.occlusion_and_illumination_in_square_fit import PROFILED
 from vision.corners.predicted_cell_white_share import GRID
-from vision.corners.square_fit_residuals import PROFILED
 
 FIRST_WIDTH = 0.8  # px
 DIRECTIONS = 36  # of tables, over half a turn

@@ -24,9 +24,7 @@ from vision.corners.numba_cholesky_and_order_statistics import (
     kernel,
     order_statistic,
 )
-from vision.corners.predicted_cell_white_share import STEPS, Tables, fill_edge_spread_table
-from vision.corners.predicted_strip_white_share import ROWS, STRIP
-from vision.corners.square_fit_residuals import (
+from vision.corners.occlusion_and_illumination_in_square_fit import (
     TERMS,
     Bow,
     add_to_residual_profile,
@@ -36,6 +34,8 @@ from vision.corners.square_fit_residuals import (
     remove_occluded_pixels,
     remove_uneven_illumination,
 )
+from vision.corners.predicted_cell_white_share import STEPS, Tables, fill_edge_spread_table
+from vision.corners.predicted_strip_white_share import ROWS, STRIP
 from vision.corners.square_gauss_newton import (
     LIGHT,
     NO_CONTRAST,
@@ -119,7 +119,7 @@ class Fits(NamedTuple):
         px
     steps : (m,); status : (m,) OK, or why there is none
     profile : (d, bins, 3) added to, what is left beside edges of each direction, see
-        vision/corners/square_fit_residuals.py; of no bins where it is
+        vision/corners/occlusion_and_illumination_in_square_fit.py; of no bins where it is
     not wanted
     """
 

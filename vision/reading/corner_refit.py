@@ -18,7 +18,7 @@ from vision.corners import local_lens
 from vision.corners.edge_spread import PLAIN_EDGE_SPREAD
 from vision.corners.marker_detection import Detection, fit_read_markers, grey_images_for_reader_and_fit
 from vision.corners.whole_image_marker_reader import ReadMarkers
-from vision.reading.parallel_image_reading import map_images_in_processes
+from vision.reading.parallel_image_map_and_marker_rendering import map_images_in_processes
 from vision.reading.recording_corners import Collected, corners_from_detections, group_corners_by_image
 from vision.targets import MarkerMap
 

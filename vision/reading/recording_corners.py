@@ -22,7 +22,7 @@ from vision.corners.marker_detection import Detection, detect_markers, fit_read_
 from vision.corners.whole_image_marker_reader import ReadMarkers, read_markers
 from vision.predict import markers_expected_in_image
 from vision.reading import expected_marker_places
-from vision.reading.parallel_image_reading import map_images_in_processes, map_images_in_threads
+from vision.reading.parallel_image_map_and_marker_rendering import map_images_in_processes, map_images_in_threads
 from vision.recording_adjustment import Measurement
 from vision.targets import MarkerMap
 

@@ -14,7 +14,12 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial import Delaunay as Triangulation
 
-from calib.correction.interpolation.field_and_combinations import FieldSamples, WeightedField, Weights, merge_repeats
+from calib.correction.interpolation.field_interface_and_combinations import (
+    FieldSamples,
+    WeightedField,
+    Weights,
+    merge_repeats,
+)
 from rig.array_and_json_types import Floats, Integers
 from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.errors import RigError

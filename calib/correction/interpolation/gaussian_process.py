@@ -18,7 +18,7 @@ import scipy
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dpotrf, dpotri
 
-from calib.correction.interpolation.field_and_combinations import FieldSamples, merge_repeats
+from calib.correction.interpolation.field_interface_and_combinations import FieldSamples, merge_repeats
 from rig.array_and_json_types import Booleans, Floats
 from rig.compute.numba_kernels_and_lazy_exports import njit
 

@@ -21,7 +21,12 @@ from calib.correction.interpolation.delaunay_and_grid_kernels import (
     compiled_simplex_kernels,
     n_linear_interpolation_kernel,
 )
-from calib.correction.interpolation.field_and_combinations import FieldSamples, WeightedField, Weights, average_samples
+from calib.correction.interpolation.field_interface_and_combinations import (
+    FieldSamples,
+    WeightedField,
+    Weights,
+    average_samples,
+)
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError
 from rig.model.mechanisms.hexapod_kernels import EACH, run_in_threads

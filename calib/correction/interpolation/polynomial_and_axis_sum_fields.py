@@ -15,7 +15,7 @@ from typing import ClassVar, Self, TypeVar
 
 import numpy as np
 
-from calib.correction.interpolation.field_and_combinations import FieldSamples, merge_repeats
+from calib.correction.interpolation.field_interface_and_combinations import FieldSamples, merge_repeats
 from rig.array_and_json_types import Booleans, Floats, Integers
 
 EMPTY = np.zeros(0)

@@ -12,7 +12,7 @@ from calib.diagnosis.engine.candidate_score import Score
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, LinearModel
-from calib.diagnosis.engine.selection_inputs import C, SelectionPolicy, StatedTerms
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import C, SelectionPolicy, StatedTerms
 
 Fit = TypeVar("Fit")
 Fit_contra = TypeVar("Fit_contra", contravariant=True)

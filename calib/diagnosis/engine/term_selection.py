@@ -6,7 +6,7 @@ from typing import Any, Generic
 import numpy as np
 
 from calib.diagnosis.engine.candidate_score import Score, score_raised_to_likelihood_ratio
-from calib.diagnosis.engine.finding_confirmation import (
+from calib.diagnosis.engine.finding_confirmation_against_alternatives import (
     Finding,
     confirm_terms,
     is_finding_significant,
@@ -27,7 +27,7 @@ from calib.diagnosis.engine.problem_interface import (
     TermSimplification,
     Tolerances,
 )
-from calib.diagnosis.engine.selection_inputs import C
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import C
 
 DIGITS = 3  # of a node's values, by which hypotheses are told apart
 

@@ -1,4 +1,4 @@
-"""Interface of the evidence that a machine's recording offers a diagnosis: a core that all have, and"""
+"""Evidence interface: what a machine's recording offers a diagnosis, a common core and parts of some machines."""
 
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
@@ -6,10 +6,10 @@ from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.finding_confirmation import Finding
+from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Fit, Problem, Progress
-from calib.diagnosis.engine.selection_inputs import C, NotAsked, Outliers
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import C, NotAsked, Outliers
 from calib.diagnosis.engine.term_selection import Selection
 from calib.diagnosis.problems.remainder_covariates_and_formulas import Suggestion
 from rig.array_and_json_types import Floats, Integers

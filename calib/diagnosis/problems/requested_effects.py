@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
-from calib.diagnosis.engine.selection_inputs import Candidate, NotAsked, StatedTerms
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import Candidate, NotAsked, StatedTerms
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import Effect
 from rig.errors import FileError, RigError

@@ -6,7 +6,7 @@ from typing import Protocol
 
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report import report_sentences
-from calib.diagnosis.report.diagnosis_json import FindingEntry
+from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
 from calib.diagnosis.report.report_data_and_verdict import Report, diagnosis_verdict
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.recording.recording_folder import Recording

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-from calib.diagnosis.problems.platform.operating_point import OperatingPoint
+from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.report.pose_figures_and_effect_displacements import closed_outline
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect_data_types import Place
+from rig.effects.framework.effect_places_parameters_and_covariates import Place
 from rig.model import mechanisms
 from rig.model.design import Camera
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2

@@ -10,7 +10,7 @@ from calib.diagnosis.problems.platform.linearised_residuals import LinearisedMod
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report import residual_figures_and_contributions
-from calib.diagnosis.report.diagnosis_json import FindingEntry
+from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
 from calib.diagnosis.report.machine_outline import arm_outline_figures, rig_outline_figure
 from calib.diagnosis.report.residual_figures_and_contributions import (
     SAME_ANGLE,
@@ -28,7 +28,7 @@ from calib.diagnosis.report.residual_plots import (
 )
 from calib.report.pose_figures_and_effect_displacements import FACTORS, effect_displacements, mechanism_scene, rig_scene
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect_data_types import Place
+from rig.effects.framework.effect_places_parameters_and_covariates import Place
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Chain
 from rig.recording.recording_folder import Recording

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 from calib.certification.calibration_evidence import ALONE, OfCalibrations, confound_sentences
-from calib.diagnosis.engine.selection_inputs import Crowd, LeftOut
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import Crowd, LeftOut
 from calib.diagnosis.problems.evidence_interface import ASSUMED_NOISE, RESIDUALS, STATED
 from calib.diagnosis.report import report_sentences
-from calib.diagnosis.report.diagnosis_json import (
+from calib.diagnosis.report.diagnosis_json_entries import (
     SCHEMA,
     UNKNOWN,
     CovariateEntry,

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.finding_confirmation import Finding
+from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit, first_of_each_place
 from calib.diagnosis.problems.evidence_interface import MeasuredFinding, Misfit, ScatterSize, Value
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report import residual_figures_and_contributions
-from calib.diagnosis.report.diagnosis_json import (
+from calib.diagnosis.report.diagnosis_json_entries import (
     UNKNOWN,
     AlternativeEntry,
     Evidence,
@@ -29,8 +29,8 @@ from calib.diagnosis.report.diagnosis_json import (
 from calib.diagnosis.report.report_data_and_verdict import Report, write_diagnosis_json
 from calib.diagnosis.report.residual_figures_and_contributions import held_out_entries
 from rig.effects.framework.effect import Effect
-from rig.formats import local_and_remote_files, machine_json
-from rig.formats.local_and_remote_files import read_text
+from rig.formats import local_and_remote_input_files, machine_json
+from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.output_files import write_text
 from rig.recording.recording_folder import Recording
 
@@ -194,5 +194,5 @@ def copy_recording(folder: Path, recording: Recording) -> None:
     """Copy a recording's own rig.toml, commands, frames and sensors into a folder; of several, the first one's."""
     recording = recording.apart[0].recording
     for name in ("rig.toml", "commands.csv", "frames.csv", "sensors.csv"):
-        if local_and_remote_files.exists(recording.folder / name):
+        if local_and_remote_input_files.exists(recording.folder / name):
             write_text(folder / name, read_text(recording.folder / name))

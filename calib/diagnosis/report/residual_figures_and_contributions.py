@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.diagnosis.engine.problem_interface import Fit
-from calib.diagnosis.engine.selection_inputs import C
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import C
 from calib.diagnosis.engine.term_selection import Selection
 from calib.diagnosis.problems.evidence_interface import (
     HeldOutPoses,

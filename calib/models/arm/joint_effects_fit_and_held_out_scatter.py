@@ -33,7 +33,7 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import (
 from rig.model import motion_simulation
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanism_kinds_and_hexapod_properties import require_arm
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_arm
 from rig.recording.recording_folder import Commands, Sensors
 
 ITERATIONS = 12

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence import calibration_verdict
 from calib.certification.held_out_errors import (
     HeldErrors,

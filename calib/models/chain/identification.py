@@ -1,4 +1,4 @@
-"""Identification of a chain's parameters, all stages together, from measured poses.
+"""Identification of all stages' parameters of a chain of mechanisms together, from measured poses.
 
 What one stage does the next may undo: where a gantry's carriage holds the hexapod and where the hexapod's base joints
 stand on it are one and the same to the last platform, until the carriage itself is measured. Combinations without

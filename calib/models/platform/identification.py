@@ -23,7 +23,7 @@ from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Hexapod, Planar2
-from rig.model.mechanism_kinds_and_hexapod_properties import Struts
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
 from rig.model.mechanisms import hexapod, two_strut_plane
 
 PRIOR = 5e-3  # m; how far a joint or a zero may be from where its owner states it: ten times what rigs show

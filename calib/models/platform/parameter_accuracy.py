@@ -13,7 +13,7 @@ from calib.identify.least_squares import Visibility, parameter_visibility
 from calib.models.platform.identification import NAMES, PRIOR, Identified, geometric_parameters
 from rig.array_and_json_types import Floats
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanism_kinds_and_hexapod_properties import Struts
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
 from rig.model.mechanisms import hexapod
 from rig.model.pose import skew
 

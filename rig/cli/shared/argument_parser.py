@@ -1,4 +1,4 @@
-"""Argument parser of the command line, which suggests the nearest word for a mistyped option or command."""
+"""Argument parser of the commands, with the nearest known word for a mistyped option or command."""
 
 import re
 from argparse import ArgumentParser

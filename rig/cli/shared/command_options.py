@@ -81,7 +81,7 @@ def print_json(tree: object) -> None:
     """Print a result as JSON; NaN becomes null."""
     import json
 
-    from rig.formats.structured_files import nan_to_null
+    from rig.formats.json_toml_and_yaml_loading import nan_to_null
 
     print(json.dumps(nan_to_null(tree), indent=1))
 
@@ -152,7 +152,7 @@ def require_share(speed: float) -> float:
 
 def print_held_out_errors(held_out: HeldOut, title: str) -> None:
     """Print held-out errors before and after correction as a table in mm and mrad."""
-    from calib.certification.calibration_and_claim_sentences import ratio_interval_text
+    from calib.certification.calibration_data_type_and_claim_sentences import ratio_interval_text
 
     names = ("mean", "RMS", "95 %", "max")
     print(f"{title}, N = {held_out.after.n}, {held_out.configurations} distinct configurations:")

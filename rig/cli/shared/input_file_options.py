@@ -16,8 +16,8 @@ from rig.formats.output_files.atomic_file_and_manifest import file_digest
 from rig.report.verdict_and_refutations_of_results import State
 
 if TYPE_CHECKING:
-    from calib.certification.calibration_and_claim_sentences import Calibration
-    from calib.online.measuring_limb_poses import LimbSource
+    from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+    from calib.online.platform_poses_from_measuring_limbs import LimbSource
     from rig.effects.texts.effect_text_and_dict import Kinds
     from rig.effects.texts.user_effect_file_loading import Plugin
     from rig.recording.recording_folder import Recording
@@ -116,7 +116,7 @@ def limb_source(arguments: Namespace) -> LimbSource | None:
         raise RigError("--check takes a number of poses, at least 1, and --limbs")
     if arguments.limbs is None:
         return None
-    from calib.online.measuring_limb_poses import LimbSource
+    from calib.online.platform_poses_from_measuring_limbs import LimbSource
 
     return LimbSource(arguments.limbs, arguments.check or EVERY)
 

@@ -3,11 +3,11 @@
 import numpy as np
 
 from calib.api.calibrate import CalibrationResult
-from calib.api.correction_extension import ExtendedCorrection
+from calib.api.correction_over_configuration_or_pose_space import ExtendedCorrection
 from calib.api.learn import LearningResult
-from calib.api.limb_acceptance_and_limb_poses import MeasuredLimbPoses
+from calib.api.measuring_limb_acceptance_and_platform_poses import MeasuredLimbPoses
 from calib.certification import platform_certification
-from calib.certification.calibration_and_claim_sentences import Calibration, claim_lines
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration, claim_lines
 from calib.certification.workspace_claim import Claim
 from calib.correction.physics_compensation import Physics
 from calib.models.arm import certification as arm_certification

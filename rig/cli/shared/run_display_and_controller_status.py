@@ -7,8 +7,8 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from calib.online.run_observation import MeasuredFrame, RunDisplay, RunObserver, View
-from calib.online.run_page import RunPage
+from calib.online.live_run_page import RunPage
+from calib.online.observer_of_run_frames import MeasuredFrame, RunDisplay, RunObserver, View
 from rig.array_and_json_types import Floats
 from rig.cli.shared.output_escaping_and_progress_display import unescaped_stream
 from rig.driving.controller_status_and_operator_advice import ControllerStatus

@@ -10,7 +10,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.emulators.controller_faults import Faults
-from rig.driving.emulators.emulated_machine import EmulatedMachine
+from rig.driving.emulators.emulated_axis_motion_and_homing import EmulatedMachine
 from rig.errors import FileError, LinkLost
 
 UNPLUGGED = 0.7  # s that the line is cut

@@ -14,7 +14,7 @@ from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock, SimulatedClock
 from rig.driving.emulators.controller_emulator import Emulator
 from rig.driving.emulators.controller_faults import Faults
-from rig.driving.emulators.emulated_machine import EmulatedMachine, MovingAxes
+from rig.driving.emulators.emulated_axis_motion_and_homing import EmulatedMachine, MovingAxes
 from rig.driving.emulators.gcs import GCS
 from rig.driving.emulators.grblhal import GrblHAL
 from rig.driving.emulators.linuxcnc import LinuxCNC
@@ -22,7 +22,7 @@ from rig.driving.emulators.own_strut_protocol import Struts
 from rig.errors import RigError
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod, Planar2
-from rig.model.mechanism_kinds_and_hexapod_properties import require_hexapod, require_struts
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_hexapod, require_struts
 
 ACCELERATION = 0.1  # m/s^2, where the rig.toml states none
 

@@ -5,9 +5,9 @@ from typing import ClassVar
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_data_types import Parameter, Place
+from rig.effects.framework.effect_places_parameters_and_covariates import Parameter, Place
+from rig.model.chebyshev_warp_and_printed_edge_shift import move_edges_inward
 from rig.model.design import Camera
-from rig.model.image_warp_and_edge_shift import move_edges_inward
 from rig.model.marker_and_sensor_tolerances import FINDER
 
 

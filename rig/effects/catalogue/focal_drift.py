@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
-from rig.effects.framework.effect_data_types import Context, Parameter, Place
+from rig.effects.framework.effect_places_parameters_and_covariates import Context, Parameter, Place
 from rig.errors import RigError
 from rig.model.design import Camera
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_data_types import Parameter
+from rig.effects.framework.effect_places_parameters_and_covariates import Parameter
 from rig.effects.framework.marker_table import Markers, replace_marker_columns
 from rig.model.marker_and_sensor_tolerances import SIDES
 

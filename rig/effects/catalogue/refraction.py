@@ -8,7 +8,13 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_data_types import Context, Drawing, Parameter, Place, draw_number
+from rig.effects.framework.effect_places_parameters_and_covariates import (
+    Context,
+    Drawing,
+    Parameter,
+    Place,
+    draw_number,
+)
 from rig.model.design import Camera
 
 INDEX = 1.5  # of the window's glass against air

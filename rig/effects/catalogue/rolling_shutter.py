@@ -7,7 +7,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_data_types import Parameter, Place
+from rig.effects.framework.effect_places_parameters_and_covariates import Parameter, Place
 from rig.model.design import Camera
 
 

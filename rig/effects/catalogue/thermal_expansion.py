@@ -7,7 +7,13 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
-from rig.effects.framework.effect_data_types import Context, Covariate, Parameter, Place, temperature_covariate
+from rig.effects.framework.effect_places_parameters_and_covariates import (
+    Context,
+    Covariate,
+    Parameter,
+    Place,
+    temperature_covariate,
+)
 from rig.effects.framework.machine_motion_and_play import Motion
 
 AMBIENT = "ambient_temperature_C"

@@ -8,7 +8,7 @@ import scipy
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_data_types import (
+from rig.effects.framework.effect_places_parameters_and_covariates import (
     COUNT,
     Context,
     Covariate,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect_data_types import (
+from rig.effects.framework.effect_places_parameters_and_covariates import (
     AXES,
     COUNT,
     QUADRATURE,

@@ -7,9 +7,9 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_data_types import AXES, NUMBER, Parameter, Place
+from rig.effects.framework.effect_places_parameters_and_covariates import AXES, NUMBER, Parameter, Place
 from rig.formats.checked_entries import NAME
-from rig.formats.local_and_remote_files import short_repr
+from rig.formats.local_and_remote_input_files import short_repr
 
 MOST = 1000  # numbers of a parameter of any length
 

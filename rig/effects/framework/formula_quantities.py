@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE
-from rig.effects.framework.effect_data_types import AXES
+from rig.effects.framework.effect_places_parameters_and_covariates import AXES
 from rig.effects.framework.machine_motion_and_play import Motion
 
 POSE = ("x", "y", "z", "rx", "ry", "rz")

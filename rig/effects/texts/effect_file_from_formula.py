@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_data_types import AXES
+from rig.effects.framework.effect_places_parameters_and_covariates import AXES
 from rig.effects.framework.formula_quantities import POSE, Quantity, quantity_by_name
 from rig.effects.texts.user_effect_file_loading import effects_of_source
 from rig.errors import RigError
-from rig.formats import structured_files
+from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
 
 WIDTH = 145  # characters of a line
@@ -291,7 +291,7 @@ def load_suggestion(folder: Path, place: str | None) -> tuple[str, Written]:
     """(place, Written) that a diagnosis in a folder suggests. Raises RigError where it suggests nothing there, or
     several things anywhere.
     """
-    table = structured_files.load_json(folder / "diagnosis.json", "diagnosis", "diagnosis/1")
+    table = json_toml_and_yaml_loading.load_json(folder / "diagnosis.json", "diagnosis", "diagnosis/1")
     found = {
         entry.text("place"): entry for entry in (table.tables("suggestions") if "suggestions" in table.tree else ())
     }

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from rig.effects.catalogue.effect_list import BY_NAME, STAGES
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect
-from rig.effects.framework.effect_data_types import AXES, Context, Parameter
+from rig.effects.framework.effect_places_parameters_and_covariates import AXES, Context, Parameter
 from rig.errors import FileError, RigError
 
 KINDS = ("axis", *AXES, "rig", "clock", "camera", "cameras", "marker", "markers", "target")  # of place

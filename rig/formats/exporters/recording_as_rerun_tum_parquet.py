@@ -19,7 +19,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.errors import MissingLibrary, RigError
 from rig.formats import csv_and_parquet_tables
 from rig.formats.csv_and_parquet_tables import parquet_bytes
-from rig.formats.local_and_remote_files import read_bytes
+from rig.formats.local_and_remote_input_files import read_bytes
 from rig.model.design import Camera, Target
 from rig.recording.recording_folder import Recording
 

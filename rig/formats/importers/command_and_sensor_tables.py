@@ -36,7 +36,7 @@ from rig.formats.importers.units_and_timestamps import (
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanism_kinds_and_hexapod_properties import has_links, require_arm, require_struts
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_links, require_arm, require_struts
 
 
 def _over(per: float, values: Floats) -> Floats:

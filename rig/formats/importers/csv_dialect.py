@@ -10,7 +10,7 @@ from rig.formats.csv_and_parquet_tables import is_parquet, read_parquet_cells
 from rig.formats.importers.foreign_table_columns import LONGEST, NUMBER, Cells, add_time_column, lines_with_header
 from rig.formats.importers.import_recipe import DECIMALS, SEPARATORS, ForeignTable
 from rig.formats.importers.units_and_timestamps import ambiguity_error
-from rig.formats.local_and_remote_files import read_bytes, short_repr
+from rig.formats.local_and_remote_input_files import read_bytes, short_repr
 
 LARGEST = 1 << 27  # bytes
 COMMENTS = ("#", "%", "//")

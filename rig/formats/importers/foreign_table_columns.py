@@ -11,7 +11,7 @@ from rig.errors import FileError, RigError
 from rig.formats.checked_entries import LARGEST_NUMBER
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.importers.units_and_timestamps import TIMES, Times, read_times, split_header
-from rig.formats.local_and_remote_files import short_repr
+from rig.formats.local_and_remote_input_files import short_repr
 from rig.recording.time_origin import DIGITS
 
 TIME = {

@@ -15,7 +15,7 @@ from rig.errors import FileError, RigError
 from rig.formats.importers import units_and_timestamps as times
 from rig.formats.importers.import_recipe import Images
 from rig.formats.importers.units_and_timestamps import ambiguity_error
-from rig.formats.local_and_remote_files import short_repr
+from rig.formats.local_and_remote_input_files import short_repr
 from rig.model.design import Design
 
 KINDS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm")

@@ -9,9 +9,9 @@ from typing import Any
 from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.formats.checked_entries import Entries
-from rig.formats.local_and_remote_files import read_text, short_repr
+from rig.formats.json_toml_and_yaml_loading import toml_entries
+from rig.formats.local_and_remote_input_files import read_text, short_repr
 from rig.formats.number_parsing_and_rounding import parse_number
-from rig.formats.structured_files import toml_entries
 
 SCHEMA = "import/1"
 LARGEST = 1 << 20  # bytes

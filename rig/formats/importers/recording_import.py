@@ -27,10 +27,10 @@ from rig.formats.importers.frame_times import (
 from rig.formats.importers.image_file_frames import ImportedExposures
 from rig.formats.importers.import_recipe import Images, Recipe
 from rig.formats.importers.pose_table import ImportedPoses, read_poses
-from rig.formats.local_and_remote_files import read_bytes, read_text
+from rig.formats.json_toml_and_yaml_loading import toml_entries
+from rig.formats.local_and_remote_input_files import read_bytes, read_text
 from rig.formats.output_files import write_bytes
 from rig.formats.rig_toml import design_file
-from rig.formats.structured_files import toml_entries
 from rig.model.design import Design
 from rig.recording.image_file_check import image_file_problem
 from rig.recording.recording_tables import Poses, write_poses, write_table

@@ -12,7 +12,7 @@ import numpy as np
 
 from rig.array_and_json_types import ImageBytes, Pixels
 from rig.errors import FileError, RigError
-from rig.formats.local_and_remote_files import short_repr
+from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.output_files import write_bytes
 from rig.recording.image_file_check import JPEG, PNG
 

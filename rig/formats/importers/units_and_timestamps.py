@@ -10,7 +10,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
-from rig.formats.local_and_remote_files import short_repr
+from rig.formats.local_and_remote_input_files import short_repr
 from rig.recording.time_origin import DIGITS
 
 

@@ -15,8 +15,8 @@ from os import PathLike
 from pathlib import Path
 
 from rig.errors import FileError
-from rig.formats import local_and_remote_files
-from rig.formats.local_and_remote_files import require_schema
+from rig.formats import local_and_remote_input_files
+from rig.formats.local_and_remote_input_files import require_schema
 
 STANDARD_OUTPUT = Path("/dev/stdout")  # what `-` stands for
 PART = ".rig-{}.part"  # name of a temporary; its length does not depend on the file's
@@ -201,7 +201,7 @@ class FolderOrigin:
     """command : that makes a folder whole; arguments : as they were given, but for what a recording must not tell about
     its truth
     complete : whether it came to its end; data : marks of the exposures that what is in the folder was computed from
-    (see rig.recording.recording_frames)"""
+    (see rig.recording.frame_selection_and_content_hashes)"""
 
     command: str
     arguments: tuple[str, ...] = ()
@@ -261,9 +261,11 @@ def load_manifest(folder: Path) -> FolderManifest:
     path = folder / MANIFEST
     try:
         tree = json.loads(
-            (local_and_remote_files.read(path) if local_and_remote_files.is_remote(path) else path.read_bytes()).decode(
-                "utf-8"
-            )
+            (
+                local_and_remote_input_files.read(path)
+                if local_and_remote_input_files.is_remote(path)
+                else path.read_bytes()
+            ).decode("utf-8")
         )
         require_schema(path, "manifest of what was made in its folder", tree["schema"], (SCHEMA,))
         origin = tree["origin"] and FolderOrigin(
@@ -303,8 +305,8 @@ def file_digest(path: Path) -> str:
     """Digest (sha256, hexadecimal) of a file, "" for one that cannot be read."""
     whole = sha256()
     try:
-        if local_and_remote_files.is_remote(path):
-            return sha256(local_and_remote_files.read(path)).hexdigest()
+        if local_and_remote_input_files.is_remote(path):
+            return sha256(local_and_remote_input_files.read(path)).hexdigest()
         with open(path, "rb") as file:
             while block := file.read(1 << 20):
                 whole.update(block)

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from rig.errors import FileError, RigError
-from rig.formats import local_and_remote_files
+from rig.formats import local_and_remote_input_files
 from rig.formats.output_files.atomic_file_and_manifest import (
     MANIFEST,
     FolderManifest,
@@ -239,8 +239,8 @@ def _here(path: Path) -> None:
     """Raise RigError for a place behind a URL: what commands make is put there whole or not at all, which only a file
     system does.
     """
-    if local_and_remote_files.is_remote(path):
+    if local_and_remote_input_files.is_remote(path):
         raise RigError(
-            f"{local_and_remote_files.remote_url(path)} is behind a URL, from which recordings are read; results are "
-            "written on this computer, name a place here"
+            f"{local_and_remote_input_files.remote_url(path)} is behind a URL, from which recordings are read; "
+            "results are written on this computer, name a place here"
         )

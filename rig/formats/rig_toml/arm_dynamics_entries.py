@@ -10,7 +10,7 @@ from rig.errors import RigError
 from rig.formats.checked_entries import Entries
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design
-from rig.model.mechanism_kinds_and_hexapod_properties import has_links
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_links
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import LinkMasses
 
 HEAVIEST = 1e5  # kg, and kg m^2

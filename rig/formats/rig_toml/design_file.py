@@ -4,11 +4,11 @@ from dataclasses import fields
 from pathlib import Path
 
 from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries, Required
-from rig.formats.local_and_remote_files import read_text
+from rig.formats.json_toml_and_yaml_loading import toml_entries
+from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.rig_toml import camera_instrument_and_cube_entries
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table
 from rig.formats.rig_toml.mechanism_entries import mechanism_of_table
-from rig.formats.structured_files import toml_entries
 from rig.model.design import (
     DICTIONARIES,
     FACES,
@@ -25,7 +25,7 @@ from rig.model.design import (
     port_problem,
 )
 from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Planar2
-from rig.model.mechanism_kinds_and_hexapod_properties import has_struts, target_bodies
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_struts, target_bodies
 
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)

@@ -7,14 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.api.correction_extension import CorrectionPass, certify_additional_pass
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.api.correction_over_configuration_or_pose_space import CorrectionPass, certify_additional_pass
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.certification.extended_correction_certification import claim_without_geometry
 from calib.certification.platform_certification import platform_pose_covariance
 from calib.correction import interpolation_methods_and_summand_extension
 from calib.correction.correction import Correction
-from calib.correction.interpolation.field_and_combinations import FieldSamples, RestrictedMap, SpacePart, SummedPasses
-from calib.files import calibration_file, calibration_from_recording
+from calib.correction.interpolation.field_interface_and_combinations import (
+    FieldSamples,
+    RestrictedMap,
+    SpacePart,
+    SummedPasses,
+)
+from calib.files import calibration_file, calibration_provenance_and_used_frames
 from calib.samples.pose_samples import Samples
 from rig.errors import FileError, NotEnoughData
 from rig.model.mechanisms import hexapod
@@ -139,7 +144,7 @@ def test_maps_of_both_spaces_are_kept_and_read_again(machine, tmp_path):
     done, _, _ = certify_additional_pass(
         samples, before, CorrectionPass("polynomial", "both", poses=SpacePart(low, high)), np.random.default_rng(0)
     )
-    source = calibration_from_recording.additional_pass_provenance(
+    source = calibration_provenance_and_used_frames.additional_pass_provenance(
         {"recording": "b", "data": ["2"]}, before, {"number": 2, "space": "both"}
     )
     calibration_file.save(

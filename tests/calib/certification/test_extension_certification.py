@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.api.correction_extension import CorrectionPass, certify_additional_pass
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.api.correction_over_configuration_or_pose_space import CorrectionPass, certify_additional_pass
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.certification.extended_correction_certification import (
     ExtensionRequest,
     certify_extended_correction,
@@ -16,7 +16,7 @@ from calib.certification.extended_correction_certification import (
 )
 from calib.certification.platform_certification import platform_pose_covariance, platform_workspace_claim
 from calib.correction.interpolation_methods_and_summand_extension import single_step_correction_errors
-from calib.files import calibration_file, calibration_from_recording
+from calib.files import calibration_file, calibration_provenance_and_used_frames
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
@@ -216,7 +216,7 @@ def test_a_second_pass_takes_what_the_first_one_left(gridded, design, tmp_path):
     np.testing.assert_allclose(
         calibration_file.load(tmp_path / "c.json").correction.rho(inner), second.correction.rho(inner), atol=1e-18
     )
-    source = calibration_from_recording.additional_pass_provenance(
+    source = calibration_provenance_and_used_frames.additional_pass_provenance(
         {"recording": "b", "data": ["2"]},
         replace(kept, provenance={"recording": "a", "data": ["1"], "created": "then"}),
         {"number": 2},

@@ -12,12 +12,17 @@ from calib.certification.platform_certification import (
     platform_pose_covariance,
     platform_workspace_claim,
 )
-from calib.certification.strut_deviation_covariance_kernels import CONDITION, PLACE, SAMPLE, strut_deviation_components
+from calib.certification.strut_deviation_covariance_functions import (
+    CONDITION,
+    PLACE,
+    SAMPLE,
+    strut_deviation_components,
+)
 from calib.certification.strut_deviation_sizes_and_possible_machines import (
     Closures,
     draw_strut_deviation_component_sizes,
 )
-from calib.files.calibration_from_recording import calibration_with_provenance
+from calib.files.calibration_provenance_and_used_frames import calibration_with_provenance
 from calib.samples.recording_samples import sample_recording
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder

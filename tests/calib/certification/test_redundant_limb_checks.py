@@ -8,13 +8,13 @@ import re
 import numpy as np
 import pytest
 
-from calib.certification import measuring_limbs, redundant_measuring_limb_checks
-from calib.online import measuring_limb_poses, measuring_limbs_file
-from calib.online.measuring_limb_poses import LiveLimbPoses
+from calib.certification import measuring_limb_calibration_and_slips, redundant_measuring_limb_checks
+from calib.online import measuring_limbs_file, platform_poses_from_measuring_limbs
+from calib.online.platform_poses_from_measuring_limbs import LiveLimbPoses
 from rig.cli import command_line
 from rig.errors import RigError
+from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.rig_toml import design_file
-from rig.formats.structured_files import toml_entries
 from rig.model.mechanisms import hexapod
 from rig.model.pose import transform_points
 from rig.planning.configuration_sets import sobol_configurations
@@ -44,10 +44,10 @@ def limbs(machine):
     """Limbs of which six are known as vision would have them, and the checks fitted to their poses."""
     design, true, read, T = machine
     chosen = redundant_measuring_limb_checks.best_six_limbs(design.insitu, design.mechanism.home, T)
-    six = measuring_limbs.Limbs(
-        measuring_limbs.limb_hexapod(true, chosen), 1e-14 * np.eye(42), np.full(6, 1e-6), chosen
+    six = measuring_limb_calibration_and_slips.Limbs(
+        measuring_limb_calibration_and_slips.limb_hexapod(true, chosen), 1e-14 * np.eye(42), np.full(6, 1e-6), chosen
     )
-    return measuring_limbs.Limbs(
+    return measuring_limb_calibration_and_slips.Limbs(
         six.hexapod,
         six.covariance,
         six.sigma,
@@ -83,8 +83,11 @@ def test_of_six_limbs_none_is_over_to_be_checked(machine):
     stated = design_file.design_of_entries(
         toml_entries(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6), "rig.toml")
     ).insitu
-    six = measuring_limbs.Limbs(
-        measuring_limbs.limb_hexapod(true, np.arange(6)), 1e-14 * np.eye(42), np.full(6, 1e-6), np.arange(6)
+    six = measuring_limb_calibration_and_slips.Limbs(
+        measuring_limb_calibration_and_slips.limb_hexapod(true, np.arange(6)),
+        1e-14 * np.eye(42),
+        np.full(6, 1e-6),
+        np.arange(6),
     )
     error, sigma = redundant_measuring_limb_checks.held_out_check_errors(six, stated, read[:, :6])
     assert error.shape == sigma.shape == (60, 0)
@@ -112,7 +115,7 @@ def test_fewer_limbs_than_freedoms_are_refused_with_the_reason(tmp_path):
         RigError,
         match="has 4 measuring limbs in .insitu., and a platform has six freedoms: fewer than six lengths tell no",
     ):
-        measuring_limbs.limb_hexapod(design)
+        measuring_limb_calibration_and_slips.limb_hexapod(design)
     assert not redundant_measuring_limb_checks.has_six_measuring_limbs(design)
 
 
@@ -179,7 +182,7 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
     assert "six different limbs of m1 .. m8" in capsys.readouterr().err
     with pytest.raises(RigError, match="of other limbs than rig.toml states in .insitu.: of 8, not of 6"):
         measuring_limbs_file.accepted_limbs(tmp_path / "first.json", _with_limbs(tmp_path, 6))
-    assert measuring_limb_poses.limb_poses(
+    assert platform_poses_from_measuring_limbs.limb_poses(
         read, measuring_limbs_file.load_limbs(tmp_path / "first.json")
     ).lengths.shape == (60, EIGHT)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.checks import Mistake, environment_values_and_units, sort_mistakes
+from rig.checks import Mistake, sort_mistakes, unit_and_convention_mistakes
 from rig.cli import command_line
 from rig.effects.catalogue.edge_bias import EdgeBias
 from rig.effects.catalogue.print_scale import PrintScale
@@ -149,13 +149,13 @@ def test_one_struts_zero_is_no_unit_of_all(design):
     middle, span = design.mechanism.strut_range.mean(axis=1), np.ptp(design.mechanism.strut_range, axis=1)
     q = middle + 0.4 * span * np.random.default_rng(0).uniform(-1, 1, (40, 6)) - 0.6 * span * (np.arange(6) == 3)
     said = [
-        one.what for one in environment_values_and_units.command_unit_mistakes(Commands(np.arange(40.0), q), design)
+        one.what for one in unit_and_convention_mistakes.command_unit_mistakes(Commands(np.arange(40.0), q), design)
     ]
     assert len(said) == 1 and "lengths of strut 4 alone lie outside strut_range" in said[0]
     assert (
         "in millimetres"
         in next(
-            environment_values_and_units.command_unit_mistakes(Commands(np.arange(40.0), middle * 1e3 + 0 * q), design)
+            unit_and_convention_mistakes.command_unit_mistakes(Commands(np.arange(40.0), middle * 1e3 + 0 * q), design)
         ).what
     )
 

@@ -14,7 +14,7 @@ from calib.correction.correction_tables_and_pose_space_map_json import (
     grid_correction_table,
     strut_correction_summands,
 )
-from calib.correction.interpolation.field_and_combinations import FieldSamples
+from calib.correction.interpolation.field_interface_and_combinations import FieldSamples
 from calib.correction.interpolation_methods_and_summand_extension import measured_correction_summands
 from rig.formats.exporters import geometry_and_camera_files
 from rig.model.mechanisms import hexapod

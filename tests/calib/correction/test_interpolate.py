@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
 from calib.correction import interpolation_methods_and_summand_extension
-from calib.correction.interpolation.field_and_combinations import FieldSamples, merge_repeats
+from calib.correction.interpolation.field_interface_and_combinations import FieldSamples, merge_repeats
 from calib.correction.interpolation.grid import grid_lattice_of_configurations
 from rig.errors import FileError, NotConverged, RigError
 from rig.formats.checked_entries import Entries

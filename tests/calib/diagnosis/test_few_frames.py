@@ -14,7 +14,7 @@ from calib.diagnosis.engine.frame_inner_products import (
     solve_normal_equations,
 )
 from calib.diagnosis.engine.linear_model import Block, Column, LinearModel
-from calib.diagnosis.engine.selection_inputs import PLATFORM, Candidate
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import PLATFORM, Candidate
 from calib.diagnosis.engine.term_selection import _hidden
 from calib.diagnosis.problems.platform.held_out_validation import sides_of_sudden_changes
 from calib.diagnosis.report.report_entries_and_diagnosis_folder import diagnosis_report

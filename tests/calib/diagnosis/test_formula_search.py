@@ -18,11 +18,11 @@ from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import find_l
 from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import suggest_joint_formulas as arm_suggestions
 from calib.diagnosis.problems.arm.projected_pose_residuals import fit_poses
 from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
-from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
+from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from calib.diagnosis.problems.platform.unlisted_strut_effects import suggest_strut_formulas
 from calib.diagnosis.problems.requested_effects import RequestedEffects
-from calib.diagnosis.report.diagnosis_json import FitEntry, suggested_formula_entries
+from calib.diagnosis.report.diagnosis_json_entries import FitEntry, suggested_formula_entries
 from calib.diagnosis.report.diagnosis_page import _suggestions
 from calib.diagnosis.report.report_data_and_verdict import Report, recommended_actions, write_diagnosis_json
 from rig.cli.command_line import main
@@ -30,7 +30,7 @@ from rig.effects.framework.formula_quantities import quantities_of_motion
 from rig.effects.texts.effect_file_from_formula import Term, Written
 from rig.effects.texts.user_effect_file_loading import load_effect_file
 from rig.errors import FileError
-from rig.formats import structured_files
+from rig.formats import json_toml_and_yaml_loading
 from rig.formats.rig_toml import design_file
 from tests.calib import unlisted_laws
 from tests.calib.diagnosis.test_arm_diagnosis import recorded as arm_recorded
@@ -171,13 +171,17 @@ def test_a_spoilt_suggestion_is_refused(tmp_path, spoil, said):
     )
     (tmp_path / "diagnosis.json").write_text(json.dumps({"schema": "diagnosis/1", "model": model}))
     assert (
-        Written.read(structured_files.load_json(tmp_path / "diagnosis.json", "diagnosis", "diagnosis/1").table("model"))
+        Written.read(
+            json_toml_and_yaml_loading.load_json(tmp_path / "diagnosis.json", "diagnosis", "diagnosis/1").table("model")
+        )
         == SAG
     )
     spoil(model)
     (tmp_path / "diagnosis.json").write_text(json.dumps({"schema": "diagnosis/1", "model": model}))
     with pytest.raises(FileError, match=f"diagnosis.json.*({said})"):
-        Written.read(structured_files.load_json(tmp_path / "diagnosis.json", "diagnosis", "diagnosis/1").table("model"))
+        Written.read(
+            json_toml_and_yaml_loading.load_json(tmp_path / "diagnosis.json", "diagnosis", "diagnosis/1").table("model")
+        )
 
 
 def test_commands_write_what_is_to_be_edited(tmp_path, capsys, monkeypatch):

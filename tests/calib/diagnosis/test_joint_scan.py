@@ -12,11 +12,16 @@ from calib.diagnosis.engine.term_selection import select_terms
 from calib.diagnosis.problems.arm import lack_of_fit_and_unlisted_effects as arm_excess_scatter
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.arm_recording_evidence import pose_repeatability
-from calib.diagnosis.problems.arm.candidate_search import joint_products, score_candidates, solved_grid, solved_nodes
 from calib.diagnosis.problems.arm.joint_candidates import joint_candidates
 from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import find_lack_of_fit_by_joint
 from calib.diagnosis.problems.arm.linearised_poses import linearise_poses
 from calib.diagnosis.problems.arm.projected_pose_residuals import Term, fit_poses
+from calib.diagnosis.problems.arm.scores_of_all_candidates import (
+    joint_products,
+    score_candidates,
+    solved_grid,
+    solved_nodes,
+)
 from calib.diagnosis.problems.arm.whitened_columns import Columns, Part
 from calib.diagnosis.problems.requested_effects import RequestedEffects
 from calib.identify.robust_fit import excess_scatter, robust_weights

@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.certification.platform_certification import certify_platform
 from calib.diagnosis.engine.cross_validation_and_chance import scan_p_value
 from calib.diagnosis.problems.platform import misplaced_markers_and_frames
 from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, effect_parameter_directions
 from calib.diagnosis.problems.platform.lack_of_fit import find_lack_of_fit_by_place
+from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.linearised_residuals import CORNERS, linearise
-from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
 from calib.diagnosis.problems.requested_effects import RequestedEffects
 from calib.diagnosis.report.report_entries_and_diagnosis_folder import diagnosis_report

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.selection_inputs import NotAsked, StatedTerms
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import NotAsked, StatedTerms
 from calib.diagnosis.problems.requested_effects import RequestedEffects, require_assumed_effects_testable
 from calib.diagnosis.report.report_entries_and_diagnosis_folder import diagnosis_report
 from calib.diagnosis.report.report_sentences import evidence_sentence
 from rig.cli import command_line
 from rig.effects.texts.effect_text_and_dict import parse_effect_and_place
 from rig.errors import NotEnoughData, RigError
-from rig.recording.recording_frames import remove_frames
+from rig.recording.frame_selection_and_content_hashes import remove_frames
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.calib.recordings_with_effects import recorded
 

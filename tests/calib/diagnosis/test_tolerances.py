@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.engine.frame_inner_products import normal_equations_by_common_weights
-from calib.diagnosis.engine.selection_inputs import NO_STATED_TERMS
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import NO_STATED_TERMS
 from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_columns
-from calib.diagnosis.problems.platform.candidate_search import (
+from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
+from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
+from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, linearise
+from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
+from calib.diagnosis.problems.platform.scores_of_all_candidates import (
     candidate_column,
     constant_displacement_normal_equations,
     corner_products,
     score_candidates,
 )
-from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
-from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
-from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, linearise
-from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
-from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from calib.diagnosis.problems.requested_effects import RequestedEffects
 from calib.diagnosis.report.report_entries_and_diagnosis_folder import diagnosis_report
 from rig.effects.catalogue import effect_list

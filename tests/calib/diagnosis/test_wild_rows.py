@@ -24,7 +24,7 @@ from calib.models.arm.certification import arm_workspace_claim as arm_promised
 from calib.models.arm.certification import certify_arm as arm_certify
 from calib.models.platform.identification import Loops, geometric_parameters, identify_platform
 from calib.samples.recording_samples import sample_recording
-from rig.recording import recording_folder, recording_frames
+from rig.recording import frame_selection_and_content_hashes, recording_folder
 from rig.report.verdict_and_refutations_of_results import State
 from tests.calib import secret_arms
 from tests.calib.diagnose_recording import diagnosis_of, page_text
@@ -92,7 +92,7 @@ def test_names_do_not_depend_on_which_wild_rows_are_masked(tmp_path, design):
         rng = np.random.default_rng(number)
         bad, frames = spoilt_poses(posed(tmp_path / str(number), design, [text], number), rng)
         for mask in ["", *masks(frames, rng, 1)]:
-            found = diagnosis_of(recording_frames.remove_frames(bad, mask) if mask else bad)
+            found = diagnosis_of(frame_selection_and_content_hashes.remove_frames(bad, mask) if mask else bad)
             assert names(found) == expected
             gone = {one.frame for one in found.outliers.left_out}
             assert gone <= set(frames.tolist()) and len(gone) + len(mask.split(",")) * bool(mask) >= len(frames) - 2
@@ -137,7 +137,9 @@ def test_a_chain_with_wild_poses_is_diagnosed_as_without_them(tmp_path):
     case = draw(1037, "axis_coupling", "strong", "sobol", "chain", 80)
     bad, frames, _ = spoilt(case, 1037)
     rec, mask = recording_folder.load_recording(record(bad, tmp_path / "wild")), ",".join(map(str, frames))
-    found, expected = (diagnosis_of(one, ["scale_error"]) for one in (rec, recording_frames.remove_frames(rec, mask)))
+    found, expected = (
+        diagnosis_of(one, ["scale_error"]) for one in (rec, frame_selection_and_content_hashes.remove_frames(rec, mask))
+    )
     assert {one.frame for one in found.outliers.left_out} == set(frames.tolist()) and expected.outliers.left_out == ()
     told, without = (diagnosis_report(one).tree()["findings"] for one in (found, expected))
     assert told == without and [f["effect"] for f in told] == ["scale_error"]
@@ -164,7 +166,7 @@ def test_an_arms_wild_poses_are_left_out(tmp_path):
     assert len(clean.left_out) <= 1
     for mask in ["", *masks(frames, rng, 1)]:
         found = diagnosis_report(
-            diagnosis_of(recording_frames.remove_frames(bad, mask) if mask else bad, ["scale_error"])
+            diagnosis_of(frame_selection_and_content_hashes.remove_frames(bad, mask) if mask else bad, ["scale_error"])
         )
         assert (
             [(f.effect, f.place) for f in found.findings]
@@ -223,7 +225,7 @@ def test_names_are_those_of_the_recording_without_wild_rows(tmp_path, design, se
         bad, frames = spoilt_poses(clean, rng)
         assert names(diagnosis_of(clean)) == expected
         for mask in masks(frames, rng, 3):
-            assert names(diagnosis_of(recording_frames.remove_frames(bad, mask))) == expected
+            assert names(diagnosis_of(frame_selection_and_content_hashes.remove_frames(bad, mask))) == expected
 
 
 def test_what_one_strut_does_alone_is_not_wild():
@@ -239,7 +241,8 @@ def test_a_platform_is_calibrated_with_wild_poses_as_without_them(tmp_path, desi
         posed(tmp_path / "rec", design, ["backlash:strut3:gap=6e-5"], 1), np.random.default_rng(1)
     )
     some, without = (
-        sample_recording(rec).samples for rec in (bad, recording_frames.remove_frames(bad, ",".join(map(str, frames))))
+        sample_recording(rec).samples
+        for rec in (bad, frame_selection_and_content_hashes.remove_frames(bad, ",".join(map(str, frames))))
     )
     made, expected = (
         certify_platform(samples, design.mechanism, np.random.default_rng(0)) for samples in (some, without)
@@ -258,7 +261,8 @@ def test_a_fit_starts_without_wild_poses_only_where_it_does_not_close_with_them(
         posed(tmp_path / "rec", design, ["backlash:strut3:gap=6e-5"], 1), np.random.default_rng(1)
     )
     some, without = (
-        sample_recording(rec).samples for rec in (bad, recording_frames.remove_frames(bad, ",".join(map(str, frames))))
+        sample_recording(rec).samples
+        for rec in (bad, frame_selection_and_content_hashes.remove_frames(bad, ",".join(map(str, frames))))
     )
     expected = identify_platform(without, design.mechanism)
     assert not starts and expected.inliers.all()
@@ -273,7 +277,8 @@ def test_an_arm_is_calibrated_with_wild_poses_as_without_them(tmp_path):
     secret_arms.write(tmp_path / "rec", UR10, secret_arms.tracked(secret_arms.secret(UR10, rng), UR10, 120, rng))
     bad, frames = spoilt_poses(recording_folder.load_recording(tmp_path / "rec"), rng)
     some, without = (
-        sample_recording(rec) for rec in (bad, recording_frames.remove_frames(bad, ",".join(map(str, frames))))
+        sample_recording(rec)
+        for rec in (bad, frame_selection_and_content_hashes.remove_frames(bad, ",".join(map(str, frames))))
     )
     made, expected = (arm_certify(s.samples, UR10, s.instrument, np.random.default_rng(0)) for s in (some, without))
     assert sorted(some.samples.frame[~made.found.inliers]) == frames.tolist()

@@ -5,7 +5,7 @@ import pytest
 
 from calib.api.next_experiment import CHOSEN, available_plans
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
-from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
+from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
 from calib.experiment.experiment_questions_and_information import (
     Hypothesis,

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.linearised_corners import SEAT_LABELS, corner_rows
-from calib.diagnosis.problems.platform.operating_point import operating_point_of_recording
 from rig.cli.command_line import main
 from rig.model.design_comparison_and_cube_remounting import quarter_turns_of_cubes
 from rig.planning.layout import hexapod_layout_and_camera_placement

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.certification.platform_certification import certify_platform, platform_workspace_claim
 from calib.files import calibration_file
 from calib.models import machine_models
 from rig.errors import FileError
-from rig.formats.structured_files import Places, first_repeated_key
+from rig.formats.json_toml_and_yaml_loading import Places, first_repeated_key
 from rig.model.mechanisms import hexapod
 from tests.calib.correction.test_correction import wavy
 from tests.calib.noisy_samples import sampled, workspace

@@ -7,11 +7,7 @@ import pytest
 
 from calib.correction.correction import Correction, require_reachable
 from calib.models.arm.correction import ArmCorrection
-from calib.workspace.workspace_cells_and_reachable_poses import (
-    is_pose_lost,
-    reachable_poses_and_loss,
-    uncorrected_machine,
-)
+from calib.workspace.workspace_map_and_lost_poses import is_pose_lost, reachable_poses_and_loss, uncorrected_machine
 from rig.errors import Unreachable
 from rig.model.design import Planar2
 from rig.model.mechanisms import arm as arms

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.certification.platform_certification import platform_pose_covariance
 from calib.correction.correction import Correction, calibrate_correction
 from calib.files import calibration_file
 from calib.models.arm.correction import ArmCorrection
 from calib.models.machine_models import calibration_with_workspace
 from calib.workspace import workspace_page
-from calib.workspace.workspace_cells_and_reachable_poses import COLUMNS, map_workspace, workspace_rows
+from calib.workspace.workspace_map_and_lost_poses import COLUMNS, map_workspace, workspace_rows
 from rig.errors import FileError
 from rig.model.design import Planar2
 from rig.model.mechanisms import hexapod

@@ -24,7 +24,7 @@ from rig.cli.command_line import main
 from rig.effects.texts.effect_file_from_formula import load_suggestion
 from rig.errors import FileError
 from rig.formats.importers import import_recipe
-from rig.formats.local_and_remote_files import NAMED
+from rig.formats.local_and_remote_input_files import NAMED
 from rig.formats.output_files import MANIFEST, atomic_file_and_manifest
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod

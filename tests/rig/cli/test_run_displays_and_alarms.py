@@ -9,13 +9,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.certification import measuring_limbs
-from calib.online.measuring_limb_poses import LiveLimbPoses
+from calib.certification import measuring_limb_calibration_and_slips
+from calib.online.live_run_page import RunPage, run_verdict
 from calib.online.measuring_limbs_file import Accepted
+from calib.online.observer_of_run_frames import RunObserver, RunStop
+from calib.online.platform_poses_from_measuring_limbs import LiveLimbPoses
 from calib.online.run_learning import Learner
-from calib.online.run_observation import RunObserver, RunStop
-from calib.online.run_page import RunPage, run_verdict
-from calib.online.run_preparation import compile_kernels_for_run
+from calib.online.run_options_and_equipment import compile_kernels_for_run
 from rig.cli.shared.run_display_and_controller_status import PlainLineDisplay, TerminalBlockDisplay, view_lines
 from rig.driving.cameras.camera_interface_and_grabbing import Frame
 from rig.driving.clock import SimulatedClock
@@ -30,7 +30,7 @@ from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.planning.plan import build_plan
 from tests.vision.reading.test_camera_and_marker_alarms import sight
 from vision.reading.live_measurement import Live, sight_from_measuring_limbs
-from vision.reading.parallel_image_reading import render_marker_images
+from vision.reading.parallel_image_map_and_marker_rendering import render_marker_images
 
 
 class Measured:
@@ -164,14 +164,22 @@ def by_limbs(folder, slip, at):
     """
     (folder / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6))
     design = design_file.load_design(folder / "rig.toml")
-    true, nominal, rng = design.mechanism, measuring_limbs.limb_hexapod(design), np.random.default_rng(5)
+    true, nominal, rng = (
+        design.mechanism,
+        measuring_limb_calibration_and_slips.limb_hexapod(design),
+        np.random.default_rng(5),
+    )
     commands = sobol_configurations(true.strut_range, 60, 0.6)
     poses = hexapod.forward(commands, true)
     live = Told(poses * exp(np.r_[np.full(3, 4e-6), np.full(3, 2e-5)] * rng.normal(size=(60, 6))))
     clock, withdrawn, planned = SimulatedClock(), [], steps_of_plan(build_plan(design, "sobol:6"))
-    agreement = measuring_limbs.limb_agreement(poses, poses, np.zeros((60, 6, 6)), (1e-4, 1e-3))
+    agreement = measuring_limb_calibration_and_slips.limb_agreement(poses, poses, np.zeros((60, 6, 6)), (1e-4, 1e-3))
     accepted = Accepted(
-        measuring_limbs.Limbs(nominal, 1e-12 * np.eye(42), np.full(6, 1e-6)), nominal, agreement, None, {}
+        measuring_limb_calibration_and_slips.Limbs(nominal, 1e-12 * np.eye(42), np.full(6, 1e-6)),
+        nominal,
+        agreement,
+        None,
+        {},
     )
     looking = RunObserver(
         design, planned, planned[0].goal, clock, live, Learner(true, shared=42), RunStop(frozenset(), lambda: None)

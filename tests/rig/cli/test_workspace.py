@@ -7,12 +7,12 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
 from calib.files import calibration_file
 from calib.models.machine_models import calibration_with_workspace
 from calib.models.platform.identification import identify_platform
-from calib.workspace.workspace_cells_and_reachable_poses import is_pose_lost
+from calib.workspace.workspace_map_and_lost_poses import is_pose_lost
 from rig.cli.command_line import main
 from rig.formats import csv_and_parquet_tables
 from synthetic import secret_machine

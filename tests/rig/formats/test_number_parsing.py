@@ -12,7 +12,7 @@ from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables
 from rig.formats.importers.foreign_table_columns import NUMBER
 from rig.formats.number_parsing_and_rounding import NotFinite, parse_number, parse_whole_number
-from rig.recording.recording_frames import parse_frame_ranges
+from rig.recording.frame_selection_and_content_hashes import parse_frame_ranges
 from vision.lenses import calibration_board
 
 NONE = (

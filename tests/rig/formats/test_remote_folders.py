@@ -10,8 +10,8 @@ import pytest
 
 from rig.cli.command_line import main
 from rig.errors import FileError, MissingLibrary
-from rig.formats import local_and_remote_files
-from rig.formats.local_and_remote_files import read_text
+from rig.formats import local_and_remote_input_files
+from rig.formats.local_and_remote_input_files import read_text
 from rig.recording import exposures_and_images
 from rig.recording import recording_folder as recording
 from tests.conftest import BENCH
@@ -21,7 +21,7 @@ from tests.conftest import BENCH
 def kept():
     """A function that keeps a folder in memory; what is there is forgotten at the end."""
     memory = fsspec.filesystem("memory")
-    local_and_remote_files.clear_listing_cache()
+    local_and_remote_input_files.clear_listing_cache()
 
     def put(folder, place="/bucket/rec"):
         for path in folder.rglob("*"):
@@ -32,7 +32,7 @@ def kept():
     yield put
     memory.store.clear()
     memory.pseudo_dirs[:] = [""]
-    local_and_remote_files.clear_listing_cache()
+    local_and_remote_input_files.clear_listing_cache()
 
 
 def test_a_recording_behind_a_url_is_the_one_in_the_folder(kept, recording_folder, tmp_path, capsys):
@@ -52,9 +52,9 @@ def test_a_recording_behind_a_url_is_the_one_in_the_folder(kept, recording_folde
 def test_images_are_fetched_one_by_one_when_they_are_read(kept, monkeypatch):
     address, fetched = kept(BENCH / "check"), []
     monkeypatch.setattr(
-        local_and_remote_files,
+        local_and_remote_input_files,
         "read",
-        lambda path, most=None, real=local_and_remote_files.read: fetched.append(path.name) or real(path, most),
+        lambda path, most=None, real=local_and_remote_input_files.read: fetched.append(path.name) or real(path, most),
     )
     found = recording.load_recording(address)
     assert found.has_images and not [name for name in fetched if name.endswith(".png")]
@@ -114,7 +114,7 @@ def test_a_place_that_refuses_is_said(kept, recording_folder, monkeypatch):
     with pytest.raises(FileError, match="rig.toml: cannot be read: no credentials"):
         read_text(recording.Path(address) / "rig.toml")
     monkeypatch.setattr(type(fsspec.filesystem("memory")), "ls", refuse)
-    local_and_remote_files.clear_listing_cache()
+    local_and_remote_input_files.clear_listing_cache()
     with pytest.raises(FileError, match="bucket/rec: cannot be read: no credentials"):
         recording.load_recording(address)
 
@@ -146,7 +146,7 @@ def test_a_folder_here_comes_before_a_url(tmp_path, recording_folder, monkeypatc
     monkeypatch.chdir(tmp_path)
     (tmp_path / "memory:").mkdir()
     recording_folder.rename(tmp_path / "memory:" / "rec")
-    assert len(recording.load_recording("memory:/rec").exposures.frame) and not local_and_remote_files.is_remote(
+    assert len(recording.load_recording("memory:/rec").exposures.frame) and not local_and_remote_input_files.is_remote(
         recording.Path("memory:/rec")
     )
 

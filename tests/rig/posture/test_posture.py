@@ -18,8 +18,8 @@ from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.posture import (
     arm_force_transmission_and_exertable_wrench,
+    arm_motion_between_postures,
     null_space_search,
-    posture_transition,
     wrench_estimation_from_torques,
 )
 from rig.posture.arm_force_transmission_and_exertable_wrench import TransmissionObjective
@@ -229,21 +229,21 @@ def test_motions_end_in_the_posture():
     rng = np.random.default_rng(9)
     q = configurations(PANDA, 1, rng, 0.6)[0]
     goal = null_space_search.global_search(q, PANDA, TransmissionObjective(("fy",))).q[0]
-    rows = posture_transition.motion_with_hand_still(q, goal, PANDA)
+    rows = arm_motion_between_postures.motion_with_hand_still(q, goal, PANDA)
     np.testing.assert_allclose(
         pose_difference(mechanism.forward(q, PANDA), mechanism.forward(rows, PANDA)), 0, atol=1e-9
     )
     assert (rows[0] == q).all() and (rows[-1] == goal).all() and np.abs(np.diff(rows, axis=0)).max() < 0.03
     before = np.clip(q + 0.15 * rng.normal(size=7), *PANDA.limits.T)
-    way = posture_transition.motion_with_straight_hand(before, goal, PANDA)
+    way = arm_motion_between_postures.motion_with_straight_hand(before, goal, PANDA)
     hand = mechanism.forward(way, PANDA).translation
     a, b = hand[0], hand[-1]
     line = (b - a) / np.linalg.norm(b - a)
     assert np.linalg.norm(np.cross(hand - a, line), axis=1).max() < 1e-8 and (way[-1] == goal).all()
-    t = posture_transition.posture_times(way, 0.5)
+    t = arm_motion_between_postures.posture_times(way, 0.5)
     assert (np.diff(t) > 0).all() and (np.abs(np.diff(way, axis=0)).max(axis=1) / np.diff(t)).max() < 0.5 * (1 + 1e-9)
     with pytest.raises(RigError, match="no motion of the elbow alone"):
-        posture_transition.motion_with_hand_still(q, goal + 0.3, PANDA)
+        arm_motion_between_postures.motion_with_hand_still(q, goal + 0.3, PANDA)
 
 
 POSE = "0.4,0.1,0.5,3.0,0.2,0"

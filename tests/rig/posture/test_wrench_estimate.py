@@ -20,8 +20,8 @@ from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics as dyn
 from rig.model.pose import pose_difference
 from rig.posture import (
     arm_force_transmission_and_exertable_wrench,
+    arm_motion_between_postures,
     null_space_search,
-    posture_transition,
     wrench_estimation_from_torques,
 )
 from rig.posture.arm_force_transmission_and_exertable_wrench import (
@@ -30,7 +30,7 @@ from rig.posture.arm_force_transmission_and_exertable_wrench import (
     TorqueBounds,
     TransmissionObjective,
 )
-from rig.posture.external_wrench import SETTLED
+from rig.posture.external_wrench_from_torque_table import SETTLED
 from tests.numerical_derivatives import jacobian
 from tests.rig.arms import UR10, configurations
 
@@ -190,7 +190,7 @@ def test_the_hand_may_move_while_its_orientation_is_held():
     q = configurations(UR10, 4, np.random.default_rng(5), 0.3)
     found = null_space_search.gradient_search(q, UR10, TransmissionObjective(("fy",)), fixed_hand_part="orientation")
     assert found.moved[:, 1].max() < 1e-9 and found.moved[:, 0].min() > 1e-3 and (found.value > found.start).all()
-    rows = posture_transition.motion_with_hand_still(q[0], found.q[0], UR10, "orientation")
+    rows = arm_motion_between_postures.motion_with_hand_still(q[0], found.q[0], UR10, "orientation")
     turned = pose_difference(mechanism.forward(q[0], UR10), mechanism.forward(rows, UR10))[:, 3:]
     assert np.abs(turned).max() < 1e-8 and (rows[0] == q[0]).all() and (rows[-1] == found.q[0]).all()
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rig.cli import command_line
-from rig.recording import recording_folder, recording_frames
+from rig.recording import frame_selection_and_content_hashes, recording_folder
 from tests.conftest import BENCH, make_recording
 
 
@@ -25,21 +25,25 @@ def two(tmp_path_factory, design, rig_text):
 
 
 def of(folder):
-    return recording_frames.content_hashes_of_frames(recording_folder.load_recording(folder))
+    return frame_selection_and_content_hashes.content_hashes_of_frames(recording_folder.load_recording(folder))
 
 
 def known(folder):
-    return recording_frames.hashes_of_frames(of(folder))
+    return frame_selection_and_content_hashes.hashes_of_frames(of(folder))
 
 
 def test_another_recording_by_the_same_commands_shares_nothing(two):
-    assert not recording_frames.frames_with_known_hashes(of(two / "check"), known(two / "fit"))
+    assert not frame_selection_and_content_hashes.frames_with_known_hashes(of(two / "check"), known(two / "fit"))
 
 
 def test_what_was_measured_is_what_it_was_measured_from(two):
     frames = list(range(30))
-    assert recording_frames.frames_with_known_hashes(of(two / "measured"), known(two / "fit")) == frames
-    assert recording_frames.frames_with_known_hashes(of(two / "fit"), known(two / "measured")) == frames
+    assert (
+        frame_selection_and_content_hashes.frames_with_known_hashes(of(two / "measured"), known(two / "fit")) == frames
+    )
+    assert (
+        frame_selection_and_content_hashes.frames_with_known_hashes(of(two / "fit"), known(two / "measured")) == frames
+    )
 
 
 def test_a_copy_cut_short_renumbered_and_by_another_clock_is_known_again(two, tmp_path):
@@ -57,7 +61,9 @@ def test_a_copy_cut_short_renumbered_and_by_another_clock_is_known_again(two, tm
         if head.startswith("frame"):
             cells = [row for row in cells if int(row[0]) < 112]
         (folder / name).write_text("\n".join([head, *map(",".join, cells)]) + "\n")
-    assert recording_frames.frames_with_known_hashes(of(folder), known(two / "fit")) == list(range(100, 112))
+    assert frame_selection_and_content_hashes.frames_with_known_hashes(of(folder), known(two / "fit")) == list(
+        range(100, 112)
+    )
 
 
 @pytest.mark.slow
@@ -65,9 +71,15 @@ def test_images_and_what_was_measured_from_them_are_the_same_data(tmp_path):
     assert command_line.main(["measure", str(BENCH / "check"), "--out", str(tmp_path / "m")]) == 0
     shutil.copytree(BENCH / "check", tmp_path / "copy")
     frames = recording_folder.load_recording(BENCH / "check").exposures.times()[0].tolist()
-    assert recording_frames.frames_with_known_hashes(of(tmp_path / "copy"), known(tmp_path / "m")) == frames
-    assert recording_frames.frames_with_known_hashes(of(tmp_path / "m"), known(BENCH / "check")) == frames
-    assert not recording_frames.frames_with_known_hashes(of(BENCH / "fit"), known(tmp_path / "m"))
+    assert (
+        frame_selection_and_content_hashes.frames_with_known_hashes(of(tmp_path / "copy"), known(tmp_path / "m"))
+        == frames
+    )
+    assert (
+        frame_selection_and_content_hashes.frames_with_known_hashes(of(tmp_path / "m"), known(BENCH / "check"))
+        == frames
+    )
+    assert not frame_selection_and_content_hashes.frames_with_known_hashes(of(BENCH / "fit"), known(tmp_path / "m"))
 
 
 def test_poses_are_data_and_what_repeats_is_no_mark(two, tmp_path):
@@ -78,7 +90,7 @@ def test_poses_are_data_and_what_repeats_is_no_mark(two, tmp_path):
     head, *rows = (folder / "poses.csv").read_text().splitlines()
     rows[5] = ",".join([rows[5].split(",")[0], *rows[4].split(",")[1:]])  # two readings alike
     (folder / "poses.csv").write_text("\n".join([head, *rows]) + "\n")
-    assert recording_frames.frames_with_known_hashes(of(folder), known(two / "measured")) == [
+    assert frame_selection_and_content_hashes.frames_with_known_hashes(of(folder), known(two / "measured")) == [
         k for k in range(30) if k not in (4, 5)
     ]
 

@@ -11,7 +11,7 @@ from rig.formats import csv_and_parquet_tables
 from rig.model.pose import pose, pose_difference
 from rig.recording import recording_folder as recording
 from rig.recording import recording_tables
-from rig.recording.recording_frames import remove_frames
+from rig.recording.frame_selection_and_content_hashes import remove_frames
 from tests.conftest import BENCH, SHARED
 
 

@@ -15,14 +15,13 @@ from calib.diagnosis.engine.cross_validation_and_chance import (
     signed_rank_gain_in_standard_errors,
     time_stretch_folds,
 )
-from calib.diagnosis.engine.finding_confirmation import labelled_progress
+from calib.diagnosis.engine.finding_confirmation_against_alternatives import labelled_progress
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.problem_interface import Progress, Wald
-from calib.diagnosis.engine.selection_inputs import ARM, SelectionPolicy, StatedTerms
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import ARM, SelectionPolicy, StatedTerms
 from calib.diagnosis.engine.term_selection import fit_selected_terms, remove_redundant_terms
 from calib.diagnosis.problems.arm import lack_of_fit_and_unlisted_effects as remainder
-from calib.diagnosis.problems.arm.candidate_search import candidate_with_grid_nodes, score_candidates, score_column
 from calib.diagnosis.problems.arm.joint_candidates import JointCandidate, JointScore
 from calib.diagnosis.problems.arm.linearised_poses import Arms, Geometry
 from calib.diagnosis.problems.arm.nonlinear_parameters import has_continuous_parameters
@@ -36,6 +35,11 @@ from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import (
     simplify_profiles,
 )
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_poses
+from calib.diagnosis.problems.arm.scores_of_all_candidates import (
+    candidate_with_grid_nodes,
+    score_candidates,
+    score_column,
+)
 from calib.diagnosis.problems.evidence_interface import HeldOutPoses
 from calib.samples.pose_samples import time_block_folds
 from rig.array_and_json_types import Booleans, Floats, Integers

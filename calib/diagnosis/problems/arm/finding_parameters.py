@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
-from calib.diagnosis.engine.finding_confirmation import Finding
+from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding
 from calib.diagnosis.problems.arm.joint_candidates import SPAN, Form, JointCandidate, joint_candidate
 from calib.diagnosis.problems.arm.linearised_poses import Arms
 from calib.diagnosis.problems.arm.nonlinear_parameters import onset_time_interval, term_parameter_covariance

@@ -7,13 +7,13 @@ from enum import Enum
 import numpy as np
 
 from calib.diagnosis.engine.candidate_score import Score
-from calib.diagnosis.engine.selection_inputs import Candidate, Node, NotAsked
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import Candidate, Node, NotAsked
 from calib.diagnosis.problems.arm.linearised_poses import Arms
 from calib.diagnosis.problems.requested_effects import EffectSites, RequestedEffects
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate as EffectCandidate
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_data_types import COUNT, QUADRATURE
+from rig.effects.framework.effect_places_parameters_and_covariates import COUNT, QUADRATURE
 from rig.errors import RigError
 
 

@@ -26,13 +26,13 @@ from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import (
     test_lack_of_fit,
 )
 from calib.diagnosis.engine.reduced_least_squares import Reduced
-from calib.diagnosis.engine.selection_inputs import ARM
-from calib.diagnosis.problems.arm.candidate_search import joint_products
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import ARM
 from calib.diagnosis.problems.arm.joint_candidates import joint_candidate
 from calib.diagnosis.problems.arm.linearised_poses import Arms
 from calib.diagnosis.problems.arm.nonlinear_parameters import has_continuous_parameters, term_parameter_covariance
 from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import optimise_terms
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_poses
+from calib.diagnosis.problems.arm.scores_of_all_candidates import joint_products
 from calib.diagnosis.problems.evidence_interface import Repeats
 from calib.diagnosis.problems.remainder_covariates_and_formulas import (
     AGREE,

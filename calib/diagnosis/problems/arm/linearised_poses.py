@@ -15,12 +15,12 @@ from calib.models.chain.identification import identify_chain
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_data_types import Context
+from rig.effects.framework.effect_places_parameters_and_covariates import Context
 from rig.errors import NotEnoughData, RigError
 from rig.model import motion_simulation
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm, Chain
-from rig.model.mechanism_kinds_and_hexapod_properties import require_arm, require_chain
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_arm, require_chain
 from rig.model.mechanisms import mechanism_chain as mechanism
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Sensors

@@ -12,12 +12,12 @@ import scipy
 from scipy.linalg import cho_solve
 
 from calib.diagnosis.engine.frame_inner_products import normal_equations_by_direction_weights, solve_with_prior
-from calib.diagnosis.engine.selection_inputs import Node
-from calib.diagnosis.problems.arm.candidate_search import joint_products, solved_nodes
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import Node
 from calib.diagnosis.problems.arm.joint_candidates import Form, JointCandidate
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
+from calib.diagnosis.problems.arm.scores_of_all_candidates import joint_products, solved_nodes
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect_data_types import Parameter
+from rig.effects.framework.effect_places_parameters_and_covariates import Parameter
 
 SEARCHED = ("size", "log", "even")  # roles of parameters that have a value between those of a grid
 CLOSE = 1e-3  # of the way between two values of a grid, to which a parameter is found

@@ -4,13 +4,17 @@ for the others.
 
 from dataclasses import replace
 
-from calib.diagnosis.engine.selection_inputs import NO_STATED_TERMS, SelectionPolicy, StatedTerms
-from calib.diagnosis.problems.arm.candidate_search import score_candidates
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import (
+    NO_STATED_TERMS,
+    SelectionPolicy,
+    StatedTerms,
+)
 from calib.diagnosis.problems.arm.joint_candidates import OWN_ANGLE, SPAN, Form, JointCandidate
 from calib.diagnosis.problems.arm.nonlinear_parameters import has_continuous_parameters, optimise_nonlinear_parameters
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_poses
+from calib.diagnosis.problems.arm.scores_of_all_candidates import score_candidates
 from rig.array_and_json_types import Booleans
-from rig.effects.framework.effect_data_types import COUNT
+from rig.effects.framework.effect_places_parameters_and_covariates import COUNT
 
 FINE = 0.3  # step between orders, of what a joint's travel resolves
 CYCLES = 2  # sinusoids that a profile is tried to be made of

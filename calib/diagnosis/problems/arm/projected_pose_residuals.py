@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from calib.diagnosis.engine.linear_model import Block, Column, LinearModel
-from calib.diagnosis.engine.selection_inputs import Node
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import Node
 from calib.diagnosis.problems.arm.joint_candidates import JointCandidate, JointScore
 from calib.diagnosis.problems.arm.linearised_poses import Arms
 from calib.diagnosis.problems.arm.whitened_columns import Columns, Part

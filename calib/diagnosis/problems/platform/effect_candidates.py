@@ -6,13 +6,19 @@ from enum import Enum
 import numpy as np
 
 from calib.diagnosis.engine.candidate_score import Score
-from calib.diagnosis.engine.selection_inputs import Candidate, Node, NotAsked, Role, UsualRange
-from calib.diagnosis.problems.platform.operating_point import OperatingPoint
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import (
+    Candidate,
+    Node,
+    NotAsked,
+    Role,
+    UsualRange,
+)
+from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.requested_effects import EffectSites, RequestedEffects
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate as EffectCandidate
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_data_types import QUADRATURE, Context, Place
+from rig.effects.framework.effect_places_parameters_and_covariates import QUADRATURE, Context, Place
 
 SIZED = ("linear", "inverse", "size")  # roles of the numbers that tell how large an effect is
 ROUNDED = 1e-12  # share by which a sinusoid stays below its amplitude's bound, so that rounding does not take it beyond

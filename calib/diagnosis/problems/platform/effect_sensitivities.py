@@ -6,14 +6,14 @@ from typing import cast
 import numpy as np
 
 from calib.diagnosis.engine.linear_model import Column, join_columns
-from calib.diagnosis.engine.selection_inputs import Node
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import Node
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, affects_images_only
+from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel
-from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
-from rig.effects.framework.effect_data_types import COUNT, Linear, Place
+from rig.effects.framework.effect_places_parameters_and_covariates import COUNT, Linear, Place
 from rig.effects.framework.machine_motion_and_play import Motion
 
 

@@ -22,16 +22,16 @@ from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import (
     significant_lack_of_fit,
     test_lack_of_fit,
 )
-from calib.diagnosis.problems.platform.candidate_search import (
+from calib.diagnosis.problems.platform.effect_candidates import effect_context, lacks_temperature_log
+from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
+from calib.diagnosis.problems.platform.linearised_corners import MEDIAN
+from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
+from calib.diagnosis.problems.platform.scores_of_all_candidates import (
     axis_products,
     constant_displacement_normal_equations,
     corner_products,
 )
-from calib.diagnosis.problems.platform.effect_candidates import effect_context, lacks_temperature_log
-from calib.diagnosis.problems.platform.linearised_corners import MEDIAN
-from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
-from calib.diagnosis.problems.platform.operating_point import OperatingPoint
-from calib.diagnosis.problems.platform.smooth_functions import (
+from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions import (
     FAST,
     SLOW,
     camera_mount_and_focal_pixel_derivatives,
@@ -51,7 +51,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_data_types import Place
+from rig.effects.framework.effect_places_parameters_and_covariates import Place
 
 MEDIAN_SPREAD = (
     5.6  # variance of a sample's middle square over its square, times the sample's size, for normal residuals

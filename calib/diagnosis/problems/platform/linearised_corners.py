@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.diagnosis.problems.platform.operating_point import EDGE_SHIFT, OperatingPoint
+from calib.diagnosis.problems.platform.linearisation_operating_point import EDGE_SHIFT, OperatingPoint
 from rig.array_and_json_types import Floats, Integers
-from rig.effects.framework.effect_data_types import Place
+from rig.effects.framework.effect_places_parameters_and_covariates import Place
 from rig.model.design import Design
 from rig.model.marker_and_sensor_tolerances import FINDER, SEAT
 from vision import lens

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.diagnosis.engine.linear_model import Block, Column, LinearModel, orthonormal_combinations
+from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corners import (
     MEDIAN,
     CornerRows,
@@ -17,7 +18,6 @@ from calib.diagnosis.problems.platform.linearised_corners import (
     corner_rows,
     cube_seat_freedoms,
 )
-from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from calib.models.platform.identification import (
     PRIOR,
     geometric_parameters,

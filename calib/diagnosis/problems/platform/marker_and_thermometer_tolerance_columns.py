@@ -14,13 +14,13 @@ from calib.diagnosis.engine.frame_inner_products import (
 )
 from calib.diagnosis.engine.linear_model import Column, Projection
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
-from calib.diagnosis.problems.platform.operating_point import OperatingPoint
-from calib.diagnosis.problems.platform.smooth_functions import SLOW
+from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions import SLOW
 from calib.diagnosis.problems.remainder_covariates_and_formulas import time_cosines
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
-from rig.effects.framework.effect_data_types import Linear, Place
+from rig.effects.framework.effect_places_parameters_and_covariates import Linear, Place
 from rig.model import mechanisms
 from rig.model.marker_and_sensor_tolerances import PLACES, SIDES, STEEL, THERMOMETER, Tolerance
 from vision.bundle.printing_errors import KINDS, NAMES

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from calib.diagnosis.engine.selection_inputs import Crowd, LeftOut, Outliers
-from calib.diagnosis.problems.platform.operating_point import OperatingPoint, group_sightings
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import Crowd, LeftOut, Outliers
+from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint, group_sightings
 from calib.diagnosis.problems.remainder_covariates_and_formulas import (
     axis_speeds,
     scaled_to_plus_minus_one,
@@ -26,7 +26,7 @@ from calib.identify.robust_fit import (
 from calib.models.platform.identification import loop_closure_jacobian, strut_length_jacobian
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_data_types import Place
+from rig.effects.framework.effect_places_parameters_and_covariates import Place
 from rig.model import mechanisms
 from rig.recording.recording_folder import PAYLOAD
 from vision.corner_observations import observations_of_frames

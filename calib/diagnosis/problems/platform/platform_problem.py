@@ -10,16 +10,16 @@ from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.problem_interface import Wald
-from calib.diagnosis.engine.selection_inputs import PLATFORM, SelectionPolicy, StatedTerms
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import PLATFORM, SelectionPolicy, StatedTerms
 from calib.diagnosis.engine.term_selection import Selection
 from calib.diagnosis.problems.platform import lack_of_fit as remainder
 from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_columns
-from calib.diagnosis.problems.platform.candidate_search import candidate_column, score_candidates
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, effect_parameter_directions
 from calib.diagnosis.problems.platform.held_out_validation import cross_validate_effects
+from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel, linearise
-from calib.diagnosis.problems.platform.operating_point import OperatingPoint
+from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column, score_candidates
 from calib.diagnosis.problems.platform.simultaneous_refinement import (
     Refinement,
     add_term,
@@ -27,7 +27,10 @@ from calib.diagnosis.problems.platform.simultaneous_refinement import (
     refine_operating_point,
     remove_term,
 )
-from calib.diagnosis.problems.platform.smooth_functions import model_with_smooth_functions, smooth_function_columns
+from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions import (
+    model_with_smooth_functions,
+    smooth_function_columns,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

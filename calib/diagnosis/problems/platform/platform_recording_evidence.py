@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.finding_confirmation import Finding
+from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Progress
-from calib.diagnosis.engine.selection_inputs import NotAsked, Outliers, StatedTerms
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import NotAsked, Outliers, StatedTerms
 from calib.diagnosis.problems.evidence_interface import (
     ASSUMED_NOISE,
     RESIDUALS,
@@ -28,11 +28,20 @@ from calib.diagnosis.problems.evidence_interface import (
     onset_time_value,
 )
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, platform_candidates
+from calib.diagnosis.problems.platform.findings_attributable_to_tolerances import (
+    separate_tolerable_findings,
+    widen_intervals_by_temperature_logs_and_tolerances,
+)
 from calib.diagnosis.problems.platform.held_out_validation import (
     cross_validate_effect_by_regions,
     cross_validate_effects_by_residual_block,
 )
 from calib.diagnosis.problems.platform.lack_of_fit import closure_residuals, excess_scatter, ranked_covariates
+from calib.diagnosis.problems.platform.linearisation_operating_point import (
+    OperatingPoint,
+    operating_point_of_recording,
+    without_distant_corners,
+)
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS
 from calib.diagnosis.problems.platform.misplaced_markers_and_frames import (
     _find_outliers,
@@ -40,17 +49,8 @@ from calib.diagnosis.problems.platform.misplaced_markers_and_frames import (
     correct_marker_swaps,
     find_marker_swaps,
 )
-from calib.diagnosis.problems.platform.operating_point import (
-    OperatingPoint,
-    operating_point_of_recording,
-    without_distant_corners,
-)
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
 from calib.diagnosis.problems.platform.temperature_alternatives_of_findings import add_temperature_alternatives
-from calib.diagnosis.problems.platform.tolerable_findings import (
-    separate_tolerable_findings,
-    widen_intervals_by_temperature_logs_and_tolerances,
-)
 from calib.diagnosis.problems.platform.unlisted_strut_effects import suggest_strut_formulas
 from calib.diagnosis.problems.remainder_covariates_and_formulas import Suggestion
 from calib.diagnosis.problems.repeated_commands import repeatability_of_pairs, repeated_pairs

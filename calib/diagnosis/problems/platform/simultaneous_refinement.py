@@ -13,16 +13,16 @@ from scipy.linalg import block_diag
 
 from calib.diagnosis.engine.cross_validation_and_chance import Z95, Interval
 from calib.diagnosis.engine.linear_model import Column, join_columns
-from calib.diagnosis.problems.platform.candidate_search import candidate_column
 from calib.diagnosis.problems.platform.effect_candidates import SIZED, PlatformScore, coefficient_bounds
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, effect_parameter_directions
+from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint, move_operating_point
 from calib.diagnosis.problems.platform.linearised_corners import (
     camera_edge_bias_freedoms,
     cube_seat_freedoms,
     repeated_corner_error,
 )
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel, linearise
-from calib.diagnosis.problems.platform.operating_point import OperatingPoint, move_operating_point
+from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column
 from calib.identify.least_squares import bounded_least_squares_step
 from calib.models.platform.identification import geometric_parameters, mechanism_with_parameters
 from rig.array_and_json_types import Floats, Integers

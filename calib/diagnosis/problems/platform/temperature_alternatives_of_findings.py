@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.diagnosis.engine.candidate_score import Alternative, Score
-from calib.diagnosis.engine.finding_confirmation import Finding, is_finding_significant
+from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding, is_finding_significant
 from calib.diagnosis.engine.linear_model import Column, Projection, column_cosine, join_columns
 from calib.diagnosis.problems.platform.effect_candidates import (
     PlatformCandidate,
@@ -15,15 +15,15 @@ from calib.diagnosis.problems.platform.effect_candidates import (
     lacks_temperature_log,
     platform_candidate,
 )
+from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel
-from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem, PlatformSelection
-from calib.diagnosis.problems.platform.smooth_functions import SLOW
+from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions import SLOW
 from calib.diagnosis.problems.remainder_covariates_and_formulas import time_cosines
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
 from rig.effects.framework.effect import Candidate as EffectCandidate
-from rig.effects.framework.effect_data_types import AXES, Place
+from rig.effects.framework.effect_places_parameters_and_covariates import AXES, Place
 from rig.recording.recording_folder import Sensors
 
 WARM = tuple(

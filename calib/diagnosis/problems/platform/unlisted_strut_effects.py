@@ -17,12 +17,12 @@ from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import LinearModel
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.engine.reduced_least_squares import Reduced
-from calib.diagnosis.problems.platform.candidate_search import axis_products
 from calib.diagnosis.problems.platform.effect_sensitivities import effect_parameter_directions
 from calib.diagnosis.problems.platform.held_out_validation import residual_change_column
+from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, LinearisedModel, linearise
-from calib.diagnosis.problems.platform.operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem
+from calib.diagnosis.problems.platform.scores_of_all_candidates import axis_products
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
 from calib.diagnosis.problems.remainder_covariates_and_formulas import (
     AGREE,
@@ -35,7 +35,7 @@ from calib.diagnosis.problems.remainder_covariates_and_formulas import (
 )
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_data_types import Place
+from rig.effects.framework.effect_places_parameters_and_covariates import Place
 from rig.effects.framework.formula_quantities import POSE
 from rig.effects.texts.effect_file_from_formula import Written
 

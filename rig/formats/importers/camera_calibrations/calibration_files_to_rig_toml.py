@@ -8,12 +8,12 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.errors import FileError, RigError
-from rig.formats import structured_files
+from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import LARGEST_RIG, Entries, name_problem
 from rig.formats.importers.camera_calibrations.calibration_programs import PROGRAMS
 from rig.formats.importers.camera_calibrations.foreign_camera_checks_and_fisheye_conversion import ForeignCamera
 from rig.formats.importers.import_recipe import Cameras
-from rig.formats.local_and_remote_files import read_text, short_repr
+from rig.formats.local_and_remote_input_files import read_text, short_repr
 from rig.formats.number_parsing_and_rounding import parse_numbers
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import camera_toml, replace_cameras
 from rig.model.design import Camera
@@ -46,14 +46,14 @@ def read_camera_calibration(path: Path) -> tuple[str, list[ForeignCamera]]:
 def _root(path: Path) -> Entries:
     suffix = path.suffix.lower()
     if suffix == ".json":
-        return structured_files.load_json(path, "calibration of cameras")
+        return json_toml_and_yaml_loading.load_json(path, "calibration of cameras")
     if suffix != ".toml":
         if suffix == ".xml":
             raise FileError(
                 path, "XML of OpenCV is not read here; write it as .yml (cv2.FileStorage takes the name's end)"
             )
-        return structured_files.load_yaml(path)
-    return structured_files.toml_entries(read_text(path, LARGEST), path)
+        return json_toml_and_yaml_loading.load_yaml(path)
+    return json_toml_and_yaml_loading.toml_entries(read_text(path, LARGEST), path)
 
 
 def rig_toml_with_cameras(

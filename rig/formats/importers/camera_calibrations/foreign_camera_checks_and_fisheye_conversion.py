@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
 from rig.formats.checked_entries import Entries
-from rig.formats.local_and_remote_files import short_repr
+from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import LARGEST_IMAGE
 from rig.model.design import DISTORTION_TERMS
 

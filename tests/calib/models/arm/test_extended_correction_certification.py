@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.certification.extended_correction_certification import ExtensionRequest
 from calib.correction.interpolation_methods_and_summand_extension import field_from_entries, field_to_dict
 from calib.files import calibration_file
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import arm_pose_covariance
-from calib.models.arm.extended_correction_certification import (
+from calib.models.arm.joint_space_correction_certification import (
     certify_extended_arm,
     claim_without_geometry,
     joint_correction_field_samples,

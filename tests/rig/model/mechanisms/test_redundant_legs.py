@@ -8,8 +8,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from calib.certification import measuring_limbs
-from calib.certification.calibration_and_claim_sentences import Calibration
+from calib.certification import measuring_limb_calibration_and_slips
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.certification.redundant_measuring_limb_checks import Limbs
 from calib.correction.correction import Correction
 from calib.files import calibration_file
@@ -24,7 +24,7 @@ from rig.planning.configuration_sets import sobol_configurations
 def machine(limbed):
     """(strut and limb Hexapods as they truly are, poses (40,))"""
     true = limbed[2].world.true
-    limbs = measuring_limbs.limb_hexapod(true)
+    limbs = measuring_limb_calibration_and_slips.limb_hexapod(true)
     return (
         true.mechanism,
         limbs,
@@ -128,13 +128,13 @@ def test_the_command_chooses_checks_and_names(limbed, tmp_path, capsys):
         tmp_path / "closures.csv",
     )
     T = done.run.T_base_platform[:30]
-    agreement = measuring_limbs.limb_agreement(T, T, np.zeros((30, 6, 6)), (1e-3, 1e-3))
+    agreement = measuring_limb_calibration_and_slips.limb_agreement(T, T, np.zeros((30, 6, 6)), (1e-3, 1e-3))
     known = 1e-14 * np.eye(42)
     measuring_limbs_file.save_limbs(
         limbs,
         measuring_limbs_file.Accepted(
-            Limbs(measuring_limbs.limb_hexapod(true), known, np.full(6, 1e-6)),
-            measuring_limbs.limb_hexapod(design),
+            Limbs(measuring_limb_calibration_and_slips.limb_hexapod(true), known, np.full(6, 1e-6)),
+            measuring_limb_calibration_and_slips.limb_hexapod(design),
             agreement,
             None,
             {},

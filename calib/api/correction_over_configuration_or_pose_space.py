@@ -1,0 +1,345 @@
+"""Correction over a configuration or pose space, extended from samples at once or as an additional pass.
+
+Source: configuration-space patent, [0035]
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.extended_correction_certification import (
+    ExtensionBasis,
+    ExtensionRequest,
+    Tried,
+    certify_extended_correction,
+    certify_interpolation_method,
+    claim_without_geometry,
+    mean_stated_position_variance,
+)
+from calib.certification.held_out_pose_errors_and_distinct_configurations import axis_ranges, configuration_numbers
+from calib.certification.platform_certification import (
+    Certified,
+    Progress,
+    platform_pose_covariance,
+    platform_workspace_claim,
+    silent_progress,
+)
+from calib.certification.workspace_claim import Claim, extension_error_squares, sample_workspace
+from calib.correction.command_route_and_pose_space_map import NAMES, PoseMap, pose_coordinates
+from calib.correction.correction import AnyCorrection
+from calib.correction.interpolation.field_interface_and_combinations import (
+    Field,
+    RestrictedMap,
+    SpacePart,
+    SummedPasses,
+)
+from calib.correction.interpolation_methods_and_summand_extension import (
+    base_geometry,
+    correction_with_map,
+    correction_with_pass,
+    fit_correction_summand_field,
+    home_pose,
+    pose_coordinate_indices,
+    residual_correction_summands_of_pass,
+    residual_pose_tangents_of_pass,
+    single_step_correction_errors,
+)
+from calib.files.calibration_file_entries import mechanism_dict
+from calib.models.arm import certification as arm_certification
+from calib.models.arm import joint_space_correction_certification as arm_extension
+from calib.models.arm.certification import CertifiedArm as ArmCertified
+from calib.models.platform.identification import inverse_strut_length_jacobian
+from calib.samples.pose_samples import Samples
+from calib.samples.recording_samples import Sampled
+from rig.array_and_json_types import Booleans, Json
+from rig.errors import NotEnoughData, RigError
+from rig.formats.number_parsing_and_rounding import parse_number
+from rig.model import mechanisms
+from rig.model.design import Design
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts, has_links, require_arm, require_struts
+from rig.model.pose import pose_difference
+
+CONFIGURATION, POSE, BOTH = "configuration", "pose", "both"
+PASS_SPACES = (CONFIGURATION, POSE, BOTH)
+
+
+class CorrectionPass(NamedTuple):
+    """What is asked of a pass. kind : one of `interpolation_methods.ALL`, or AUTO; space : of SPACES;
+    configurations : Part of the configuration
+    space in which it holds, poses : Part of pose space, in the coordinates of `pose_coordinate_indices`; None for all
+        of it."""
+
+    kind: str
+    space: str = CONFIGURATION
+    configurations: SpacePart | None = None
+    poses: SpacePart | None = None
+
+
+def certify_additional_pass(
+    samples: Samples,
+    previous_calibration: Calibration,
+    requested_pass: CorrectionPass,
+    rng: np.random.Generator,
+    progress: Progress | None = None,
+) -> tuple[Certified, tuple[Tried, ...], int]:
+    """(Certified additional pass, methods tried, samples used): a pass of correction by samples measured anew.
+
+    Raises NotEnoughData where a part holds no samples; the rest as `certify_extended`
+    """
+    correction, said = previous_calibration.correction, progress or silent_progress
+    some = samples.take(_within(samples, correction, requested_pass))
+    found = base_geometry(samples, correction.nominal, True)
+    if (
+        requested_pass.configurations is not None or requested_pass.poses is not None
+    ):  # beyond the part the machine is known as it was before
+        found = replace(found, covariance=previous_calibration.covariance, scatter=previous_calibration.scatter)
+    basis = (
+        correction.nominal,
+        configuration_numbers(some.commanded, axis_ranges(correction.nominal)),
+        replace(found, mechanism=correction.fitted),
+    )
+
+    def struts(of: Samples) -> ExtensionBasis:
+        return ExtensionBasis(
+            residual_correction_summands_of_pass(of, correction),
+            lambda field: correction_with_pass(correction, _part(field, requested_pass.configurations)),
+            lambda field, at: mean_stated_position_variance(field, at, correction.nominal),
+        )
+
+    done, tried = certify_interpolation_method(
+        some,
+        basis,
+        struts if requested_pass.space != POSE else _posed(lambda of: correction, requested_pass.poses),
+        requested_pass.kind,
+        rng,
+        said,
+    )
+    if requested_pass.space == BOTH:
+        done, more = certify_interpolation_method(
+            some,
+            basis,
+            _posed(_again(done.correction, correction, requested_pass), requested_pass.poses),
+            requested_pass.kind,
+            rng,
+            said,
+        )
+        tried = (*tried, *more)
+    found = replace(
+        found,
+        mechanism=correction.fitted,
+        residuals=residual_correction_summands_of_pass(samples, done.correction).values,
+    )
+    done = replace(done, label=configuration_numbers(samples.commanded, axis_ranges(correction.nominal)), found=found)
+    return _with_covariance(done, previous_calibration, rng), tried, len(some)
+
+
+def _with_covariance(done: Certified, before: Calibration, rng: np.random.Generator) -> Certified:
+    """The Certified with the covariance of the calibration before it, as great as configurations held out show errors
+    to be now: a pass takes away no more than it moves, and nothing that those do not tell from noise."""
+    if done.left is None:
+        return done
+    commands, T = sample_workspace(done.correction)
+    was = float(np.trace(platform_pose_covariance(before, T)[:, :3, :3], axis1=1, axis2=2).mean())
+    stated = float(
+        extension_error_squares(done.correction, commands, inverse_strut_length_jacobian(T, done.correction.fitted))[0]
+    )
+    moved = pose_difference(before.correction.predict(commands), T)[:, :3]
+    held = float(done.left.own(stated, rng)[0])
+    now = max(held, was - float((moved**2).sum(axis=1).mean()), min(was, done.left.unnoticed()))
+    struts = np.diag(before.scatter**2) if before.strut_covariance is None else before.strut_covariance
+    scale = now / was if was else 0.0
+    return replace(done, covariance=scale * before.covariance, strut_covariance=scale * struts)
+
+
+def _posed(base: Callable[[Samples], AnyCorrection], part: SpacePart | None) -> Callable[[Samples], ExtensionBasis]:
+    """The stand of a map in pose space on a Correction by some samples."""
+
+    def stand(of: Samples) -> ExtensionBasis:
+        on = base(of)
+        return ExtensionBasis(
+            residual_pose_tangents_of_pass(of, on),
+            lambda field: correction_with_map(on, _part(field, part)),
+            lambda field, at: _said(field, at, on),
+        )
+
+    return stand
+
+
+def _again(done: AnyCorrection, before: AnyCorrection, asked: CorrectionPass) -> Callable[[Samples], AnyCorrection]:
+    """By some samples alone, the Correction with the map in the configuration space that all of them chose."""
+    extension = done.extension
+    field = extension.fields[-1] if isinstance(extension, SummedPasses) else extension
+    if extension is before.extension or field is None:
+        return lambda of: before
+    own = field.field if isinstance(field, RestrictedMap) else field
+    return lambda of: correction_with_pass(
+        before,
+        _part(
+            fit_correction_summand_field(residual_correction_summands_of_pass(of, before), own.kind, own),
+            asked.configurations,
+        ),
+    )
+
+
+def _said(field: Field, at: Samples, on: AnyCorrection) -> float:
+    one = PoseMap(home_pose(on.nominal), pose_coordinate_indices(on.nominal), field)
+    return float((one.error(on.predict(at.commanded))[:, :3] ** 2).sum(axis=1).mean())
+
+
+def _part(field: Field | None, part: SpacePart | None) -> Field | None:
+    return field if field is None or part is None else RestrictedMap(field, part)
+
+
+def _within(samples: Samples, correction: AnyCorrection, asked: CorrectionPass) -> Booleans:
+    """(n,) bool, the samples in the parts asked for."""
+    keep = np.ones(len(samples), bool)
+    if asked.configurations is not None:
+        keep &= asked.configurations.holds(samples.commanded)
+    if asked.poses is not None:
+        at = pose_coordinates(correction.predict(samples.commanded), home_pose(correction.nominal))
+        keep &= asked.poses.holds(at[:, list(pose_coordinate_indices(correction.nominal))])
+    if not keep.any():
+        raise NotEnoughData(f"none of {len(samples)} samples lies in the part that is asked for")
+    return keep
+
+
+SPACES = ("configuration", "pose", "both")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExtendOptions:
+    """way : how, of "linear", "simplex", "delaunay", "axes", "radial", "polynomial" or, by held-out error, "auto"
+    alone : whether to correct the nominal model itself, with no geometry fitted first; onto : Calibration on which this
+    is one more pass, or None; name : of that, in words
+    space : of a pass, where it maps what is left, one of SPACES, None for configurations
+    within : of a pass, the part in which it holds, as "l1=0.40:0.46,z=0.41:" (m, rad), None for all of it
+    """
+
+    way: str
+    alone: bool = False
+    onto: Calibration | None = None
+    name: str = "the calibration"
+    space: str | None = None
+    within: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.alone and self.onto is not None:
+            raise RigError("--alone and --onto each state the base of --extend; use one of them")
+        if (self.space or self.within) and self.onto is None:
+            raise RigError("--space and --within apply to a pass; name with --onto its base")
+
+    def refuse_unsuited(self, design: Design) -> None:
+        """Raise RigError where a pass cannot be of a design's machine, or stand on its calibration."""
+        if self.onto is None:
+            return
+        if design.mechanism.link_rows is not None:
+            raise RigError(
+                "--onto adds a pass to a calibration of struts; an arm's is extended in one step, by all of "
+                "its recordings"
+            )
+        struts = require_struts(design.mechanism)
+        if mechanism_dict(self.onto.correction.nominal) != mechanism_dict(struts):
+            raise RigError(f"{self.name} is for another machine than this recording's rig.toml")
+        if self.onto.physics is not None:
+            raise RigError(
+                f"{self.name} models physics besides the configuration; a pass extends corrections by "
+                "configuration alone"
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExtendedCorrection:
+    """done : Certified, of struts or of an arm; tried : Tried of each way; claim : Claim; provenance : what is recorded
+    of a pass; misses : (RMS, greatest) of the single step; unit : of an axis, m or rad; base : what the extension
+    stands on, in words
+    """
+
+    done: Certified | ArmCertified
+    tried: tuple[Tried, ...]
+    claim: Claim
+    provenance: Json
+    misses: tuple[float, float]
+    unit: str
+    base: str
+
+
+def certify_correction_extension(
+    options: ExtendOptions, design: Design, sampled: Sampled, rng: np.random.Generator, progress: Progress
+) -> ExtendedCorrection:
+    """Extended, of a machine on struts or an arm. Raises RigError for a chain, and for a part that bounds nothing"""
+    samples, ask = sampled.samples, ExtensionRequest(options.way, options.alone)
+    base = "the nominal model alone" if options.alone else "the fitted geometry"
+    if has_links(design.mechanism):
+        arm = require_arm(design.mechanism)
+        of_arm, tried = arm_extension.certify_extended_arm(samples, arm, sampled.instrument, ask, rng, progress)
+        claim_of = arm_extension.claim_without_geometry if options.alone else arm_certification.arm_workspace_claim
+        misses = arm_extension.single_step_correction_errors(of_arm.correction)
+        claim = claim_of(samples, of_arm, rng)
+        return ExtendedCorrection(of_arm, tried, claim, {}, misses, mechanisms.travel_unit(arm), base)
+    provenance: Json = {}
+    if options.onto is None:
+        done, tried = certify_extended_correction(samples, require_struts(design.mechanism), ask, rng, progress)
+    else:
+        done, tried, provenance = _certify_pass(options, options.onto, samples, rng, progress)
+        base = f"{options.name}, pass {provenance['number']}"
+    fitted = not options.alone and options.onto is None
+    claim = platform_workspace_claim(samples, done, rng) if fitted else claim_without_geometry(samples, done, rng)
+    return ExtendedCorrection(done, tried, claim, provenance, single_step_correction_errors(done.correction), "m", base)
+
+
+def _certify_pass(
+    options: ExtendOptions, before: Calibration, samples: Samples, rng: np.random.Generator, progress: Progress
+) -> tuple[Certified, tuple[Tried, ...], Json]:
+    """(Certified, what was tried, what the provenance records of it) of one more pass."""
+    space = options.space or CONFIGURATION
+    configurations, poses = _parts(options.within, before.correction.nominal)
+    if configurations is not None and space == POSE or poses is not None and space == CONFIGURATION:
+        raise RigError(
+            f"--within {options.within}: a pass over {'poses' if space == POSE else 'configurations'} is bounded by "
+            f"{'x y z rx ry rz' if space == POSE else 'the axes'}; --space both accepts either"
+        )
+    done, tried, count = certify_additional_pass(
+        samples, before, CorrectionPass(options.way, space, configurations, poses), rng, progress
+    )
+    return (
+        done,
+        tried,
+        {
+            "number": len(before.provenance.get("passes", ())) + 2,
+            "way": options.way,
+            "space": space,
+            "within": options.within,
+            "samples": count,
+            "chosen": [one.kind for one in tried if one.chosen],
+        },
+    )
+
+
+def _parts(text: str | None, mechanism: Struts) -> tuple[SpacePart | None, SpacePart | None]:
+    """(Part of the configuration space, Part of pose space), None for all of it, of a text. Raises RigError for one
+    that bounds nothing.
+    """
+    if text is None:
+        return None, None
+    spaces = [mechanism.axes, tuple(NAMES[i] for i in pose_coordinate_indices(mechanism))]
+    bounds = [np.tile([-np.inf, np.inf], (len(names), 1)) for names in spaces]
+    for word in text.split(","):
+        name, _, span = word.strip().partition("=")
+        low, colon, high = span.partition(":")
+        try:
+            pair = parse_number(low) if low else -np.inf, parse_number(high) if high else np.inf
+        except ValueError:
+            pair = np.nan, np.nan
+        at = [(k, names.index(name)) for k, names in enumerate(spaces) if name in names]
+        if not at or not colon or not pair[0] < pair[1] or pair == (-np.inf, np.inf):
+            raise RigError(
+                f"--within takes NAME=LOW:HIGH separated by commas, names {' '.join(spaces[0] + spaces[1])}, "
+                "low below high and either omitted "
+                f"out where free, not {word.strip()!r}"
+            )
+        bounds[at[0][0]][at[0][1]] = pair
+    found = [SpacePart(*pair.T) if np.isfinite(pair).any() else None for pair in bounds]
+    return found[0], found[1]

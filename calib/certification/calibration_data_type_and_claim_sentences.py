@@ -1,0 +1,224 @@
+"""Calibration data type (correction, covariance, claim, provenance of a machine), and sentences on its claim."""
+
+import math
+from dataclasses import dataclass, replace
+
+from calib.certification.claim_verification import Verification
+from calib.certification.held_out_errors import HeldOut
+from calib.certification.held_out_pose_errors_and_distinct_configurations import LEAST
+from calib.certification.workspace_claim import Claim
+from calib.correction.correction import AnyCorrection
+from calib.correction.physics_compensation import Physics
+from calib.samples.confounded_conditions import Confounds
+from calib.samples.pose_samples import Samples
+from calib.workspace.workspace_map_and_lost_poses import Workspace
+from rig.array_and_json_types import Floats, Json
+from rig.errors import RigError
+from rig.recording.recording_folder import Recording
+from rig.report.pages.html_and_svg_elements import result_html
+
+WHERE = {"base": "base, or the instrument,", "platform": "target on the platform"}
+
+
+def claim_lines(claim: Claim) -> list[str]:
+    """Lines on a claim, the first of which is its summary."""
+    configurations = f"{claim.distinct} distinct configuration{'' if claim.distinct == 1 else 's'}"
+    rest = claim.unknowns - claim.determined
+    told = (
+        (
+            f"{claim.determined} of {claim.unknowns} combinations of the parameters are determined by these poses"
+            + (
+                f", {claim.better} of them better than the stated figures are"
+                if claim.better < claim.determined
+                else ""
+            )
+            + (f"; {rest} rest on the stated figures" if rest else "")
+            + f" ({claim.tolerance})"
+        )
+        if claim.unknowns
+        else claim.tolerance
+    )
+    if claim.ratio is None or claim.before is None or claim.after is None or claim.measured is None:
+        few = [
+            "no held-out figure either: residuals at the recorded configurations would only show how well "
+            "these are known"
+        ]
+        return [f"no factor is claimed: {claim.reason}", told, *(few if claim.distinct < LEAST else [])]
+    before, after = claim.before[0], claim.after[0]
+    turned = (
+        f", rotation {claim.before[1][0] * 1e3:.3f} -> {claim.after[1][0] * 1e3:.4f} mrad"
+        if any(claim.before[1])
+        else ""
+    )
+    return [
+        f"{ratio_interval_text(claim.ratio)} over the whole workspace: position error {before[0] * 1e3:.3f} -> "
+        f"{after[0] * 1e3:.4f} mm RMS ("
+        f"{after[1] * 1e3:.4f} to {after[2] * 1e3:.4f}){turned}; "
+        f"from {configurations}",
+        told,
+        f"the workspace is {claim.workspace}; measured there by a similar instrument, its own errors "
+        f"included: {ratio_interval_text(claim.measured)}",
+    ]
+
+
+def ratio_interval_text(ratio_interval: tuple[float, ...]) -> str:
+    """Text of a ratio (median, low, high) and its interval; low and high are NaN where there is none."""
+    interval = (
+        "too few configurations for an interval"
+        if math.isnan(ratio_interval[1])
+        else f"95 % interval {ratio_interval[1]:.3g} to {ratio_interval[2]:.3g}"
+    )
+    return f"{ratio_interval[0]:.3g} times better ({interval})"
+
+
+def verification_line(held_out: HeldOut, claim: Claim | None, verification: Verification | None) -> str:
+    """Line on the verification of a calibration's claim by a recording's held-out poses.
+    verification : Verification of the claim, None where no factor is claimed
+    """
+    where = (
+        "this 1 configuration" if held_out.configurations == 1 else f"these {held_out.configurations} configurations"
+    )
+    placed = math.isfinite(held_out.after.position[0])
+    before, after, unit = (
+        (held_out.before.position, held_out.after.position, "mm")
+        if placed
+        else (held_out.before.rotation, held_out.after.rotation, "mrad")
+    )
+    here = (
+        f"{ratio_interval_text(held_out.ratio)} on {where}: {before[0] * 1e3:.3f} -> {after[0] * 1e3:.4f} {unit} "
+        "RMS as measured"
+    )
+    if claim is None or verification is None:
+        return f"{here}; no factor was claimed" + (f": {claim.reason}" if claim else "")
+    if not verification.parts:
+        return f"{here}; nothing that was measured is claimed"
+    return (
+        f"{here}; the claim is {claim_status_text(verification)} ({_claim_comparison_text(verification)})"
+        + explaining_rigid_motion_text(verification)
+    )
+
+
+def claim_status_text(verification: Verification) -> str:
+    """Text of a claim's status: kept or not kept."""
+    if verification.kept:
+        return "kept"
+    within = (
+        verification.unexplained
+        and not verification.refutes
+        and (verification.offset is None or not verification.offset.kept)
+    )
+    return "exceeded by no more than its stated unexplained part permits" if within else "NOT kept"
+
+
+def _claim_comparison_text(verification: Verification) -> str:
+    """Each part of a claim against what was measured, in words."""
+    said = []
+    for name, part in verification.parts.items():
+        unit = "mm" if name == "position" else "mrad"
+        said.append(
+            f"{name} {part.rms * 1e3:.4f} {unit} where up to {part.claimed * 1e3:.4f} is claimed, "
+            f"{part.of_allowed:.2f} times what claim and "
+            f"noise allow, chance up to {part.limit:.2f}"
+        )
+    return "; ".join(said)
+
+
+def refutation_sentence(verification: Verification) -> str:
+    """Sentence on the refutation of a claim: 45 um where 3.4 um is claimed."""
+    wrong = [(name, part) for name, part in verification.parts.items() if not part.kept]
+    return " and ".join(
+        f"{name} error {_size(part.rms, name)} RMS where up to {_size(part.claimed, name)} is claimed"
+        for name, part in wrong
+    )
+
+
+def explaining_rigid_motion_text(verification: Verification) -> str:
+    """Text of the rigid motion that explains a refuted claim; empty where none does."""
+    if verification.offset is None:
+        return ""
+    o = verification.offset
+    return (
+        f"; the {WHERE[o.of]} has moved since it was calibrated: by {o.position * 1e3:.4f} mm, "
+        f"{o.rotation * 1e3:.4f} mrad; without "
+        f"that motion the claim is {'kept' if o.kept else 'NOT kept either'}"
+    )
+
+
+def _size(value: float, name: str) -> str:
+    return f"{value * 1e6:.3g} {'um' if name == 'position' else 'urad'}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """correction : Correction, of an arm an ArmCorrection; covariance : (42, 42) m^2 of the fitted parameters, of an
+    arm (12 + 5 n, 12 + 5 n) in the order of calib.models.arm.error_model_and_observations; scatter : (6,) m of each
+    strut beyond the
+    poses' noise, of an arm (6,) m and rad of the pose; frames : numbers of the frames fitted; left_out : of those that
+    did not agree
+    held_out : HeldOut, or None where too few configurations were recorded to hold any out
+    provenance : what went in, by which versions and arguments; claim : Claim, or None in files of before there was one
+    physics : Physics that was found beyond the geometry and is undone with it, or None
+    workspace : Workspace, what the correction does to it, or None in files of before it was worked out
+    confounds : Confounds of the recording that was fitted, or None where no recording states them
+    strut_covariance : (axes, axes) m^2 of what struts do beyond the geometry, where they may do it together, with
+    scatter^2 on its diagonal; None where each is by itself, and in files of before it was worked out"""
+
+    correction: AnyCorrection
+    covariance: Floats
+    scatter: Floats
+    frames: tuple[int, ...]
+    left_out: tuple[int, ...]
+    held_out: HeldOut | None
+    provenance: Json
+    claim: Claim | None = None
+    physics: Physics | None = None
+    workspace: Workspace | None = None
+    confounds: Confounds | None = None
+    strut_covariance: Floats | None = None
+
+    def __post_init__(self) -> None:
+        if self.physics is not None and self.physics.compensable_effects():
+            names = tuple(f"{effect.label()} at {effect.place}" for effect in self.physics.compensable_effects())
+            object.__setattr__(self, "correction", replace(self.correction, physics=names))
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        held = self.held_out
+        rows = (
+            []
+            if held is None
+            else [
+                ("held-out poses", "position RMS, mm", "95 %, mm", "max, mm", "rotation RMS, mrad"),
+                *(
+                    (name, *(f"{x * 1e3:.4f}" for x in figures.position), f"{figures.rotation[0] * 1e3:.4f}")
+                    for name, figures in (("nominal model", held.before), ("corrected", held.after))
+                ),
+            ]
+        )
+        first, *rest = ["a calibration from before claims existed"] if self.claim is None else claim_lines(self.claim)
+        return result_html(first, rest, rows)
+
+    def with_physics(self, recording: Recording, samples: Samples) -> Samples:
+        """The samples of a recording with what physics says of their commands, under the recording's own sensors and
+        history.
+        """
+        if self.physics is None or recording.commands is None:
+            return samples
+        return self.physics.with_effects(self.correction.fitted, samples, recording.commands, recording.sensors)
+
+    def refuse_kind(self, kind: str, named: str) -> None:
+        """Raise RigError for what is of another kind of mechanism. named : it, in words"""
+        if kind != self.correction.nominal.kind:
+            raise RigError(
+                f"{named} is of a mechanism of kind {kind!r}, the calibration of one of kind "
+                f"{self.correction.nominal.kind!r}"
+            )
+
+    def refuse_physics(self, what: str) -> None:
+        """Raise RigError where this holds physics: commands then mean something else at another time, which `what` (a
+        sentence's beginning) does not follow."""
+        if self.physics is not None and self.physics.compensable_effects():
+            raise RigError(
+                f"{what} requires unmodified commands, and this calibration includes physics that changes them "
+                f"({', '.join(self.correction.physics)}); use one made without --diagnosis and --find"
+            )

@@ -1,0 +1,198 @@
+"""Finding confirmation against alternatives: each admitted term against all candidates and smooth functions."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Generic
+
+from calib.diagnosis.engine.candidate_score import Alternative, Score, score_raised_to_likelihood_ratio
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
+from calib.diagnosis.engine.linear_model import column_cosine
+from calib.diagnosis.engine.problem_interface import AliasedNodes, Fit, Model, Problem, Progress
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import C, SelectionPolicy
+
+RESTARTS = 2  # times the most terms that there may be, after which terms are confirmed as they stand
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refit(Generic[Fit, C]):
+    """scanned : as a scan tells it; alternative : with what it is behind by a fit of all that is free
+    fit : with it in the finding's place, the last of the terms"""
+
+    scanned: Alternative[C]
+    alternative: Alternative[C]
+    fit: Fit
+
+
+def is_indistinguishable(alternative: Alternative[C], policy: SelectionPolicy) -> bool:
+    """Whether the data leave an Alternative indistinguishable from its finding."""
+    close = abs(alternative.cosine)
+    return close > policy.cosine or (alternative.behind < policy.alike and close >= policy.akin)
+
+
+def find_alternatives(
+    problem: Problem[Fit, Model, C], model: Model, finding_score: Score[C], progress: Callable[[int, int], None] | None
+) -> list[Alternative[C]]:
+    """Find the [Alternative] to a finding's Score on a model without it, by weight, the best of each place."""
+    policy, linear = problem.policy, problem.linear(model)
+    size, here = linear.size, (finding_score.candidate.name, finding_score.candidate.place)
+    reach = max(2 * policy.alike, policy.near * finding_score.delta_chi2 * finding_score.dispersion)
+    scores = problem.search(model, problem.candidates, max(finding_score.raw_delta_bic(size) - reach, 0.0), progress)
+    column = problem.column(model, finding_score)
+
+    def alternative(score: Score[C]) -> Alternative[C]:
+        return Alternative(
+            score,
+            finding_score.evidence(size) - score.evidence(size),
+            column_cosine(linear, column, problem.column(model, score)),
+        )
+
+    out: list[Alternative[C]] = []
+    listed: set[tuple[str, str]] = set()
+    for s in scores:
+        place = s.candidate.name, s.candidate.place
+        if place == here:
+            others = problem.aliases(model, finding_score, s) if isinstance(problem, AliasedNodes) else []
+            found = [alternative(a) for a in others]
+            out += [a for a in found if a.behind < 2 * policy.alike and abs(a.cosine) >= policy.akin]
+            continue
+        if (
+            place in listed
+            or finding_score.evidence(size) - s.evidence(size) > reach
+            or s.p_value > policy.alternative_alpha
+        ):
+            continue
+        listed.add(place)
+        out.append(alternative(s))
+    return sorted(out, key=lambda a: a.behind)
+
+
+def refit_alternatives(
+    problem: Problem[Fit, Model, C],
+    fit: Fit,
+    number: int,
+    finding_score: Score[C],
+    alternatives: list[Alternative[C]],
+    hidden: bool = False,
+) -> list[Refit[Fit, C]]:
+    """Refit the first alternatives that a scan cannot separate: a scan takes for scatter what is not admitted
+    yet, and so tells of a strong term far less than it could. hidden : whether the finding convinces by its fit alone,
+    as they then may"""
+    close = [a for a in alternatives if is_indistinguishable(a, problem.policy)][: problem.policy.refitted]
+    if not close:
+        return []
+    size, bare, out = problem.size(fit), problem.remove_term(fit, number), []
+    for a in close:
+        new = problem.add_term(bare, a.score)
+        behind = problem.likelihood_ratio(new, fit) + a.score.complexity(size) - finding_score.complexity(size)
+        score = (
+            score_raised_to_likelihood_ratio(
+                a.score, problem.likelihood_ratio(bare, new), problem.linear(problem.residual(bare)).frames
+            )
+            if hidden
+            else a.score
+        )
+        out.append(Refit(a, replace(a, score=score, behind=behind), new))
+    return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finding(Generic[C]):
+    """number : of the term among the admitted; score : with all others admitted; alternatives : that the recording
+    cannot tell from it
+    """
+
+    number: int
+    score: Score[C]
+    alternatives: list[Alternative[C]]
+
+
+def is_significant(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
+    """Whether a Score is a finding: too good for chance over all candidates, and worth its parameters."""
+    return score.p_value * count <= policy.alpha and score.delta_bic(size) >= policy.delta_bic
+
+
+def labelled_progress(progress: Progress | None, label: str) -> Callable[[int, int], None] | None:
+    """A progress (done, of) under a label, or None."""
+    return None if progress is None else lambda done, of: progress(label, done, of)
+
+
+def may_become_significant_when_fitted(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
+    """Whether a Score that is not significant may become so when fitted: unlikely by chance, or explains much by
+    whichever frames.
+    """
+    return policy.hidden > 0 and (
+        score.p_value * count <= policy.hidden or score.raw_delta_bic(size) >= policy.delta_bic
+    )
+
+
+def confirm_terms(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None) -> tuple[Fit, list[Finding[C]]]:
+    """Each term against all candidates with the others admitted: gone where it does not stand, replaced where another
+    does better, its alternatives listed."""
+    policy, count = problem.policy, len(problem.candidates)
+    findings: list[Finding[C]] = []
+    for _ in range(RESTARTS * policy.most):
+        number = len(findings)
+        if number == len(problem.terms(fit)):
+            break
+        model, size = problem.without_term(fit, number), problem.size(fit)
+        scanned, held = problem.rescored(model, fit, number), problem.given.holds(problem.terms(fit)[number])
+        own = scanned
+        if not is_significant(own, count, size, policy) and may_become_significant_when_fitted(
+            own, count, size, policy
+        ):
+            own = score_raised_to_likelihood_ratio(
+                own, problem.likelihood_ratio(problem.remove_term(fit, number), fit), problem.linear(model).frames
+            )
+        if not held and not is_significant(own, count, size, policy):  # beside all others it is none
+            fit, findings = problem.remove_term(fit, number), []
+            continue
+        found = find_alternatives(
+            problem, model, scanned, labelled_progress(progress, f"alternatives of {own.candidate.name}")
+        )  # like against like
+        tries = refit_alternatives(problem, fit, number, scanned, found, own is not scanned)
+        rest = [a for a in found if not any(a is t.scanned for t in tries)]
+        ranked = sorted([*(t.alternative for t in tries), *rest], key=lambda a: a.behind)
+        better = next(
+            (t for t in tries if t.alternative is ranked[0] and t.alternative.behind < -policy.takes_over), None
+        )
+        if better is not None and not held and is_significant(better.alternative.score, count, size, policy):
+            fit, findings = problem.in_place(better.fit, number), []
+            continue
+        if not held and _outdone(
+            problem, model, fit, own
+        ):  # only now: what has no name may be likelier than one name, and not than the next
+            fit, findings = problem.remove_term(fit, number), []
+            continue
+        findings.append(Finding(number, own, [a for a in ranked if is_indistinguishable(a, policy)]))
+    return fit, sorted(findings, key=lambda f: -f.score.delta_chi2)
+
+
+def _outdone(problem: Problem[Fit, Model, C], model: Model, fit: Fit, score: Score[C]) -> bool:
+    """Whether a smooth function without a name is likelier than a hypothesis that consists of a few numbers: these lie
+    far from what rigs show,
+    or the place is another. model : without it; fit : with it; a name that leaves nothing there explains, once fitted,
+        as much as the function."""
+    if score.candidate.vector:
+        return False
+    size, place, alike = problem.linear(model).size, score.candidate.place, problem.policy.alike
+
+    def there(at: Model) -> list[LackOfFit]:
+        return [
+            u
+            for u in problem.lack_of_fit(at)
+            if u.dispersion and (problem.policy.smooth_anywhere or problem.within(u, place))
+        ]
+
+    likelier = [u.shortest(size) for u in there(model) if u.evidence(size) > score.evidence(size) + alike]
+    if not likelier:
+        return False
+    return any(score.complexity(size) > cost + alike for _, cost in likelier) or bool(there(problem.residual(fit)))
+
+
+def is_finding_significant(
+    problem: Problem[Fit, Model, C], finding: Finding[C], model: Model, fit: Fit, count: int
+) -> bool:
+    """Whether a Finding convinces on a model without it, of so many candidates asked."""
+    return is_significant(
+        problem.rescored(model, fit, finding.number), count, problem.linear(model).size, problem.policy
+    )

@@ -1,0 +1,268 @@
+"""Scores of all candidates on a platform's linearised model: each at the best node of its grid."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from calib.diagnosis.engine import frame_inner_products as inner
+from calib.diagnosis.engine.candidate_score import best_node_score, insignificant_score, score_at_node
+from calib.diagnosis.engine.frame_inner_products import FrameProducts, Solved
+from calib.diagnosis.engine.linear_model import Column
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import Node
+from calib.diagnosis.problems.platform import vibration_frequency
+from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore, Reach
+from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
+from rig.array_and_json_types import Floats, Integers
+from rig.compute.numba_kernels_and_lazy_exports import njit
+from rig.compute.parallel_map_and_dask_cluster import parallel_map
+from rig.compute.worker_processes import Progress
+from rig.effects.framework.effect_places_parameters_and_covariates import Place
+from rig.effects.framework.machine_motion_and_play import Motion
+from vision.bundle.corner_jacobians import corner_jacobians
+
+CHUNK = 64  # nodes at a time
+FEW = 8  # columns, above which rows are gathered for a product of matrices
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _row_projection(table: Floats, rows: Integers, V: Floats, out: Floats) -> None:
+    """Into out (q, p) V^T times the rows (h,) of a table (n, p); V : (h, q)."""
+    out[:] = 0.0
+    for h in range(len(rows)):
+        part = table[rows[h]]
+        for i in range(V.shape[1]):
+            v = V[h, i]
+            for j in range(len(part)):
+                out[i, j] += v * part[j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _row_projection_by_frame(local: Floats, rows: Integers, frame: Integers, V: Floats, out: Floats) -> None:
+    """Into out (F, L, q), frame by frame, the rows (h,) of local (n, L) transposed times V (h, q); frame : (h,)"""
+    out[:] = 0.0
+    for h in range(len(rows)):
+        for k in range(local.shape[1]):
+            v = local[rows[h], k]
+            for i in range(V.shape[1]):
+                out[frame[h], k, i] += v * V[h, i]
+
+
+def score_candidates(
+    model: LinearisedModel,
+    candidates: list[PlatformCandidate],
+    sensitivities: Sensitivities,
+    least_delta_bic: float = -np.inf,
+    progress: Progress | None = None,
+) -> list[PlatformScore]:
+    """Scores of all candidates, the greatest raw delta BIC first.
+
+    sensitivities : at the model's OperatingPoint; progress : called with (done, of), or None
+    least_delta_bic : of delta chi-square; what explains less is not asked how likely it is, see `best_node_score`
+    """
+    k = model.point
+    motion = k.motion(k.effects) if k.axes else None
+    axes = axis_products(model) if k.axes else None
+    mounts: dict[str, FrameProducts] = {}
+    held = set(sensitivities.pixels)
+
+    def ask(candidate: PlatformCandidate) -> tuple[PlatformScore, dict[tuple[object, ...], tuple[Integers, Floats]]]:
+        if candidate.reach in (Reach.SPECTRUM, Reach.AXES):
+            if axes is None or motion is None:
+                raise ValueError(f"{candidate.name}: effects on strut motion require a recording with commands")
+            score = (
+                vibration_frequency.best_frequency(model, candidate, axes)
+                if candidate.reach is Reach.SPECTRUM
+                else _along_axes(model, candidate, sensitivities, axes, motion, least_delta_bic)
+            )
+        elif candidate.reach is Reach.MOUNT:
+            if candidate.place not in mounts:
+                mounts[candidate.place] = corner_products(
+                    model, camera_mount_pixel_derivatives(model, Place.parse(candidate.place))
+                )
+            score = _mounted(model, candidate, mounts[candidate.place], least_delta_bic)
+        else:
+            score = _viewed(model, candidate, sensitivities, least_delta_bic)
+        new = {key: sensitivities.pixels[key] for key in sensitivities.pixels.keys() - held}
+        held.update(new)
+        unnamed: Any = None  # a candidate is known by its identity, which no copy has
+        return replace(score, candidate=unnamed), new
+
+    out = []
+    for candidate, (score, new) in zip(candidates, parallel_map(ask, candidates, progress, on_cluster=True)):
+        sensitivities.pixels.update(new)
+        out.append(replace(score, candidate=candidate, values=candidate.numbers(score.node, score.coefficients)))
+    return sorted(out, key=lambda s: -s.raw_delta_bic(model.size))
+
+
+def candidate_column(
+    model: LinearisedModel,
+    candidate: PlatformCandidate,
+    node: Node,
+    sensitivities: Sensitivities,
+    motion: Motion | None = None,
+) -> Column:
+    """Column of one node of a candidate: its displacement of corners and closures per unit of its parameters."""
+    k = model.point
+    if candidate.reach is Reach.SPECTRUM:
+        return model.lengthened(vibration_frequency.sinusoid_directions(model, np.array([node["frequency"]]))[0])
+    if candidate.reach is Reach.AXES:
+        return model.lengthened(sensitivities.deviation(candidate, node, motion or k.motion(k.effects)))
+    if candidate.reach is Reach.MOUNT:
+        pixels = (
+            camera_mount_pixel_derivatives(model, Place.parse(candidate.place))
+            * _share(model, candidate, node)[k.observed.observations.frame][:, None, None]
+        )
+        return model.fold(pixels)
+    return model.fold(sensitivities.corners(*sensitivities.seen(candidate, node)))
+
+
+def axis_products(model: LinearisedModel) -> FrameProducts:
+    """FrameProducts of axis elongations, one axis at a time, frame by frame (per m)."""
+    F, axes = model.frames, model.point.axes
+    W = model.closures.W  # (F, a, a): column i is axis i
+    y = model.closure_residual[: F * axes].reshape(F, axes)
+    Q = model.linear.columns.whole[CLOSURES][: F * axes].reshape(F, axes, -1)
+    return FrameProducts(np.einsum("fij,fi->fj", W, y), np.swapaxes(W, 1, 2) @ W, np.einsum("fij,fip->fjp", W, Q))
+
+
+def corner_products(model: LinearisedModel, pixels: Floats) -> FrameProducts:
+    """FrameProducts of corner displacements (n, 2, a) px, in the observations' order, frame by frame.
+
+    The residual and the basis stand square to each frame's own poses, so the displacements need not be freed of them
+    first.
+    """
+    k, axes, c = model.point, model.point.axes, model.corners
+    basis, closures = model.linear.columns.whole, model.closure_residual
+    F, a, p = model.frames, pixels.shape[2], model.linear.columns.count
+    beta, gamma, kappa = np.zeros((F, a)), np.zeros((F, a, a)), np.zeros((F, a, p))
+    rows = np.flatnonzero(np.any(pixels.reshape(len(pixels), -1), axis=1)[c.order])
+    V = np.einsum("nij,njk->nik", c.whiten[rows], pixels[c.order[rows]]) / c.sigma
+    y, Q, local = (part.reshape(len(c.order), 2, -1) for part in (model.corner_residual, basis[CORNERS], c.local))
+    frame = k.observed.observations.frame[c.order[rows]]
+    edges = np.searchsorted(frame, np.arange(F + 1))
+    for f in np.unique(frame):
+        part = slice(edges[f], edges[f + 1])
+        v, at = V[part].reshape(-1, a), rows[part]
+        own = local[at].reshape(len(v), -1).T @ v
+        beta[f] = v.T @ y[at].reshape(-1)
+        gamma[f] = v.T @ v - own.T @ own
+        kappa[f] = v.T @ Q[at].reshape(len(v), -1)
+        if axes:
+            moved, here = model.closures.to_rows[f] @ own, slice(f * axes, (f + 1) * axes)
+            beta[f] += moved.T @ closures[here]
+            gamma[f] += moved.T @ moved
+            kappa[f] += moved.T @ basis[CLOSURES][here]
+    return FrameProducts(beta, gamma, kappa)
+
+
+def constant_displacement_normal_equations(
+    model: LinearisedModel, displaced_corners: Integers, pixels: Floats
+) -> inner.Normal:
+    """Normal equations of one constant displacement, the same in every frame, of observed corners (h,)."""
+    k, c = model.point, model.corners
+    at = np.empty(len(c.order), int)
+    at[c.order] = np.arange(len(c.order))
+    both = (2 * at[displaced_corners][:, None] + np.arange(2)).ravel()
+    V = (np.einsum("hij,hjq->hiq", c.whiten[at[displaced_corners]], pixels) / c.sigma).reshape(len(both), -1)
+    q, basis, frame = (
+        V.shape[1],
+        model.linear.columns.whole,
+        np.repeat(k.observed.observations.frame[displaced_corners], 2),
+    )
+    b, raw, K = V.T @ model.corner_residual[both], V.T @ V, np.empty((q, basis[CORNERS].shape[1]))
+    if q > FEW:
+        K[:] = (basis[CORNERS][both].T @ V).T
+    else:
+        _row_projection(basis[CORNERS], both, V, K)
+    own = np.empty((model.frames, c.local.shape[1], q))
+    _row_projection_by_frame(c.local, both, frame, V, own)
+    G = raw - np.tensordot(own, own, ((0, 1), (0, 1)))
+    if k.axes:
+        moved = (model.closures.to_rows @ own).reshape(-1, q)
+        b, G, K = (
+            b + moved.T @ model.closure_residual[: len(moved)],
+            G + moved.T @ moved,
+            K + moved.T @ basis[CLOSURES][: len(moved)],
+        )
+    K = model.linear.onto(K).T
+    return inner.Normal(b[None], (G - K.T @ K)[None], np.diag(G)[None].copy())
+
+
+def camera_mount_pixel_derivatives(model: LinearisedModel, camera: Place) -> Floats:
+    """Derivatives (n, 2, 6) of corner pixels by the tangent of a camera's mount."""
+    k = model.point
+    o = k.observed.observations
+    out = np.zeros((len(o), 2, 6))
+    for i, rows, _, J_camera, _ in corner_jacobians(o, k.state):
+        if k.design.cameras[i].name == camera.name:
+            out[rows] = J_camera
+    return out
+
+
+def _along_axes(
+    model: LinearisedModel,
+    candidate: PlatformCandidate,
+    sensitivities: Sensitivities,
+    products: FrameProducts,
+    motion: Motion,
+    least: float,
+) -> PlatformScore:
+    solver: Callable[[inner.Normal], Solved] = (
+        inner.solve_normal_equations if candidate.spec.linear else inner.chi2_reduction_at_unit_coefficient
+    )
+    normals = []
+    for start in range(0, len(candidate.grid), CHUNK):
+        weights = np.stack(
+            [sensitivities.deviation(candidate, node, motion) for node in candidate.grid[start : start + CHUNK]]
+        )
+        moved = np.atleast_1d(weights.any(axis=(0, 1, 3)))
+        moved |= not moved.any()
+        normals.append(inner.normal_equations_by_direction_weights(products.confined(moved), weights[:, :, moved]))
+    solved = solver(inner.Normal(*(np.concatenate(part) for part in zip(*normals))))
+    return best_node_score(
+        model.linear,
+        candidate,
+        solved,
+        products,
+        lambda best: sensitivities.deviation(candidate, candidate.grid[best], motion),
+        least,
+    )
+
+
+def _mounted(
+    model: LinearisedModel, candidate: PlatformCandidate, products: FrameProducts, least: float
+) -> PlatformScore:
+    w = np.stack([_share(model, candidate, node) for node in candidate.grid])
+    solved = inner.solve_normal_equations(inner.normal_equations_by_common_weights(products, w))
+    return best_node_score(
+        model.linear, candidate, solved, products, lambda best: w[best][:, None, None] * np.eye(6), least
+    )
+
+
+def _share(model: LinearisedModel, candidate: PlatformCandidate, node: Node) -> Floats:
+    """(F,) share of its motion that a mount has made by each frame."""
+    camera = model.point.stated.camera(Place.parse(candidate.place).name)
+    return candidate.effect(node, np.r_[1.0, np.zeros(5)]).mount(camera, model.point.t, model.point.logged)[:, 0]
+
+
+def _viewed(
+    model: LinearisedModel, candidate: PlatformCandidate, sensitivities: Sensitivities, least: float
+) -> PlatformScore:
+    seen = [sensitivities.seen(candidate, node) for node in candidate.grid]
+    solved = Solved.of(
+        [
+            inner.solve_normal_equations(
+                constant_displacement_normal_equations(model, *sensitivities.touched(rows, quads))
+            )
+            for rows, quads in seen
+        ]
+    )
+    best = int(np.argmax(solved.delta_chi2 - solved.rank * np.log(model.size)))
+    if solved.delta_chi2[best] < least:
+        return insignificant_score(candidate, solved, best)
+    products = corner_products(model, sensitivities.corners(*seen[best]))
+    weights = np.broadcast_to(np.eye(products.beta.shape[1]), products.gamma.shape)
+    return score_at_node(model.linear, candidate, best, candidate.grid[best], solved, products, weights)

@@ -1,0 +1,215 @@
+"""Smooth strut, camera and marker functions without a name: of pose, time, history, speed and sensors."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import null_space
+
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
+from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
+from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel, linearise
+from calib.diagnosis.problems.platform.scores_of_all_candidates import camera_mount_pixel_derivatives
+from calib.diagnosis.problems.remainder_covariates_and_formulas import (
+    axis_speeds,
+    scaled_powers,
+    scaled_to_plus_minus_one,
+    time_cosines,
+)
+from rig.array_and_json_types import Floats, Integers
+from rig.effects.framework.effect_places_parameters_and_covariates import Place
+from rig.model.chebyshev_warp_and_printed_edge_shift import warp_columns
+from rig.model.pose import pose_difference
+
+SLOW, FAST = 8, 24  # cosines of a smooth function of time
+WARP = 6  # degree of a smooth warp of an image
+ROUNDS = 3  # of taking what smooth functions explain off the corners
+SEEN = 1e-3  # share of a function's square that the nuisances must leave for it to be taken off
+
+
+def smooth_strut_functions(point: OperatingPoint) -> list[tuple[str, list[tuple[str, Floats]]]]:
+    """[(depends on, [(place, (F, axes, q) m)])] of smooth functions of struts at an OperatingPoint."""
+    F, ones = len(point.t), np.ones(point.axes)
+    bases = [
+        ("pose", _alike(_pose(point), ones)),
+        ("time", _alike(time_cosines(point.t, SLOW), ones)),
+        ("time", _alike(time_cosines(point.t, FAST), ones)),
+    ]
+    for name, values, times in (
+        ((n, v, point.sensors.t) for n, v in point.sensors.channels.items()) if point.sensors is not None else ()
+    ):
+        series = np.interp(point.t, times, values)
+        if np.ptp(series) > 0:
+            bases.append((name, _alike(scaled_powers(series, 2), ones)))
+    motion = point.motion(())
+    lengths, way_last = motion.lengths, motion.path.direction
+    for j in range(point.axes):
+        bases.append((f"strut {j + 1}'s position", _alike(scaled_powers(lengths[:, j], 4), ones)))
+    scaled = np.stack([scaled_to_plus_minus_one(column) for column in lengths.T], axis=1)
+    bases.append(("history", np.stack([way_last, way_last * scaled], axis=2)))
+    way = motion.path.way
+    if np.ptp(way, axis=0).min(initial=np.inf) > 0:
+        bases.append(("way travelled", np.stack([scaled_powers(column, 2) for column in way.T], axis=1)))
+    pace = axis_speeds(point.commanded, point.t)
+    speeds = np.stack([pace, pace * np.abs(pace) / max(np.abs(pace).max(), 1e-300)], axis=2)
+    if pace.any():
+        bases.append(("speed", speeds))
+    out = []
+    for depends, functions in bases:  # (F, axes, q), each strut's own
+        strutwise = []
+        for i in range(point.axes):
+            weights = np.zeros((F, point.axes, functions.shape[2]))
+            weights[:, i] = functions[:, i]
+            strutwise.append((str(Place.axis("strut", i)), weights))
+        out.append((depends, strutwise))
+    if pace.any():
+        out.append(("speed", [("rig", speeds)]))
+    return out
+
+
+def camera_mount_and_focal_pixel_derivatives(model: LinearisedModel, camera: Place) -> Floats:
+    """Derivatives (n, 2, 7) of corner pixels by the tangent of a camera's mount and by its focal length's share."""
+    k = model.point
+    o = k.observed.observations
+    i = _camera_index(k, camera)
+    rows, out = o.camera == i, np.zeros((len(o), 2, 7))
+    out[..., :6] = camera_mount_pixel_derivatives(model, camera)
+    out[rows, :, 6] = k.pixels()[rows] - k.design.cameras[i].matrix[:2, 2]
+    return out
+
+
+def _camera_index(k: OperatingPoint, place: Place) -> int:
+    return [c.name for c in k.design.cameras].index(place.name)
+
+
+def camera_time_functions(point: OperatingPoint, count: int) -> Floats:
+    """Time functions (F, 7, 7 count) of a camera: cosines of time for each of its mount and focal parameters."""
+    return np.einsum("fk,ab->fabk", time_cosines(point.t, count), np.eye(7)).reshape(len(point.t), 7, -1)
+
+
+def image_warp_pixel_derivatives(point: OperatingPoint, camera: int) -> Floats:
+    """Derivatives (n, 2, q) of corner pixels by smooth warps of a camera's image, predicted ones: where they are
+    seen holds their noise.
+    """
+    rows = point.observed.observations.camera == camera
+    moved = warp_columns(point.design.cameras[camera], point.pixels()[rows], WARP)
+    pixels = np.zeros((len(rows), *moved.shape[1:]))
+    pixels[rows] = moved
+    return pixels
+
+
+def _marker_pixels(k: OperatingPoint, ids: Integers) -> Floats:
+    """(n, 2, 8 len(ids)) px of corners: each corner of each marker moved along its two edges, per side."""
+    edges = edge_pixels(k)
+    out = np.zeros((len(edges), 2, 8 * len(ids)))
+    for j, number in enumerate(ids):
+        rows, moved = corner_shift_pixel_derivatives(k, edges, number)
+        out[rows, :, 8 * j : 8 * j + 8] = moved
+    return out
+
+
+def edge_pixels(point: OperatingPoint) -> Floats:
+    """Derivatives (n, 2, 2) of corner pixels by shifts along the two edges of their marker, per side."""
+    seen, quads = point.observed, point.pixels(rows=np.arange(len(point.observed.sightings.frame)))
+    depth = _depths(quads)
+    edges = np.stack(
+        [(np.roll(depth, s, axis=1) / depth)[..., None] * (np.roll(quads, s, axis=1) - quads) for s in (-1, 1)], axis=-1
+    )  # (s, 4, 2, 2)
+    return edges[seen.row, seen.observations.corner]
+
+
+def corner_shift_pixel_derivatives(point: OperatingPoint, edges: Floats, marker: int) -> tuple[Integers, Floats]:
+    """Derivatives (h, 2, 8), with rows (h,), of one marker's corner pixels by shifts along the marker's edges, as
+    `edge_pixels` has them.
+    """
+    seen = point.observed
+    rows = np.flatnonzero((seen.markers.id == marker)[seen.sightings.marker][seen.row])
+    corner, out = seen.observations.corner[rows], np.zeros((len(rows), 2, 8))
+    for c in range(4):
+        out[corner == c, :, 2 * c : 2 * c + 2] = edges[rows[corner == c]]
+    return rows, out
+
+
+def _distortions() -> Floats:
+    """(8, 5) of what `_marker_pixels` moves a marker's corners by: what no shift nor turn of the marker in its plane
+    does, which is no printing.
+    """
+    corners = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
+    edges = np.stack([np.roll(corners, s, axis=0) - corners for s in (-1, 1)], axis=1)
+    rigid = np.stack([np.tile([1.0, 0.0], (4, 1)), np.tile([0.0, 1.0], (4, 1)), corners[:, ::-1] * [-1, 1]], axis=-1)
+    return null_space(np.einsum("csd,cdr->csr", edges, rigid).reshape(8, 3).T)
+
+
+def _depths(quads: Floats) -> Floats:
+    """(s, 4) depths of the corners of squares seen as quads (s, 4, 2), the first one's 1. Source: Heckbert,
+    Fundamentals of texture mapping and image warping, 1989, 2.2.3"""
+    a, b = quads[:, 1] - quads[:, 2], quads[:, 3] - quads[:, 2]
+    skew = quads[:, 0] - quads[:, 1] + quads[:, 2] - quads[:, 3]
+    area = a[:, 0] * b[:, 1] - b[:, 0] * a[:, 1]
+    g, h = (skew[:, 0] * b[:, 1] - b[:, 0] * skew[:, 1]) / area, (a[:, 0] * skew[:, 1] - skew[:, 0] * a[:, 1]) / area
+    return np.stack([np.ones(len(g)), 1 + g, 1 + g + h, 1 + h], axis=1)
+
+
+def smooth_function_columns(
+    model: LinearisedModel, lacks_of_fit: list[LackOfFit]
+) -> tuple[Floats | None, Floats | None]:
+    """(pixels (n, 2, q) or None, weights (F, axes, r) or None) of all smooth functions of what is left depends on: at
+    all struts where it is struts, at all markers where it is one, else at the cameras themselves."""
+    k = model.point
+    weights = (
+        {depends: strutwise for depends, strutwise in smooth_strut_functions(k) if len(strutwise) == k.axes}
+        if k.axes
+        else {}
+    )  # the finest of each
+    sites = [(u, Place.parse(u.place)) for u in lacks_of_fit]
+    named = {
+        "pose" if d.endswith("position") else d for u, at in sites if at.kind in ("strut", "rig") for d in u.depends_on
+    }
+    parts = [w for d in sorted(named & weights.keys()) for _, w in weights[d]]
+    pixels = []
+    for u, at in sites:
+        if at.kind in ("camera", "cameras") and u.depends_on == ("time",):
+            shapes = camera_time_functions(k, FAST)[k.observed.observations.frame]
+            pixels.append(np.einsum("nca,nak->nck", camera_mount_and_focal_pixel_derivatives(model, at), shapes))
+        elif at.kind in ("camera", "cameras") and u.depends_on == ("image position",):
+            pixels.append(image_warp_pixel_derivatives(k, _camera_index(k, at)))
+    if any(at.kind in ("marker", "markers") for _, at in sites):
+        ids = np.unique(k.observed.markers.id[k.observed.sightings.marker])
+        pixels.append(_marker_pixels(k, ids) @ np.kron(np.eye(len(ids)), _distortions()))
+    return np.concatenate(pixels, axis=2) if pixels else None, np.concatenate(parts, axis=2) if parts else None
+
+
+def model_with_smooth_functions(
+    model: LinearisedModel, pixels: Floats | None, weights: Floats | None
+) -> LinearisedModel:
+    """LinearisedModel with smooth functions, pixels (n, 2, q) and weights (F, axes, r) as `smooth_function_columns`
+    gives them, among the nuisances.
+
+    What the functions explain is first taken off the pictures, so that corners far off, which count for less, do not
+    keep their misfit.
+    """
+    if pixels is not None:
+        for _ in range(ROUNDS):
+            o = model.point.observed.observations
+            found = model.linear.project(model.fold(pixels))
+            K, b, G = found.onto, found.right, found.gram
+            scale = np.sqrt(np.diag(G) + (K**2).sum(axis=0)) + 1e-300
+            values, vectors = np.linalg.eigh(G / scale[:, None] / scale)
+            kept = values > SEEN
+            moved = pixels @ (vectors[:, kept] @ ((vectors[:, kept].T @ (b / scale)) / values[kept]) / scale)
+            seen = replace(model.point.observed, observations=replace(o, uv=o.uv - moved))
+            model = linearise(replace(model.point, seen=seen))
+        model = model.marginalise(model.fold(pixels))
+    return model if weights is None else model.marginalise(model.lengthened(weights))
+
+
+def _alike(basis: Floats, ones: Floats) -> Floats:
+    """(F, axes, q): the same functions (F, q) at every strut."""
+    return ones[None, :, None] * basis[:, None, :]
+
+
+def _pose(k: OperatingPoint) -> Floats:
+    """(F, q) polynomials of the pose up to the second degree, and pure cubes, of what lies between it and its mean."""
+    x = pose_difference(k.T.mean(), k.T)
+    x = x / np.maximum(np.abs(x).max(axis=0), 1e-300)
+    pairs = [x[:, i] * x[:, j] for i in range(6) for j in range(i, 6)]
+    return np.column_stack([x, *pairs, x**3])

@@ -1,0 +1,284 @@
+"""Joint-space correction of an arm, and its certification on held-out configurations.
+
+KSF_PM(x) = x - IK(GDK(x)), IK of the nominal model or of the fitted geometry, as near x as may be; KSF_KR is its Field
+over the joint space, by the same ways as of machines on struts. Source: configuration-space patent, [0026] to [0030],
+[0130]
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.certification.extended_correction_certification import (
+    NONE,
+    ExtensionBasis,
+    ExtensionRequest,
+    Tried,
+    certify_interpolation_method,
+    empty_claim_without_held_out_data,
+)
+from calib.certification.held_out_errors import draw_common_error_squares
+from calib.certification.held_out_pose_errors_and_distinct_configurations import (
+    LEAST,
+    axis_ranges,
+    configuration_folds,
+    configuration_numbers,
+    mean_sample_per_configuration,
+)
+from calib.certification.platform_certification import FOLDS, Progress, silent_progress
+from calib.certification.workspace_claim import (
+    DRAWS,
+    Claim,
+    ConfigurationInformation,
+    Workspace,
+    claim_of_drawn_machines,
+    empty_claim_of_too_few_configurations,
+    extension_error_squares,
+)
+from calib.correction.correction_tables_and_pose_space_map_json import CorrectionSummands
+from calib.correction.interpolation.field_interface_and_combinations import Field, FieldSamples
+from calib.models.arm import error_model_and_observations
+from calib.models.arm.certification import UNPLACED, CertifiedArm, calibrate_arm, placed_nominal_arm, start_arm
+from calib.models.arm.correction import ArmCorrection
+from calib.models.arm.error_model_and_observations import PLAUSIBLE, Rank, sample_observations
+from calib.models.arm.identification_and_joint_profiles import Identified, identify_arm, independent_arm_parameters
+from calib.models.arm.joint_effects_fit_and_held_out_scatter import (
+    held_out_arm_parameter_error_squares,
+    held_out_geometry_errors,
+    identification_with_held_out_scatter,
+)
+from calib.samples.pose_samples import Samples
+from rig.array_and_json_types import Floats
+from rig.errors import RigError
+from rig.model.design import Instrument
+from rig.model.mechanism_geometry_classes import Arm
+from rig.model.mechanisms import arm as mechanism
+from rig.model.pose import pose_difference
+from rig.planning.configuration_sets import FILL, sobol_configurations
+
+# times the typical; a direction of the joints that a pose tells worse than that, as of a wrist near its singularity,
+# keeps none
+LOOSE = 10.0
+STEPS, SETTLED = 20, 1e-13  # of joint values that meet a pose, rad or m
+PLACES = 256  # at which a single step is held against the fixed point, and what is promised is worked out
+
+
+def joint_correction_field_samples(samples: Samples, arm: Arm, shared: Floats) -> FieldSamples:
+    """Samples for a field of joint correction summands, rad or m, common errors removed."""
+    found = joint_correction_summands(samples, arm, shared)
+    return FieldSamples(
+        samples.commanded, found.values, np.einsum("mii->mi", found.covariance), mechanism.travel_ranges(arm)
+    )
+
+
+def joint_correction_summands_of_stated_model(samples: Samples, placed_arm: Arm) -> CorrectionSummands:
+    """Joint correction summands by the stated arm model, placed as the instrument sees it.
+    covariance : what all poses share included. Raises RigError as `summands`
+    """
+    whole = replace(samples, covariance=samples.total_covariance(), common=samples.common[..., :0])
+    return joint_correction_summands(whole, placed_arm, np.zeros(0))
+
+
+def joint_correction_summands(samples: Samples, arm: Arm, shared: Floats) -> CorrectionSummands:
+    """Joint correction summands: joint values less the nearest ones that give the measured pose, rad or m.
+
+    arm : the model; shared : (j,) draw of the poses' common errors, taken out
+    A joint has one only as far as its pose tells it (see LOOSE) and the model is near; what too few joints, or
+    positions alone, leave open takes the least values, by the poses' covariance. Variances of what is not told are
+    those of the worst that is.
+    Raises RigError naming a frame whose pose the model does not come to
+    """
+    o = sample_observations(samples)
+    W = np.linalg.inv(np.linalg.cholesky(o.covariance))
+    U, s, Vt = np.linalg.svd(W @ o.joint_jacobian(arm))
+    worst = 1 / np.maximum(s[:, min(U.shape[1], Vt.shape[1]) - 1], 1e-300)
+    limit = min(LOOSE * float(np.median(worst)), PLAUSIBLE["rad"])
+    q, away, V = o.q.copy(), np.einsum("mkj,j->mk", o.common, shared), np.swapaxes(Vt, 1, 2)
+    across, along = np.swapaxes(U[..., : s.shape[1]], 1, 2), V[..., : s.shape[1]]
+    far = np.abs(across @ (W @ (o.residuals(arm) - away)[..., None]))[..., 0]
+    told = (s * limit >= 1) & (far <= s * PLAUSIBLE["rad"])
+    across, along, untold = across * told[..., None], along * told[:, None], np.eye(s.shape[1]) * ~told[:, None]
+    for _ in range(STEPS):  # Newton along the directions that are told
+        now = replace(o, q=q)
+        rest = (
+            across
+            @ W
+            @ np.concatenate([now.joint_jacobian(arm) @ along, (now.residuals(arm) - away)[..., None]], axis=2)
+        )
+        step = (along @ np.linalg.solve(rest[..., :-1] + untold, rest[..., -1:]))[..., 0]
+        q += step
+        if np.abs(step).max() < SETTLED:
+            break
+    else:
+        worst_of = int(np.abs(step).max(axis=1).argmax())
+        raise RigError(
+            f"frame {samples.frame[worst_of]}: the model does not reach the measured pose near its joint "
+            "values; is it that machine's?"
+        )
+    variances = np.full((len(q), Vt.shape[1]), limit**2)
+    variances[:, : s.shape[1]] = np.where(told, 1 / np.maximum(s, 1 / limit) ** 2, limit**2)
+    return CorrectionSummands(o.q - q, (V * variances[:, None]) @ np.swapaxes(V, 1, 2))
+
+
+def certify_extended_arm(
+    samples: Samples,
+    nominal: Arm,
+    instrument: Instrument | None,
+    request: ExtensionRequest,
+    rng: np.random.Generator,
+    progress: Progress | None = None,
+) -> tuple[CertifiedArm, tuple[Tried, ...]]:
+    """(Certified, methods tried) of an arm's correction extended over the joint space, on held-out configurations.
+
+    Raises RigError where the way asked for does not take these samples, or where too little of their poses was
+        measured; NotEnoughData
+    """
+    if samples.measured in UNPLACED:
+        raise RigError(
+            "--extend takes an arm's poses, or its positions, since joint values are computed from them; here "
+            f"{UNPLACED[samples.measured]}"
+        )
+    said = progress or silent_progress
+    label = configuration_numbers(samples.commanded, axis_ranges(nominal))
+    said("fitting the geometry", 0, 1)
+    start = start_arm(sample_observations(samples), nominal, instrument)
+
+    def geometry(some: Samples) -> tuple[ArmCorrection, Identified]:
+        return (
+            nominal_arm_correction(some, nominal, instrument, start)
+            if request.alone
+            else calibrate_arm(some, nominal, instrument, False, start)
+        )
+
+    whole = geometry(samples)
+    correction, found = whole
+    said("fitting the geometry", 1, 1)
+
+    def stand(some: Samples) -> ExtensionBasis:
+        plain, by = whole if some is samples else geometry(some)
+        return ExtensionBasis(
+            joint_correction_field_samples(some, plain.fitted, by.shared),
+            lambda field: replace(plain, extension=field),
+            lambda field, at: _said(field, at, plain.fitted),
+        )
+
+    done, tried = certify_interpolation_method(
+        samples, (correction.nominal, label, found), stand, request.kind, rng, said
+    )
+    corrected = replace(correction, extension=done.correction.extension)
+    bare = next((one.held_out for one in tried if one.kind == NONE), None)
+    found, held = _without(samples, corrected, found, request.alone), done.left
+    if held is not None and not request.alone and len(found.scatter) == 6:
+        agreed, of_agreed = samples.take(found.inliers), label[found.inliers]
+        if corrected.extension is None:  # the geometry as it is, of which more is known
+            held = held_out_geometry_errors(found, corrected, agreed, of_agreed)
+        else:
+            held = replace(
+                held,
+                parameters=held_out_arm_parameter_error_squares(
+                    found, corrected, agreed, configuration_folds(of_agreed, min(FOLDS, len(agreed)))
+                ),
+            )
+        found = identification_with_held_out_scatter(found, held, rng)
+    return CertifiedArm(corrected, found, label, done.held_out, None, bare, held), tried
+
+
+def nominal_arm_correction(
+    samples: Samples, nominal: Arm, instrument: Instrument | None, start: Arm
+) -> tuple[ArmCorrection, Identified]:
+    """(ArmCorrection, Identified) of the nominal arm: nothing fitted but the instrument's placement."""
+    o = sample_observations(samples)
+    arm = placed_nominal_arm(o, nominal, instrument, start)
+    p, k = 12 + 5 * len(arm.joints), o.common.shape[1]
+    rank = Rank(np.zeros(p, bool), (), 1.0, 0)
+    found = Identified(
+        arm,
+        np.zeros((p, p)),
+        rank.free,
+        rank,
+        np.zeros(o.common.shape[2]),
+        o.residuals(arm),
+        np.zeros(k),
+        np.ones(len(o), bool),
+        0,
+    )
+    return ArmCorrection(arm, arm, (None,) * len(arm.joints), o.q), found
+
+
+def _said(field: Field, samples: Samples, arm: Arm) -> float:
+    """m^2, mean square by which a Field says that positions of samples may be off."""
+    J = error_model_and_observations.joint_jacobian(samples.commanded, arm)[:, :3]
+    return float((J**2 @ (field.error(samples.commanded) ** 2)[..., None]).sum(axis=1).mean())
+
+
+def _without(samples: Samples, correction: ArmCorrection, found: Identified, alone: bool) -> Identified:
+    """The Identified once the extension is taken off: what that corrects is no scatter and widens no parameter."""
+    o = sample_observations(samples)
+    effective = replace(o, q=o.q - correction.rho(o.q))
+    if alone or correction.extension is None:
+        return replace(
+            found, residuals=effective.residuals(correction.fitted) - np.einsum("mkj,j->mk", o.common, found.shared)
+        )
+    again = identify_arm(effective, correction.fitted, independent_arm_parameters(correction.nominal, effective.kind))
+    return replace(again, arm=found.arm, rank=found.rank)
+
+
+def claim_without_geometry(samples: Samples, certified: CertifiedArm, rng: np.random.Generator) -> Claim:
+    """Claim of an arm's correction without fitted geometry: its field's error estimate at the middle angles."""
+    correction = certified.correction
+    each = mean_sample_per_configuration(
+        samples, certified.label, error_model_and_observations.joint_jacobian(samples.commanded, correction.fitted)
+    )
+    way = "nothing at all" if correction.extension is None else correction.extension.kind
+    told = ConfigurationInformation(
+        len(each), 0, 0, 0, f"no parameters were fitted: the summands are extended by {way}"
+    )
+    middle = f"the middle {FILL * 100:.0f} % of the recorded angles, all joints independent"
+    if len(each) < LEAST:
+        return empty_claim_of_too_few_configurations(told, middle)
+    q = _places(correction)
+    T = correction.predict(q)
+    if certified.left is None:
+        return empty_claim_without_held_out_data(told, middle)
+    stated = float(
+        extension_error_squares(correction, q, error_model_and_observations.joint_jacobian(q, correction.fitted))[0]
+    )
+    own = certified.left.own_draws(stated, DRAWS, rng) + draw_common_error_squares(samples, DRAWS, rng)
+    offset = pose_difference(error_model_and_observations.predicted_target_poses(q, correction.nominal), T)
+    known = certified.found.covariance
+    return claim_of_drawn_machines(
+        Workspace(error_model_and_observations.parameter_jacobian(q, correction.fitted), offset, own, middle),
+        np.zeros((DRAWS, len(known))),
+        each,
+        told,
+        rng,
+    )
+
+
+def single_step_correction_errors(correction: ArmCorrection) -> tuple[float, float]:
+    """Errors (RMS, greatest) rad or m of correcting in a single step X + KSF(X) instead of to the fixed point.
+
+    Source: configuration-space patent, [0030], [0091]
+    """
+    q = _places(correction)
+    x = q - _summand(correction, q)
+    near = np.isfinite(x).all(axis=1)
+    off = mechanism.joint_value_difference(x[near] + _summand(correction, x[near]), q[near], correction.nominal)
+    return float(np.sqrt(np.nanmean(off**2))), float(np.nanmax(np.abs(off)))
+
+
+def _summand(correction: ArmCorrection, q: Floats) -> Floats:
+    """KSF (m, joints) of the correction at commands q (m, joints); NaN where no way from them leads to the pose by the
+    nominal model: of a stretched arm it lies beyond its reach by micrometres, or on another branch."""
+    if correction.deficient:
+        return correction.summand(q)
+    found, rest = mechanism.solve_inverse(correction.predict(q), correction.nominal, q, starts=0)
+    return np.where(
+        (rest <= mechanism.GOOD)[:, None], mechanism.joint_value_difference(q, found, correction.nominal), np.nan
+    )
+
+
+def _places(correction: ArmCorrection) -> Floats:
+    """(m, joints) rad or m, evenly over the middle of the values visited."""
+    seen = np.stack([correction.visited.min(axis=0), correction.visited.max(axis=0)], axis=1)
+    return sobol_configurations(seen, PLACES, FILL)

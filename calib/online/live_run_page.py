@@ -1,0 +1,180 @@
+"""Live run page: verdict, figures in mm and mrad, camera images and the rig in 3-D while a run lasts."""
+
+import math
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.online.observer_of_run_frames import MeasuredFrame, RunObserver, View
+from calib.report.pose_figures_and_effect_displacements import closed_outline, fixed_rig_lines
+from rig.array_and_json_types import Floats, Integers, Json
+from rig.model.design import Camera, Design
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_plates
+from rig.model.pose import pose_to_vector, transform_points
+from rig.report.pages.run_page_server import PageServer
+from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
+from vision.frame_and_effect_pictures import encode_jpeg
+from vision.targets import MarkerMap, marker_map
+
+OFF = 3.0  # standard uncertainties, RMS over the axes that were measured: beyond it one pose is off by more than chance
+CALIBRATE = (
+    "Calibrate once the run is over: `rig calibrate REC --out calibration.json`, or begin with `--calibration FILE`"
+)
+
+
+def run_verdict(view: View) -> Verdict:
+    """Verdict on a run so far, from its RunView: alarms, early end, deviation of the last pose."""
+    refuted = (f"it ended prematurely: {view.ended}",) if view.ended else ()
+    alarms = tuple(MissingEvidence(f"{alarm.kind}: {alarm.text}") for alarm in view.alarms)
+    off = math.nan if view.seen is None else _pose_deviation_in_sigmas(view.seen)
+    unexplained = (f"the last pose is {off:.3g} times its own uncertainty from the prediction",) if off > OFF else ()
+    return judge_evidence(
+        Evidence(view.phase, missing=alarms, unexplained=unexplained, refuted=refuted, look=CALIBRATE)
+    )
+
+
+def _pose_deviation_in_sigmas(seen: MeasuredFrame) -> float:
+    """By how many of its own standard uncertainties a pose is off what was expected, RMS over the axes; NaN where that
+    is not known.
+    """
+    if seen.learnt is None or seen.sight.covariance is None:
+        return math.nan
+    sigma = np.sqrt(np.diag(seen.sight.covariance))
+    known = np.isfinite(sigma) & (sigma > 0)
+    return float(np.sqrt(np.mean((seen.learnt.error[known] / sigma[known]) ** 2))) if known.any() else math.nan
+
+
+LATEST = 400  # frames whose figures are shown
+
+
+class RunPage:
+    """Serves the view of a RunObserver. As a context it is open; see calib.online.observer_of_run_frames.Display."""
+
+    def __init__(self, looking: RunObserver, port: int) -> None:
+        self._design = looking.design
+        self._server = PageServer(lambda: looking.ask_stop("stopped from the page"), port)
+        self.url = self._server.url
+        self._history: list[Json] = []
+        self._shown: MeasuredFrame | None = None
+        self._markers = marker_map(self._design.without_stages()) if self._design.targets else None
+        self._fixed = fixed_rig_lines(self._design, self._markers)
+
+    def __enter__(self) -> "RunPage":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._server.close()
+
+    def show(self, view: View) -> None:
+        """Have the page show a view."""
+        images: dict[str, Callable[[], bytes]] | None = None
+        if view.seen is not None and view.seen is not self._shown:
+            self._shown = view.seen
+            self._history = [*self._history[1 - LATEST :], _figures(view.seen)]
+            images = {name: partial(encode_jpeg, frame.image) for name, frame in view.seen.shot.frames.items()}
+        self._server.show(partial(self._event, view, self._history), images)
+
+    def close(self) -> None:
+        """The run is over; the page stays until the context ends."""
+
+    def _event(self, view: View, history: list[Json]) -> Json:
+        struts = [
+            {"low": low * 1e3, "high": high * 1e3, "at": at * 1e3, "goal": goal * 1e3}
+            for (low, high), at, goal in zip(view.ranges.tolist(), view.lengths.tolist(), view.goal.tolist())
+        ]
+        T = view.seen.sight.T_base_platform if view.seen is not None else None
+        return {
+            "verdict": run_verdict(view).tree(),
+            "phase": view.phase,
+            "frame": view.frame,
+            "frames": view.frames,
+            "step": view.step,
+            "steps": view.steps,
+            "left": view.left if np.isfinite(view.left) else 0.0,
+            "ended": view.ended,
+            "struts": struts,
+            "history": history,
+            "alarms": [{"kind": alarm.kind, "text": alarm.text} for alarm in view.alarms],
+            "seen": None if view.seen is None else _seen(view.seen, self._design, self._markers),
+            "rig": _rig(self._design, self._fixed, self._markers, T),
+        }
+
+
+def _figures(seen: MeasuredFrame) -> Json:
+    """What charts show of a frame."""
+    rms = float(np.sqrt(np.mean(np.square(list(seen.rms.values()))))) if seen.rms else None
+    learnt = seen.learnt
+    return {
+        "frame": seen.sight.frame,
+        "rms": rms,
+        "error": None if learnt is None else float(np.linalg.norm(learnt.error[:3]) * 1e6),
+        "innovation": None if learnt is None else learnt.innovation,
+    }
+
+
+def _seen(seen: MeasuredFrame, design: Design, markers: MarkerMap | None) -> Json:
+    ids = np.zeros(0, int) if markers is None else markers.id
+    sight, learnt, T = seen.sight, seen.learnt, seen.sight.T_base_platform
+
+    def scaled(values: Floats, scale: float) -> list[float]:
+        return (np.asarray(values) * scale).tolist()
+
+    return {
+        "frame": sight.frame,
+        "reason": sight.reason,
+        "delay": seen.delay,
+        "pose": None if T is None else scaled(pose_to_vector(T), 1e3),
+        "sigma": None if sight.covariance is None else scaled(np.sqrt(np.diag(sight.covariance)), 1e6),
+        "error": None if learnt is None else scaled(learnt.error, 1e6),
+        "innovation": None if learnt is None else learnt.innovation,
+        "cameras": [
+            _camera(seen, i, camera, ids) for i, camera in enumerate(design.cameras) if camera.name in sight.detections
+        ],
+    }
+
+
+def _camera(seen: MeasuredFrame, i: int, camera: Camera, ids: Integers) -> Json:
+    """What one camera saw. ids : identity of each row of the marker map"""
+    sight, detection = seen.sight, seen.sight.detections[camera.name]
+    o = sight.observations
+    rows = np.flatnonzero(o.camera == i)
+    aside = set(ids[o.marker[rows[~sight.inliers[rows]]]].tolist())
+    solved = rows[np.isfinite(sight.residuals[rows, 0])]
+    return {
+        "name": camera.name,
+        "width": camera.width,
+        "height": camera.height,
+        "read": len(detection.marker),
+        "expected": len(sight.expected.get(camera.name, detection.marker)),
+        "rms": seen.rms.get(camera.name),
+        "blur": seen.blur.get(camera.name),
+        "quads": [
+            [int(number), number not in aside, *np.round(quad.ravel(), 2).tolist()]
+            for number, quad in zip(detection.marker.tolist(), detection.corners)
+        ],
+        "arrows": np.round(np.hstack([o.uv[solved], sight.residuals[solved]]), 4).tolist(),
+    }
+
+
+def _rig(design: Design, fixed: list[Json], markers: MarkerMap | None, T: RigidTransform | None) -> Json:
+    """The rig as lines at a pose of the platform, at home before one is known."""
+    m, parts = design.mechanism, list(fixed)
+    middle = [0.0, 0.0, 0.0]
+    if has_plates(m):
+        T = m.home if T is None else T
+        top = T.apply(m.platform_joints)
+        parts += [
+            {"kind": "strut", "name": str(k), "points": [low.tolist(), high.tolist()]}
+            for k, (low, high) in enumerate(zip(m.base_joints, top), 1)
+        ]
+        parts += [
+            {"kind": "plate", "points": around} for around in (closed_outline(m.base_joints), closed_outline(top))
+        ]
+        middle = (m.home.translation / 2).tolist()
+    if markers is not None and T is not None:
+        corners = transform_points(T, markers.corners[markers.on_platform].reshape(-1, 3))
+        parts += [{"kind": "face", "points": quad.tolist()} for quad in corners.reshape(-1, 4, 3)]
+    size = max([float(np.linalg.norm(camera.pose.translation)) for camera in design.cameras] or [1.0])
+    return {"parts": parts, "middle": middle, "size": size}

@@ -1,0 +1,363 @@
+"""Observer of a run's frames: each measured and learnt from as it comes, alarms raised, displays updated."""
+
+import queue
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Protocol, TypedDict, Unpack
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.certification.redundant_measuring_limb_checks import has_six_measuring_limbs
+from calib.online.filter_kernels_and_change_detection import change_sentence
+from calib.online.platform_poses_from_measuring_limbs import Disagreement, LiveLimbPoses
+from calib.online.run_learning import Learner, Learnt, LimbWatch
+from rig.array_and_json_types import Floats
+from rig.driving.clock import Clock
+from rig.driving.move_and_record_loop import RecordedFrame
+from rig.driving.run_journal_and_recording import Departure, Ended, Exposed, Readings, Remark, Resumed, Row
+from rig.driving.run_steps_and_progress import Step, step_distances
+from rig.errors import NotConverged, RigError
+from rig.model import mechanisms
+from rig.model.design import Design
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_struts
+from vision.reading.camera_and_marker_alarms import Alarm, Watch
+from vision.reading.live_measurement import Live, Sight, sight_from_measuring_limbs
+
+WAITING = 4  # frames that may wait to be measured before the run waits for them
+LATEST = 30  # alarms that are kept for displays
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredFrame:
+    """A frame that was measured. delay : s from the end of its exposure to its pose; learnt : what the learner made of
+    it, or None
+    blur : {camera: px, width of the markers' edges}, a figure of focus; rms : px of its corners, {camera: px}."""
+
+    shot: RecordedFrame
+    sight: Sight
+    learnt: Learnt | None
+    delay: float
+    rms: dict[str, float]
+    blur: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """What displays show. phase : in words; frame, frames, step, steps : how far; left : s; lengths, goal : (axes,) m
+    ranges : (axes, 2) m; alarms : the latest; seen : the latest Seen, None before the first; ended : why, None while it
+        goes."""
+
+    phase: str
+    frame: int
+    frames: int
+    step: int
+    steps: int
+    left: float
+    lengths: Floats
+    goal: Floats
+    ranges: Floats
+    alarms: tuple[Alarm, ...]
+    seen: MeasuredFrame | None
+    ended: str | None
+
+
+class ViewChanges(TypedDict, total=False):
+    """Fields of a View that have changed."""
+
+    phase: str
+    frame: int
+    frames: int
+    step: int
+    steps: int
+    left: float
+    lengths: Floats
+    goal: Floats
+    ranges: Floats
+    alarms: tuple[Alarm, ...]
+    seen: MeasuredFrame | None
+    ended: str | None
+
+
+class RunDisplay(Protocol):
+    """Something that shows a run."""
+
+    def show(self, view: View) -> None:
+        """The run as it stands now."""
+
+    def close(self) -> None:
+        """The run is over."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunStop:
+    """What a run is stopped for, and how. kinds : of Alarms; halt : stops the struts now, from any thread."""
+
+    kinds: frozenset[str]
+    halt: Callable[[], object]
+
+
+class RunObserver:
+    """See rig.driving.move_and_record_loop.Watcher. start : (axes,) m; live, learner : None where frames are not
+    measured or poses not learnt from `displays` : who shows it."""
+
+    def __init__(
+        self,
+        design: Design,
+        planned: tuple[Step, ...],
+        start: Floats,
+        clock: Clock,
+        live: Live | None,
+        learner: Learner | None,
+        stopping: RunStop,
+    ) -> None:
+        self.design, self._clock, self._live, self._learner = design, clock, live, learner
+        self._stopping, self._reason = stopping, ""
+        self._failed: Exception | None = None
+        self.displays: list[RunDisplay] = []
+        self.note: Callable[[str], None] = lambda text: (
+            None
+        )  # puts what is said on record; the operator's, once there is one
+        self._watch = Watch(design)
+        self._limbs = LimbWatch(design) if has_six_measuring_limbs(design) else None
+        self._read: Floats | None = None
+        self.source: LiveLimbPoses | None = None  # limbs whose poses stand for vision's
+        self.withdraw: Callable[[LiveLimbPoses, int, str], None] = lambda source, frame, reason: (
+            None
+        )  # writes that they no longer do
+        self._waiting: list[Alarm] = []  # jumps that vision has not confirmed
+        self._begun, self._done, self._way = clock.now(), 0, step_distances(planned, start)
+        speed = design.controller.max_speed.min() if design.controller else np.inf
+        self._travel, self._planned = self._way / speed, planned
+        frames = sum(step.frames for step in planned)
+        self.view = View(
+            "starting",
+            0,
+            frames,
+            0,
+            len(planned),
+            float("nan"),
+            start,
+            start,
+            require_struts(design.mechanism).strut_range,
+            (),
+            None,
+            None,
+        )
+        self._lock = threading.RLock()
+        self._queue: queue.Queue[tuple[RecordedFrame, Floats | None] | None] = queue.Queue(WAITING)
+        self._worker = threading.Thread(target=self._work, daemon=True)
+        self._worker.start()
+
+    def happened(self, row: Row) -> None:
+        """A row is on disk."""
+        if isinstance(row, Departure):
+            self._done += 1
+            self.update(
+                phase=f"moving to step {row.step + 1}",
+                step=row.step + 1,
+                goal=np.array(row.goal),
+                left=self._left(row.step),
+            )
+        elif isinstance(row, Exposed):
+            self.update(phase="exposed", frame=row.frame + 1)
+        elif isinstance(row, Resumed):
+            self.update(phase=row.found, lengths=np.array(row.position))
+        elif isinstance(row, Remark):
+            return  # alarms are shown as such
+        elif isinstance(row, Ended):
+            self.update(phase="done" if not row.reason else f"ended: {row.reason}", ended=row.reason, left=0.0)
+        elif isinstance(row, Readings):
+            values = dict(zip(row.channels, row.values))
+            if self._limbs is not None and "m1" in values:
+                self._read = np.array([values[name] for name in self._limbs.channels])
+        else:
+            self.update(phase="settling", lengths=np.array(getattr(row, "position", self.view.lengths)))
+
+    def seen(self, shot: RecordedFrame) -> None:
+        """A frame is on disk: it is measured while the run goes on."""
+        if self._live is not None or self.source is not None:
+            self._queue.put((shot, self._read))
+
+    def stop(self) -> str:
+        """Why the run should stop."""
+        return self._reason
+
+    def ask_stop(self, reason: str) -> None:
+        """Stop the struts now and the run with them; from any thread."""
+        self._reason = self._reason or reason
+        self._stopping.halt()
+
+    def update(self, **changes: Unpack[ViewChanges]) -> None:
+        """Show what has changed of the view."""
+        with self._lock:
+            self.view = replace(self.view, **changes)
+            for display in tuple(self.displays):
+                try:
+                    display.show(self.view)
+                except (
+                    Exception
+                ) as error:  # of a display, whatever it is: the run goes on without that one, and reports it
+                    self.displays.remove(display)
+                    self._report_lost(display, error)
+
+    def _report_lost(self, display: RunDisplay, error: Exception) -> None:
+        text = f"{type(display).__name__} no longer shows the run, which continues: {error!r}"
+        self.note(text)
+        with suppress(OSError):  # where that cannot be printed either the journal alone has it
+            print(text, file=sys.stderr)
+
+    def warn(self, alarm: Alarm) -> None:
+        """Say what is wrong, and stop the run where that was asked for."""
+        self.update(alarms=(*self.view.alarms[1 - LATEST :], alarm))
+        self.note(f"{alarm.kind}: {alarm.text}")
+        if alarm.kind in self._stopping.kinds:
+            self.ask_stop(alarm.text)
+
+    def finish(self) -> None:
+        """Measure what still waits, then let displays go."""
+        self._queue.put(None)
+        self._worker.join()
+        try:
+            if self._live is not None:
+                self._live.close()
+        finally:
+            for display in self.displays:
+                display.close()
+        if self._failed is not None:
+            raise self._failed
+
+    def _left(self, step: int) -> float:
+        """s until the plan is done: the ways at full speed, and what the steps so far took beside theirs."""
+        passed = self._clock.now() - self._begun
+        done = max(self._done - 1, 0)
+        beside = (passed - self._travel[step - done : step].sum()) / done if done else 0.0
+        return float(self._travel[step:].sum() + max(beside, 0.0) * (len(self._planned) - step))
+
+    def _work(self) -> None:
+        while (taken := self._queue.get()) is not None:
+            shot, lengths = taken
+            try:
+                if self._failed is None and self.source is not None and self.source.in_force and lengths is not None:
+                    self._by_limbs(shot, lengths, self.source)
+                elif self._failed is None and self._live is not None:
+                    self._measure(shot, lengths, self._live)
+            except RigError as error:
+                self.warn(Alarm("unseen", f"frame {shot.number} could not be measured: {error}"))
+            except Exception as error:  # ours, and no reason to lose the run: it is stopped, and `finish` raises it
+                self._failed = error
+                self.ask_stop(f"measuring frame {shot.number} failed: {error!r}")
+
+    def _look(self, shot: RecordedFrame, live: Live) -> tuple[Sight, list[Alarm]]:
+        """(what vision sees of a shot, what is wrong with that)."""
+        sight = live.take(shot.number, {name: frame.image for name, frame in shot.frames.items()}, self._expected(shot))
+        return sight, self._watch.look(sight, live.noise)
+
+    def _by_limbs(self, shot: RecordedFrame, lengths: Floats, source: LiveLimbPoses) -> None:
+        """A shot's pose from the limbs, learnt; vision looks where it is due, and what it has not confirmed is not
+        said.
+        """
+        open_ = source.is_closed(lengths)
+        if open_ is not None:
+            self._withdrawn(source, shot.number, open_)
+            if self._live is not None:
+                self._measure(shot, lengths, self._live)
+            return
+        T, own, common = source.pose(lengths)
+        learnt = None if self._learner is None else self._learner.learn(shot.commanded, T, own, common)
+        sight, alarms, live = (
+            sight_from_measuring_limbs(shot.number, T, own + common @ common.T),
+            list[Alarm](),
+            self._live,
+        )
+        if learnt is not None:
+            self._waiting += [Alarm("jump", change_sentence(change, shot.number)) for change in learnt.changes]
+        if live is not None and source.is_check_due(learnt is not None and (learnt.unsure or bool(learnt.changes))):
+            seen, alarms = self._look(shot, live)
+            if seen.T_base_platform is not None and seen.covariance is not None:
+                found = source.check(lengths, seen.T_base_platform, seen.covariance)
+                sight = seen
+                if found is not None:
+                    self._withdrawn(source, shot.number, found)
+                elif not source.undecided:
+                    alarms, self._waiting = alarms + self._waiting, []
+                    if self._learner is not None:
+                        self._learner.save()
+        self._show(shot, sight, learnt)
+        for alarm in alarms:
+            self.warn(alarm)
+        if live is not None:
+            live.adjust()
+
+    def _withdrawn(self, source: LiveLimbPoses, frame: int, found: Disagreement) -> None:
+        """The limbs no longer stand for vision: on file, said, and what was learnt since the last check is
+        forgotten.
+        """
+        self._waiting = []
+        if self._learner is not None:
+            self._learner.restore()
+        self.withdraw(source, frame, found.reason)
+        self.warn(
+            Alarm(
+                "limbs",
+                f"frame {frame}: {found.reason}. {found.who}: their acceptance is withdrawn, "
+                "what was learnt since they last agreed is forgotten, and vision measures",
+            )
+        )
+
+    def _measure(self, shot: RecordedFrame, lengths: Floats | None, live: Live) -> None:
+        sight, alarms = self._look(shot, live)
+        learnt = None
+        if self._learner is not None and sight.covariance is not None:
+            learnt = self._learner.learn(shot.commanded, sight.T_base_platform, sight.covariance)
+            alarms += [Alarm("jump", change_sentence(change, shot.number)) for change in learnt.changes]
+            if learnt.drift:
+                alarms.append(
+                    Alarm(
+                        "drift",
+                        f"frame {shot.number}: poses have drifted from the calibration by "
+                        f"{learnt.drift[0] * 1e3:.3f} mm and "
+                        f"{learnt.drift[1] * 1e3:.3f} mrad, beyond the tolerance",
+                    )
+                )
+        if (
+            self._limbs is not None
+            and self.source is None
+            and lengths is not None
+            and sight.covariance is not None
+            and self._limbs.take(lengths, sight.T_base_platform, sight.covariance)
+        ):
+            alarms.append(Alarm("limbs", f"frame {shot.number}: the measuring limbs no longer agree with vision"))
+        self._show(shot, sight, learnt)
+        for alarm in alarms:
+            self.warn(alarm)
+        live.adjust()
+
+    def _show(self, shot: RecordedFrame, sight: Sight, learnt: Learnt | None) -> None:
+        """Have displays show a frame."""
+        delay = self._clock.now() - max([frame.t for frame in shot.frames.values()], default=self._clock.now())
+        o, good = sight.observations, sight.inliers & np.isfinite(sight.residuals[:, 0])
+        rms = {
+            camera.name: float(np.sqrt((sight.residuals[rows] ** 2).mean()))
+            for i, camera in enumerate(self.design.cameras)
+            if (rows := good & (o.camera == i)).any()
+        }
+        blur = {name: float(np.median(d.blur)) for name, d in sight.detections.items() if len(d.blur)}
+        self.update(seen=MeasuredFrame(shot, sight, learnt, delay, rms, blur))
+
+    def _expected(self, shot: RecordedFrame) -> RigidTransform | None:
+        """Where the platform ought to be."""
+        mechanism = self.design.mechanism
+        try:
+            if self._learner is not None:
+                return self._learner.expected(shot.commanded)
+            return (
+                mechanisms.kinematics_of(mechanism).forward(shot.commanded, mechanism)
+                if mechanism.plates is not None
+                else None
+            )
+        except NotConverged:
+            return None

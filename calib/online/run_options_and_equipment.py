@@ -1,0 +1,217 @@
+"""Run options, and a run's equipment opened: kernels compiled, cameras and exposures, sensors, observer."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from calib.certification import measuring_limb_calibration_and_slips
+from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.online import measuring_limbs_file
+from calib.online.measuring_limbs_file import Accepted
+from calib.online.observer_of_run_frames import RunObserver, RunStop
+from calib.online.platform_poses_from_measuring_limbs import LimbSource, LiveLimbPoses, write_withdrawal
+from calib.online.run_learning import Learner
+from rig.array_and_json_types import Floats
+from rig.driving.cameras import open_camera
+from rig.driving.cameras.camera_interface_and_grabbing import Settling, SynchronisedCameras, set_exposure_for_markers
+from rig.driving.clock import Clock
+from rig.driving.move_and_record_loop import RunEquipment
+from rig.driving.run_steps_and_progress import Step
+from rig.driving.serial_port import SensorReader
+from rig.driving.straight_move_profile import Way, trapezoidal_profile
+from rig.driving.strut_driver import Driver
+from rig.errors import RigError
+from rig.model import mechanisms
+from rig.model.design import Design
+from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_plates
+from vision.corners.marker_detection import detect_markers
+from vision.hand_cameras_stages_and_remounted_cubes import has_hand_cameras
+from vision.reading.live_measurement import Live
+from vision.reading.parallel_image_map_and_marker_rendering import marker_white_level, render_marker_images, save_image
+from vision.targets import marker_map
+
+ALARMS = ("jump", "camera", "covered", "unseen", "drift", "limbs")
+FIRST_EXPOSURE = 0.01  # s that the first exposure takes where it is searched for
+SHARED_DRAWS = 42  # draws that all poses by limbs have in common: their geometry
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunOptions:
+    """seed : of the plan; settle : "time:SECONDS", "images" or "limbs:METRES"; exposure : s of all cameras, "keep" as
+    they are, None so that markers are bright and do not clip
+    calibration : what poses are expected by, or None; calibration_name : of its file, for messages; tolerance : (m,
+    rad) of drift from it that is an alarm, or None; stop_on : kinds of ALARMS that end the run
+    measure : whether frames are measured; limbs : measuring limbs in place of vision, or None; trust_position : whether
+    the position that the controller reads is believed; resume : whether a run is gone on with; trace : file of the
+    bytes exchanged with the controller, or None
+    """
+
+    seed: int = 0
+    settle: str = "time:1"
+    exposure: float | str | None = None
+    calibration: Calibration | None = None
+    calibration_name: str = "the calibration"
+    tolerance: tuple[float, float] | None = None
+    stop_on: frozenset[str] = frozenset()
+    measure: bool = True
+    limbs: LimbSource | None = None
+    trust_position: bool = False
+    resume: bool = False
+    trace: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.stop_on - set(ALARMS):
+            unknown = ", ".join(sorted(self.stop_on - set(ALARMS)))
+            raise RigError(f"--stop-on takes {', '.join(ALARMS)}, not {unknown}")
+        if "drift" in self.stop_on and not self.tolerance:
+            raise RigError("--stop-on drift takes a --calibration and a --tolerance")
+        if self.limbs is not None and not self.measure:
+            raise RigError(
+                "--limbs with --no-measure: vision must measure some poses, or a slipping limb is never detected"
+            )
+
+    def accepted_limbs(self, design: Design) -> Accepted | None:
+        """The limbs that stand for vision, None where none do. Raises RigError where nothing reads them."""
+        if self.limbs is None:
+            return None
+        found = measuring_limbs_file.accepted_limbs(self.limbs.path, design)
+        channels = measuring_limb_calibration_and_slips.stated_limbs(design).channels
+        if design.sensors is None or set(channels) - set(design.sensors.channels):
+            raise RigError(
+                f"--limbs takes a [sensors] table in rig.toml with the channels {channels[0]} .. {channels[-1]}"
+            )
+        return found
+
+    def refuse_unsuited(self, design: Design) -> None:
+        """Raise RigError for a calibration of another kind of machine than a design's, or with physics."""
+        calibration = self.calibration
+        if calibration is None:
+            return
+        calibration.refuse_physics("watching a run")
+        if calibration.correction.nominal.kind != design.mechanism.kind:
+            raise RigError(
+                f"{self.calibration_name} is of a mechanism of kind {calibration.correction.nominal.kind!r}, the "
+                f"rig's is {design.mechanism.kind!r}"
+            )
+
+
+def compile_kernels_for_run(design: Design) -> None:
+    """Compile the kernels that a run needs, by measuring one drawn image of a hexapod at home."""
+    m = design.mechanism
+    if not has_plates(m) or not design.cameras or not any(target.body == "platform" for target in design.targets):
+        return
+    markers, live = marker_map(design), Live(design)
+    images = render_marker_images(design.cameras, m.home, markers)
+    live.take(0, images)
+    live.close()
+    for camera in design.cameras:
+        detect_markers(images[camera.name], camera, markers, T_base_platform=m.home)
+    learner, lengths = Learner(m), mechanisms.kinematics_of(m).inverse(m.home, m)
+    for _ in range(2):  # the second is held against the first
+        learner.learn(lengths, m.home, 1e-10 * np.eye(6))
+
+
+def open_cameras(design: Design, clock: Clock) -> SynchronisedCameras:
+    """Open all cameras of a design. Raises CameraError where one has no source or does not open; the others close."""
+    opened = []
+    try:
+        for camera in design.cameras:
+            opened.append(open_camera(camera, clock))
+    except RigError:
+        for source in opened:
+            source.close()
+        raise
+    return SynchronisedCameras(tuple(opened), clock)
+
+
+def open_run_equipment(
+    design: Design, driver: Driver, shutter: SynchronisedCameras, settling: Settling, clock: Clock
+) -> RunEquipment:
+    """Open the RunEquipment of a run, with its sensors if any. Raises RigError for settling by limbs that nobody
+    reads.
+    """
+    sensing = SensorReader(design.sensors, clock) if design.sensors else None
+    channels = set(design.sensors.channels) if design.sensors else set()
+    if settling.by == "limbs" and not {f"m{i + 1}" for i in range(6)} <= channels:
+        raise RigError("settling by limbs takes a [sensors] table with the channels m1 .. m6")
+    return RunEquipment(
+        driver,
+        shutter,
+        clock,
+        settling,
+        design.driver().tolerance,
+        _move_time_profile(design),
+        save_image,
+        sensing.read if sensing else None,
+        sensing.limbs if sensing else None,
+    )
+
+
+def _move_time_profile(design: Design) -> Callable[[Floats, Floats, float, float], Way]:
+    """How a move goes in time: (start, goal (axes,) m, begun, ended s) -> Way, by the controller's stated speeds and
+    accelerations.
+    """
+    c = design.driver()
+
+    def way(start: Floats, goal: Floats, begun: float, ended: float) -> Way:
+        travel = np.abs(goal - start)
+        cruise = float((travel / c.max_speed).max())
+        if not travel.any():
+            return ()
+        ramp = None if c.max_acceleration is None else float((travel / c.max_acceleration).max() / cruise)
+        return trapezoidal_profile(begun, ended, cruise, ramp)
+
+    return way
+
+
+def set_exposures(shutter: SynchronisedCameras, design: Design, stated_exposure: float | None) -> list[str]:
+    """Set exposures of all cameras, s (None: bright markers without clipping); returns lines of a report."""
+    said, markers = [], marker_map(design)
+    for source in shutter.sources:
+        if not source.can_set_exposure:
+            said.append(f"camera {source.name!r} sets its exposure itself")
+        elif stated_exposure is not None:
+            said.append(f"camera {source.name!r}: exposure {source.set_exposure(stated_exposure) * 1e3:.3g} ms")
+        else:
+            exposure, level = set_exposure_for_markers(
+                source, partial(marker_white_level, camera=design.camera(source.name), markers=markers), FIRST_EXPOSURE
+            )
+            said.append(
+                f"camera {source.name!r}: exposure {exposure * 1e3:.3g} ms, markers' white at {level:.0f} of 255"
+            )
+    return said
+
+
+def run_observer(
+    design: Design,
+    planned: tuple[Step, ...],
+    start: Floats,
+    clock: Clock,
+    stopping: RunStop,
+    options: RunOptions,
+    out: Path,
+) -> RunObserver:
+    """RunObserver of a run, by accepted limbs where the options name them.
+
+    start : (axes,) m; out : the recording, named where an acceptance is withdrawn
+    """
+    accepted = options.accepted_limbs(design)
+    measured = options.measure and (
+        has_hand_cameras(design) or any(target.body == "platform" for target in design.targets)
+    )
+    learner = None
+    if measured and has_plates(design.mechanism):
+        shared = 0 if accepted is None else SHARED_DRAWS
+        learner = Learner(design.mechanism, options.calibration, options.tolerance, shared)
+    observer = RunObserver(design, planned, start, clock, Live(design) if measured else None, learner, stopping)
+    if accepted is not None and options.limbs is not None:
+        observer.source = LiveLimbPoses(accepted, options.limbs.every)
+        observer.withdraw = partial(_withdraw, options.limbs.path, str(out))
+    return observer
+
+
+def _withdraw(path: Path, recording: str, source: LiveLimbPoses, frame: int, reason: str) -> None:
+    write_withdrawal(path, source.accepted, recording, frame, reason)

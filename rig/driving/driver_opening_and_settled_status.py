@@ -1,0 +1,70 @@
+"""Driver opening for a design, locked against other processes, and settled status once no axis moves."""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from rig.driving.clock import Clock, SystemClock
+from rig.driving.controller_lock import ControllerLock
+from rig.driving.controller_status_and_operator_advice import ControllerStatus
+from rig.driving.strut_driver import Driver
+from rig.errors import FileError, RigError
+from rig.formats.rig_toml import design_file
+from rig.model.design import Design, port_problem
+
+
+def design_with_controller_port(path: Path, port: str | None) -> Design:
+    """Design of a rig.toml with a controller, its port replaced where one is given. Raises RigError for one without."""
+    design = design_file.load_design(path)
+    if design.controller is None:
+        raise RigError(f"{path} has no [controller], so there is nothing to drive: state its protocol and port there")
+    if port and (problem := port_problem(port)):
+        raise RigError(f"--port {problem}")
+    return replace(design, controller=replace(design.controller, port=port, usb="")) if port else design
+
+
+@contextmanager
+def open_driver(
+    design: Design,
+    trace: Path | None,
+    print_line: Callable[[str], None],
+    clock: Clock | None = None,
+    stopping: bool = False,
+) -> Iterator[Driver]:
+    """The open Driver of a design, which no other process drives meanwhile. say : takes a line of text
+    stopping : the struts are stopped before anything is asked of the controller
+    Raises FileError for a trace that cannot be written, and what opening raises."""
+    c = design.driver()
+    with ExitStack() as stack:
+        stack.enter_context(ControllerLock(c.port, c.usb))
+        file = None
+        if trace is not None:
+            try:
+                file = stack.enter_context(open(trace, "a", encoding="utf-8"))
+            except OSError as error:
+                raise FileError(trace, f"cannot be written: {error.strerror}") from None
+        driver = Driver(design, clock or SystemClock(), trace=file, say=print_line)
+        stack.callback(driver.close)
+        driver.open(stopping)
+        yield driver
+
+
+def settled_status(
+    driver: Driver, clock: Clock, timeout: float = 60.0, poll_interval: float = 0.05
+) -> ControllerStatus:
+    """Status once the axes have settled: a move that another process began is awaited.
+
+    Raises RigError where they still move after so long.
+    """
+    status, end = driver.status(), clock.now() + timeout
+    moved = status.activity == "moving"
+    while status.activity == "moving":
+        if clock.now() > end:
+            driver.stop()
+            raise RigError(f"the struts still moved {timeout:g} s after connecting; they were commanded to stop")
+        clock.sleep(poll_interval)
+        status = driver.status()
+    if moved and status.known and status.activity == "idle" and not status.fault:
+        driver.trust()  # it counted all the way, and nobody else commands it
+    return status

@@ -1,0 +1,339 @@
+"""Effect places, parameters and covariates as data types, with recording context and linear columns.
+
+Files, JSON and the command line have a place's text.
+"""
+
+import re
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+
+from rig.array_and_json_types import Floats
+from rig.effects.framework.machine_motion_and_play import Motion
+from rig.errors import RigError
+from rig.formats.number_parsing_and_rounding import quantity_text
+from rig.model.design import Camera, Design
+from rig.recording.recording_folder import Sensors
+
+AXES = ("strut", "joint", "slide")  # what "axis" stands for among an effect's places
+WHOLE = {**dict.fromkeys(AXES, "rig"), "camera": "cameras", "marker": "markers"}  # what takes in all places of a kind
+NUMBER = "[1-9][0-9]{0,8}"
+STAGE = re.compile(rf"stage ({NUMBER}) ((?:{'|'.join(AXES)})(?: .*)?)", re.DOTALL)
+SHORT = re.compile(rf"stage[ _]?({NUMBER})[ _]?({'|'.join(AXES)})[ _]?({NUMBER})")
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """kind : "strut", "joint", "slide", "camera", "marker" or "target", with a name; "rig", "clock", "cameras" or
+    "markers" without one
+    name : which of its kind, "3" or "left"; stage : of a chain, from 1, 0 for what is no stage's"""
+
+    kind: str
+    name: str = ""
+    stage: int = 0
+
+    @classmethod
+    def axis(cls, kind: str, index: int) -> Self:
+        """The axis of a machine by its index, from 0."""
+        return cls(kind, str(index + 1))
+
+    @classmethod
+    def parse(cls, text: str) -> "Place":
+        """The Place of a text, "strut 3", "stage 2 strut 3", "camera left" or "rig"; of any other text what stands
+        before and after its first space.
+        """
+        return _parsed(text)
+
+    def __str__(self) -> str:
+        own = f"{self.kind} {self.name}" if self.name else self.kind
+        return f"stage {self.stage} {own}" if self.stage else own
+
+    @property
+    def is_axis(self) -> bool:
+        """Whether it is an axis."""
+        return self.kind in AXES
+
+    @property
+    def axis_word(self) -> str:
+        """What its axis is called: "strut", "joint" or "slide"; of what is no axis, "strut"."""
+        return self.kind if self.is_axis else AXES[0]
+
+    @property
+    def number(self) -> int:
+        """The number that is its name. Raises ValueError for another name"""
+        return int(self.name)
+
+    def includes(self, other: "Place") -> bool:
+        """Whether it is another, or takes in all of its kind, as "rig" does struts."""
+        whole = WHOLE.get(other.kind)
+        return self == other or (whole is not None and self == Place(whole))
+
+
+@cache
+def _parsed(text: str) -> Place:
+    found = STAGE.fullmatch(text)
+    kind, _, name = (found[2] if found else text).partition(" ")
+    return Place(kind, name, int(found[1]) if found else 0)
+
+
+def fill_axis_placeholder(text: str) -> str:
+    """Text with its placeholder {axis} filled by the word axis, for axes of any kind."""
+    return text.replace("{axis}s", "axes").format(axis="axis")
+
+
+def parse_stage_place(text: str, kinds: Collection[str]) -> Place | None:
+    """The Place in a chain that a text means ("stage2strut3"), where axes are among the kinds of place; None for any
+    other text.
+    """
+    found = SHORT.fullmatch(text) if "axis" in kinds else None
+    return None if found is None else Place(found[2], found[3], int(found[1]))
+
+
+@cache
+def axis_mask(effect_place: Place, places: tuple[str, ...]) -> Floats:
+    """Mask (axes,) of axes (texts of their places): 1.0 for those that a place is or includes, else 0.0."""
+    return np.array([float(effect_place.includes(Place.parse(place))) for place in places])
+
+
+MOST_SHOWN = 3  # numbers of several
+
+TURNED = {"m": "rad", "N/m": "N m/rad"}  # units of a strut's and of a joint's axis
+
+FAR = 10.0  # times what rigs show, from which a size is said to be unusual
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """name; unit; bounds : (low, high) that make sense, beyond any value that nature prefers; usual : (low, high) that
+    rigs show
+    size : numbers it has, 0 for any; signed : whether minus what is usual is as usual
+    joint : (bounds, usual) at a joint, whose travel is rad, where these are not those of a strut
+
+    role : how the effect depends on it, for those who search: "linear", "inverse" (its reciprocal enters linearly),
+    "size" (nothing at zero, but not linear), "phase" (of a sinusoid that a linear parameter scales), "log" or "even" (a
+    node's parameter, to be searched over `usual` on a scale of that kind), "moment" (a time, s from the recording's
+    start), "frequency", "direction" (of which only the direction counts), "choice" (given or chosen, never fitted)
+    """
+
+    name: str
+    unit: str
+    bounds: Range
+    usual: Range
+    size: int = 1
+    role: str = "linear"
+    signed: bool = False
+    joint: tuple[Range, Range] | None = None
+
+    def unusual(self, value: object) -> str | None:
+        """Whether a value is far beyond what rigs show, in a sentence; None where it is not, or is no number."""
+        if self.role not in ("linear", "size", "inverse") or not isinstance(value, (int, float)):
+            return None
+        inverse = self.role == "inverse"
+        most = self.usual[0] if inverse else self.usual[1]
+        if not (abs(value) * FAR < most if inverse else abs(value) > FAR * most):
+            return None
+        end = "least" if inverse else "most"
+        return (
+            f"{self.name.replace('_', ' ')} {quantity_text(value, self.unit)} is far beyond what rigs show, "
+            f"{quantity_text(most, self.unit)} at the "
+            f"{end}: "
+            "something else may hide behind it"
+        )
+
+    def at(self, place: str) -> "Parameter":
+        """The same as it is at a place: in rad in place of m at a joint."""
+        if self.joint is None or Place.parse(place).kind != "joint":
+            return self
+        return replace(
+            self, unit=TURNED.get(self.unit, self.unit), bounds=self.joint[0], usual=self.joint[1], joint=None
+        )
+
+    def said(self, value: float | tuple[float, ...]) -> str:
+        """Its name and a value, in a unit that people read."""
+        numbers = value if isinstance(value, tuple) else (value,)
+        more = f", the first {MOST_SHOWN} of {len(numbers)}" if len(numbers) > MOST_SHOWN else ""
+        return f"{self.name.replace('_', ' ')} {quantity_text(numbers[:MOST_SHOWN], self.unit)}{more}"
+
+
+LOG_STEPS, EVEN_STEP = 14, 0.01  # values of a "log" parameter over its usual range; steps of an "even" one
+SIZES = 16  # values of a "size" parameter over its usual range
+EDGE = 4  # frames at either end that a moment leaves
+
+
+def parameter_grid(parameter: Parameter, t: Floats) -> list[float]:
+    """Grid of values of a parameter to be tried, by its role and usual size; t : (n,) s, the exposures."""
+    low, high = parameter.usual
+    if parameter.role in ("size", "log"):
+        return np.geomspace(low, high, SIZES if parameter.role == "size" else LOG_STEPS).tolist()
+    if parameter.role == "even":
+        return np.arange(max(low * 0.3, parameter.bounds[0]), min(high * 2.5, parameter.bounds[1]), EVEN_STEP).tolist()
+    return ((t[EDGE - 1 : -EDGE] + t[EDGE : len(t) - EDGE + 1]) / 2).tolist()
+
+
+def derivative_step(parameter: Parameter) -> float:
+    """Step of a parameter for its numerical derivative."""
+    size = (
+        np.sqrt(parameter.usual[0] * parameter.usual[1])
+        if parameter.usual[0] > 0
+        else 1e-2 * max(map(abs, parameter.usual))
+    )
+    return 1 / size if parameter.role == "inverse" else 0.1 * size
+
+
+EARLY, LATE = 0.1, 0.9  # shares of the exposures between which moments are drawn
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawing:
+    """design : Design; t : (n,) s, the exposures; motion : Motion of its commands, everything logged that can be
+    displaced : (how a camera is to be looked through : Effect -> px RMS by which corners all over its image move), see
+        synthetic.blind_cases
+    """
+
+    design: Design
+    t: Floats
+    motion: Motion
+    displaced: Callable[[Any, Camera], float]
+
+
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """Log-uniform random number between low and high: every order of magnitude as likely."""
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def draw_parameter(parameter: Parameter, drawing: Drawing, rng: np.random.Generator) -> float | tuple[float, ...]:
+    """Value of a parameter drawn at random over its usual range."""
+    low, high = parameter.usual
+    if parameter.role == "moment":
+        return float(rng.uniform(*np.quantile(drawing.t, [EARLY, LATE])))
+    if parameter.role in ("phase", "even"):
+        return float(rng.uniform(low, high))
+    size = log_uniform(rng, low, high)
+    if parameter.size == 1:
+        return float(rng.choice([-1, 1]) * size) if parameter.signed else size
+    return tuple((size / np.sqrt(parameter.size) * rng.normal(size=parameter.size)).tolist())
+
+
+def draw_number(parameter: Parameter, drawing: Drawing, rng: np.random.Generator) -> float:
+    """Number of a scalar parameter drawn at random over its usual range. Raises ValueError for a vector."""
+    drawn = draw_parameter(parameter, drawing, rng)
+    if isinstance(drawn, tuple):
+        raise ValueError(f"{parameter.name} has {len(drawn)} numbers")
+    return float(drawn)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Context:
+    """design : Design as its owner states it; t : (n,) s, the exposures; sensors : Sensors or None
+    motion : Motion at the measured poses, no effects; None where nothing was commanded
+    cameras : names of those that saw something; moving : of those on a mount that moves; markers : ids seen;
+        targets : names seen
+    """
+
+    design: Design
+    t: Floats
+    sensors: Sensors | None
+    motion: Motion | None
+    cameras: tuple[str, ...] = ()
+    moving: tuple[str, ...] = ()
+    markers: tuple[int, ...] = ()
+    targets: tuple[str, ...] = ()
+
+    def moved(self) -> Motion:
+        """The Motion. Raises RigError where nothing was commanded."""
+        if self.motion is None:
+            raise RigError("nothing was commanded")
+        return self.motion
+
+    def places_of_kind(self, kind: str) -> tuple[str, ...]:
+        """The places of a kind of place that an effect can sit at."""
+        if kind == "axis":
+            return self.moved().places
+        if kind == "cameras" and len(self.design.cameras) < 2:
+            return ()
+        several = {"camera": self.cameras, "marker": self.markers, "target": self.targets}
+        return tuple(str(Place(kind, str(name))) for name in several[kind]) if kind in several else (kind,)
+
+    def logged(self, *names: str) -> bool:
+        """Whether any of these sensor channels was logged."""
+        return self.sensors is not None and bool(set(names) & set(self.sensors.channels))
+
+
+PLOT_UNITS = {"m": (1e3, "mm"), "rad": (180 / np.pi, "degrees")}  # of an axis' travel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Covariate:
+    """values : (n,) or (n, axes) in the unit in which they are drawn; label : in words, with that unit."""
+
+    values: Floats
+    label: str
+
+
+def travel_covariate(values: Floats, motion: Motion, label: str, unit_suffix: str = "") -> Covariate:
+    """Covariate of travel values (n, axes) in the unit of each axis (m or rad), with a label."""
+    scale = np.array([PLOT_UNITS[unit][0] for unit in motion.units])
+    words = " or ".join(dict.fromkeys(PLOT_UNITS[unit][1] for unit in motion.units))
+    return Covariate(values * scale, f"{label}, {words}{unit_suffix}")
+
+
+def load_covariate(values: Floats, motion: Motion, label: str) -> Covariate:
+    """Covariate of load: values (n, axes) N or N m that the axes carry, with a label."""
+    kind = motion.kind
+    per = {"m": ("force", "N"), "rad": ("torque", "N m")}
+    names, units = (dict.fromkeys(per[unit][k] for unit in motion.units) for k in (0, 1))
+    return Covariate(values, f"{' or '.join(names)}, {label.format(unit=' or '.join(units), axis=kind.AXIS)}")
+
+
+def time_covariate(motion: Motion) -> Covariate:
+    """Covariate of time: minutes since the first exposure."""
+    return Covariate((motion.t - motion.t[0]) / 60, "time, min")
+
+
+def temperature_covariate(values: Floats, part: str) -> Covariate:
+    """Covariate of temperature: values (n,) or (n, axes) of a part in degrees Celsius."""
+    return Covariate(values, f"temperature of {part}, °C")
+
+
+QUADRATURE = "_quadrature"  # the cosine beside the sine of a sinusoid: stands for its phase
+Node = dict[str, Any]  # {parameter: value} of the nonlinear ones: a number each, or several
+COUNT = "_count"  # in a node: how many numbers a vector of any length has
+
+
+class Linear(NamedTuple):
+    """A column of the model: a parameter's name (or QUADRATURE), which number of a vector or None, and a small step of
+    it.
+    """
+
+    name: str
+    entry: int | None
+    step: float
+
+
+def parameter_values(
+    linear: Sequence[Linear], node: Node, coefficients: Floats, parameters: Sequence[Parameter]
+) -> dict[str, object]:
+    """{parameter: value} of an effect, from a grid node and coefficients (q,) of its linear columns."""
+    values, by = dict(node), {p.name: p for p in parameters}
+    vectors = {name: np.zeros(by[name].size or node[COUNT]) for name, index, _ in linear if index is not None}
+    for (name, index, _), c in zip(linear, coefficients):
+        if name == QUADRATURE:
+            amplitude = next(p.name for p in parameters if p.role == "linear")
+            phase = next(p.name for p in parameters if p.role == "phase")
+            values[amplitude], values[phase] = (
+                float(np.hypot(values[amplitude], c)),
+                float(np.arctan2(c, values[amplitude])),
+            )
+        elif index is not None:
+            vectors[name][index] = c
+        elif by[name].role == "inverse":
+            values[name] = 1 / c if c else np.inf
+        else:
+            values[name] = float(c)
+    values.pop(COUNT, None)
+    return {**values, **{name: tuple(v.tolist()) for name, v in vectors.items()}}

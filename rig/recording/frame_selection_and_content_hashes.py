@@ -1,0 +1,243 @@
+"""Frame selection of a recording by numbers, and content hashes by which its frames are recognised.
+
+What one camera saw in one frame is marked by its content: the image file's bytes, the corners found in it (marker,
+corner, u, v), or, of an outside instrument, the pose's numbers; what measuring limbs read at it likewise. Neither the
+frame's number, nor its time, nor the camera's name, nor the rest of rig.toml is part of a mark: data that are copied,
+renumbered, cut short or told by another clock are the same data. What occurs twice within one recording (a black
+image, a pose told to few digits) tells it from nothing and is no mark.
+
+Marks go on through every step. A folder that `rig measure` made keeps, frame by frame, the marks of what it was
+measured from, in its manifest; so the raw recording is known again in what was measured from it, and the other way
+round. A calibration and an on-line state keep the marks of all that they were learnt from. Two things hold the same
+data where they share a mark: what was measured anew of the same machine differs in every image by its noise, so that
+chance does not do that.
+"""
+
+import re
+from collections import Counter, defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from hashlib import sha256
+from itertools import compress
+from pathlib import Path
+
+import numpy as np
+
+from rig.array_and_json_types import Integers
+from rig.compute.worker_processes import worker_count
+from rig.errors import FileError, NotEnoughData, RigError
+from rig.formats.local_and_remote_input_files import short_repr
+from rig.formats.output_files.atomic_file_and_manifest import file_digest, load_manifest
+from rig.model.pose import pose_to_vector
+from rig.recording.recording_folder import LIMB, Recording
+from rig.recording.recording_tables import Poses
+
+FRAME = re.compile(r"\s*([0-9]{1,18})(?:\s*-\s*([0-9]{1,18}))?\s*")
+
+
+def parse_frame_ranges(text: str) -> tuple[tuple[int, int], ...]:
+    """Frame ranges ((first, last), ..) parsed from text like 3,7-9. Raises RigError.
+    Raises RigError for anything else.
+    """
+    parts = [FRAME.fullmatch(part) for part in text.split(",")]
+    if not all(parts):
+        raise RigError(f"--mask takes frames, for example 3,7-9, not {short_repr(text)}")
+    out = tuple((int(part[1]), int(part[2] or part[1])) for part in parts if part)
+    if any(first > last for first, last in out):
+        raise RigError(f"--mask {short_repr(text)}: a range runs from small to large")
+    return out
+
+
+def remove_frames(recording: Recording, frame_ranges: str) -> Recording:
+    """The Recording with frames removed, by ranges like 3,7-9; its commands remain.
+
+    Raises RigError for what is no such list and for what names no frame of the recording, NotEnoughData where no frame
+        is left
+    """
+    frames, gone = recording.exposures.times()[0], []
+    for first, last in parse_frame_ranges(frame_ranges):
+        own = frames[(frames >= first) & (frames <= last)]
+        if not len(own):
+            name = f"frame {first}" if first == last else f"frames {first} to {last}"
+            raise RigError(f"--mask: {recording.folder} has no {name}; its frames are {frames[0]} to {frames[-1]}")
+        gone.append(own)
+    out = np.unique(np.concatenate(gone))
+    if len(out) == len(frames):
+        raise NotEnoughData(f"--mask leaves none of the {len(frames)} frames of {recording.folder}")
+    return _without(recording, out)
+
+
+def select_frames(recording: Recording, frames: Integers) -> Recording:
+    """The Recording with only the selected frames (f,); its commands remain.
+    Raises NotEnoughData where it has none of them.
+    """
+    every = recording.exposures.times()[0]
+    if not np.isin(every, frames).any():
+        raise NotEnoughData(f"{recording.folder} has none of the {len(frames)} frames requested")
+    return _without(recording, every[~np.isin(every, frames)])
+
+
+def _without(recording: Recording, out: Integers) -> Recording:
+    """The Recording without frames (k,)."""
+    seen, corners = recording.exposures, recording.corners
+    keep = ~np.isin(seen.frame, out)
+    seen = replace(
+        seen,
+        frame=seen.frame[keep],
+        t=seen.t[keep],
+        camera=list(compress(seen.camera, keep)),
+        image=list(compress(seen.image, keep)),
+    )
+    if corners is not None:
+        keep = ~np.isin(corners.frame, out)
+        corners = replace(
+            corners,
+            frame=corners.frame[keep],
+            camera=list(compress(corners.camera, keep)),
+            marker=corners.marker[keep],
+            corner=corners.corner[keep],
+            uv=corners.uv[keep],
+            covariance=None if corners.covariance is None else corners.covariance[keep],
+        )
+    poses = None if recording.poses is None else _others(recording.poses, out)
+    return replace(
+        recording,
+        exposures=seen,
+        corners=corners,
+        poses=poses,
+        stages={k: _others(own, out) for k, own in recording.stages.items()},
+    )
+
+
+def _others(poses: Poses, out: Integers) -> Poses:
+    """Poses of other frames than these (k,)."""
+    keep = ~np.isin(poses.frame, out)
+    return replace(
+        poses,
+        frame=poses.frame[keep],
+        T_base_platform=poses.T_base_platform[keep],
+        covariance=None if poses.covariance is None else poses.covariance[keep],
+    )
+
+
+LENGTH = 16  # hexadecimal digits of a mark: two of a million alike in one case of 4e7
+Marks = dict[int, frozenset[str]]  # of each frame that has any
+
+
+def content_hashes_of_frames(recording: Recording) -> Marks:
+    """Content hashes of a recording's frames, and of the data they were measured from. Raises FileError.
+    Raises FileError for an image that cannot be read.
+    """
+    if recording.parts:
+        return {
+            part.frames + frame: own
+            for part in recording.parts
+            for frame, own in content_hashes_of_frames(part.recording).items()
+        }
+    with start_content_hashing(recording) as marked:
+        return marked()
+
+
+@contextmanager
+def start_content_hashing(recording: Recording) -> Iterator[Callable[[], Marks]]:
+    """Start hashing a recording's frames in background threads; returns a function that gives the hashes."""
+    paths = [recording.folder / name for name in recording.exposures.image if name]
+    if worker_count() < 2:
+        yield lambda: _marks(recording, dict(zip(paths, map(file_digest, paths))))
+        return
+    pool = ThreadPoolExecutor(worker_count())
+    try:
+        digests = pool.map(file_digest, paths)
+        yield lambda: _marks(recording, dict(zip(paths, digests)))
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _marks(recording: Recording, digests: dict[Path, str]) -> Marks:
+    """digests : of the images' files"""
+    found = [
+        *_images(recording, digests),
+        *((frame, mark) for part in (_corners, _poses, _limbs) for frame, mark in part(recording)),
+    ]
+    often = Counter(mark for _, mark in found)
+    out = defaultdict(set)
+    for frame, mark in found:
+        if often[mark] == 1:
+            out[frame].add(mark)
+    origin = load_manifest(recording.folder).origin
+    for line in origin.data if origin is not None else ():
+        number, _, mark = line.partition(" ")
+        if number.isdigit():
+            out[int(number)].add(mark)
+    return {frame: frozenset(own) for frame, own in out.items()}
+
+
+def hash_lines(hashes: Marks) -> tuple[str, ...]:
+    """Lines of hashes for a manifest, "frame hash" each."""
+    return tuple(f"{frame} {mark}" for frame, own in sorted(hashes.items()) for mark in sorted(own))
+
+
+def hashes_of_frames(hashes: Marks, frames: Iterable[int] | None = None) -> list[str]:
+    """Hashes of some frames, all by default, in order."""
+    return sorted(set().union(*(own for frame, own in hashes.items() if frames is None or frame in set(frames))))
+
+
+def frames_with_known_hashes(hashes: Marks, known_hashes: Collection[str]) -> list[int]:
+    """Frames that have known hashes."""
+    known_hashes = frozenset(known_hashes)
+    return sorted(frame for frame, own in hashes.items() if own & known_hashes)
+
+
+def _images(recording: Recording, digests: dict[Path, str]) -> list[tuple[int, str]]:
+    out = []
+    for frame, name in zip(recording.exposures.frame.tolist(), recording.exposures.image):
+        if name:
+            whole = digests[recording.folder / name]
+            if not whole:
+                raise FileError(recording.folder / name, "cannot be read")
+            out.append((frame, whole[:LENGTH]))
+    return out
+
+
+def _corners(recording: Recording) -> list[tuple[int, str]]:
+    c = recording.corners
+    if c is None:
+        return []
+    seen = defaultdict(list)
+    for frame, camera, marker, corner, (u, v) in zip(
+        c.frame.tolist(), c.camera, c.marker.tolist(), c.corner.tolist(), c.uv
+    ):
+        seen[frame, camera].append((marker, corner, f"{u:.5f} {v:.5f}"))
+    return [(frame, _mark("corners", sorted(rows))) for (frame, _), rows in seen.items()]
+
+
+def _poses(recording: Recording) -> list[tuple[int, str]]:
+    p = recording.poses
+    if p is None:
+        return []
+    rows = np.atleast_2d(pose_to_vector(p.T_base_platform))
+    return [(frame, _mark("pose", [f"{value:.9f}" for value in row])) for frame, row in zip(p.frame.tolist(), rows)]
+
+
+def _limbs(recording: Recording) -> list[tuple[int, str]]:
+    log = recording.sensors
+    names = (
+        sorted((name for name in log.channels if LIMB.fullmatch(name)), key=lambda name: int(name[1:]))
+        if log is not None
+        else []
+    )
+    if log is None or not names:
+        return []
+    frames, t = recording.exposures.times()
+    within = (log.t[0] <= t) & (t <= log.t[-1])
+    lengths = np.stack([np.interp(t[within], log.t, log.channels[name]) for name in names], axis=1)
+    return [
+        (frame, _mark("limbs", [f"{value:.8f}" for value in row]))
+        for frame, row in zip(frames[within].tolist(), lengths)
+    ]
+
+
+def _mark(kind: str, content: Sequence[object]) -> str:
+    return sha256(repr((kind, content)).encode()).hexdigest()[:LENGTH]
