@@ -7,10 +7,8 @@ from collections.abc import Sequence
 from os import PathLike
 from typing import TYPE_CHECKING
 
-from rig.array_and_json_types import Json
-
 if TYPE_CHECKING:
-    from rig.array_and_json_types import Floats, Integers
+    from rig.array_and_json_types import Floats, Integers, Json
 
 SCHEME = r"(?:[a-z][a-z0-9+.-]*::)*[a-z][a-z0-9+.-]+:"  # of a URL, as fsspec chains them
 FOLDED = re.compile(rf"^({SCHEME})/(?=[^/])")  # what pathlib makes of SCHEME//

@@ -1,7 +1,7 @@
 """A simulated rig: a secret machine, its recordings and images, blind campaigns.
 
 `simulate` takes a rig.toml to a recording (`SimulationResult`), as `SimulateOptions` and `ImageOptions` have it;
-`redraw` draws a diagnosed recording anew, with and without what was found.
+`simulate_with_and_without_findings` simulates a diagnosed recording, with and without the findings.
 """
 
 from typing import TYPE_CHECKING

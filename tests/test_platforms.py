@@ -48,9 +48,9 @@ def test_pictures_are_skipped_off_linux_alone(monkeypatch):
 def test_a_module_a_test_and_a_fixture_are_skipped(tmp_path, body, outcome):
     (tmp_path / "test_it.py").write_text(body)
     (tmp_path / "conftest.py").write_text(
-        "from tests import platforms\nfrom tests.conftest import *\n"
+        "from tests import missing_system_modules\nfrom tests.conftest import *\n"
         "from tests.conftest import pytest_make_collect_report, pytest_runtest_call, pytest_runtest_setup\n"
-        "platforms.MODULES['gone_module'] = 'what this test lacks'\n"
+        "missing_system_modules.MODULES['gone_module'] = 'what this test lacks'\n"
     )
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-rs", "-p", "no:cacheprovider", str(tmp_path)],

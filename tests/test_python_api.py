@@ -23,8 +23,10 @@ CLI = Path(rig.__file__).parent / "cli"
 CALLS = {
     **{
         verb: f"calib.api.{verb}:{verb}"
-        for verb in ("plan", "check", "calibrate", "correct", "diagnose", "verify", "certify", "investigate", "watch")
+        for verb in ("plan", "calibrate", "correct", "diagnose", "certify", "investigate")
     },
+    "check": "calib.api.recording_check_and_preparation:check",
+    **{verb: f"calib.api.verify_and_watch:{verb}" for verb in ("verify", "watch")},
     "simulate": "synthetic.api:simulate",
     "measure": "vision.api:measure",
     "online": "calib.api.learn:learn",
@@ -73,8 +75,11 @@ NOT_COMPUTING = (
     "AXES",
     "MOVES",
     "_file",
-    ": Exertion",
+    ": TorqueBounds",
     ": Strength",
+    ": effect_description",
+    ": effect_table",
+    ": catalogue_markdown",
     "Objective",
 )
 

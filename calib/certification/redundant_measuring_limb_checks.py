@@ -130,7 +130,7 @@ def has_six_measuring_limbs(design: Design) -> bool:
 
 
 def fit_redundant_limb_checks(limbs: Limbs, stated: MeasuringLimbs, lengths: Floats) -> Checks:
-    """Redundant limb checks: joints and zeros fitted for all limbs but the six, from the poses these give."""
+    """Redundant limb checks: joints and zeros of all limbs but the six, fitted to lengths (n, limbs) m."""
     others = np.setdiff1d(np.arange(len(stated.channels)), limbs.chosen)
     T = limbs.pose(lengths)
     start = Checks(

@@ -119,7 +119,7 @@ def scaled_commands(commands: Floats, strokes: Floats) -> Floats:
 
 
 def strut_deviation_components(samples: Samples, label: Integers, nominal: Struts) -> list[list[Component]]:
-    """Components (covariance kernels) of each strut's deviations that the samples may show."""
+    """Components (covariance functions) of each strut's deviations that the samples may show; label : (n,)."""
     x, n = scaled_commands(samples.effective, nominal.strut_range), len(samples)
     spread = FILL / np.sqrt(3)  # of a strut's place over the workspace, half strokes
     shared = [_scatter(n), *_repeated(label), *_times(samples), *_loads(samples, x)]

@@ -1,6 +1,4 @@
-"""Diagnosis of a recording of any machine: which effect sits where, how large, how sure,
-what nobody can name.
-"""
+"""Diagnosis of a recording of any machine: effects, places, sizes with uncertainty, and what has no known effect."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

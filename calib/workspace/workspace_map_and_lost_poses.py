@@ -48,7 +48,7 @@ def uncorrected_machine(correction: AnyCorrection) -> AnyCorrection:
 
 
 def reachable_poses_and_loss(machine: AnyCorrection, other: AnyCorrection, commands: Floats) -> MachineReach:
-    """Reachable poses of one machine at commands, and which of them another machine loses (MachineReach).
+    """Reachable poses of one machine at commands (n, axes), and which of them another machine loses.
     Raises NotConverged where none of them closes on a pose.
     """
     commands, T = solvable_commands_and_poses(commands, machine)

@@ -60,7 +60,7 @@ def _span(values: Floats) -> str:
 
 
 def certified_cell_promises_line(cell_promises: Floats) -> str:
-    """Line on the promises that a certificate makes in the cells."""
+    """Line on the promises (cells, 2) that a certificate makes in the cells."""
     known = np.isfinite(cell_promises[:, 0])
     if not known.any():
         return "the certificate's volume holds the middle of no cell"

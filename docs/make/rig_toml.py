@@ -130,14 +130,8 @@ class Log(Entries):
         dotted = ".".join(names)
         return f"[[{dotted}]]" if isinstance(self.path[-1], int) else f"[{dotted}]"
 
-    def _inner(self, plain: Entries) -> "Log":
-        return Log(plain.tree, plain.path, plain.file, plain.places, self.found)
-
-    def table(self, key: Key, optional: bool = False) -> Entries:
-        return self._inner(super().table(key, optional))
-
-    def tables(self, key: Key) -> list[Entries]:
-        return [self._inner(plain) for plain in super().tables(key)]
+    def _inner(self, tree: dict[int, object] | dict[str, object], *keys: Key) -> "Log":
+        return Log(tree, self.path + keys, self.file, self.places, self.found)
 
     def get(self, key: Key, default: Any = REQUIRED) -> Any:
         self._note(key, KINDS_OF_GET.get(str(key), "list"), default)
@@ -164,7 +158,9 @@ class Log(Entries):
         nulls: bool = False,
     ) -> Any:
         self._note(key, "number", default, _limits(least, most, above, unit))
-        return super().number(key, default, least, most, above, unit, nulls)
+        limits = {"least": least, "most": most, "above": above, "unit": unit or None}
+        stated = {name: value for name, value in limits.items() if value is not None}
+        return super().number(key, default, nulls=nulls, **stated)
 
     def each(self, key: Key, count: int, default: Any = REQUIRED, **limits: Any) -> Any:
         within = _limits(*(limits.get(name) for name in ("least", "most", "above")), limits.get("unit", ""))

@@ -79,7 +79,7 @@ def asked() -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
         found[Path(path).name] = (required, optional)
         return read(path, required, optional)
 
-    with TemporaryDirectory() as name, patch.object(csv_and_parquet_tables, "read", noted):
+    with TemporaryDirectory() as name, patch.object(csv_and_parquet_tables, "read_csv_table", noted):
         recording_folder.load_recording(_sample(Path(name)))
     return {file: found[file] for file in FILES}
 

@@ -60,7 +60,7 @@ def arguments(parser: ArgumentParser) -> None:
         "--approach",
         choices=("auto", "always", "never"),
         default="auto",
-        help="approach a pose from one side, beyond any hysteresis: auto (the default) does where that makes it surer",
+        help="approach a pose from one side, beyond any lost motion: auto (the default) does where that makes it surer",
     )
     parser.add_argument("--skip-unreachable", action="store_true", help="exclude, and list, unreachable poses")
     parser.add_argument(
@@ -155,7 +155,7 @@ def _print_result(arguments: Namespace, result: CorrectionResult, poses: str | N
     count = len(result.wanted.poses.frame)
     if result.out_of_reach:
         message = unreachable_poses_error(list(result.out_of_reach), count)
-        print(f"rig correct: {message}\nleft out, as asked", file=sys.stderr)
+        print(f"rig correct: {message}\nexcluded, as requested", file=sys.stderr)
     if result.covariance is not None and not (arguments.uncorrected or arguments.single_step):
         _print_uncertainty(result, result.covariance)
     if result.rest is not None:

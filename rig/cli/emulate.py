@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from rig.driving.emulators.controller_emulator import Emulator
     from synthetic.emulated_cameras import EmulatedCameraProcess
 
+PROTOCOLS = ("grblhal", "gcs", "linuxcnc", "struts")  # of rig.model.design, which would load SciPy for a help text
+
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    from rig.model.design import PROTOCOLS
-
     parser.add_argument("design", metavar="RIG.toml", type=Path)
     parser.add_argument("--protocol", choices=PROTOCOLS, help="by default as stated in [controller] of the rig.toml")
     parser.add_argument(

@@ -61,7 +61,7 @@ def _speed(folder, design):
     start = time.perf_counter()
     look = ["--images", "--blur", "0.5", "--read-noise", "1.5"]
     subprocess.run(
-        [*RIG, "simulate_world", folder / "rig.toml", "--plan", "sobol:100", *look, "--out", folder / "rec"],
+        [*RIG, "simulate", folder / "rig.toml", "--plan", "sobol:100", *look, "--out", folder / "rec"],
         check=True,
         capture_output=True,
     )

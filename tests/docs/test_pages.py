@@ -129,7 +129,11 @@ def test_pages_tell_enough_commands_for_that_to_mean_something():
 
 
 def test_every_page_that_commands_write_is_pictured():
-    code = [path.read_text(encoding="utf-8") for name in ("rig", "calib") for path in (ROOT / name).rglob("*.py")]
+    code = [
+        path.read_text(encoding="utf-8")
+        for name in ("rig", "calib", "synthetic")
+        for path in (ROOT / name).rglob("*.py")
+    ]
     kinds = set(re.findall(r'Page\(\s*"(\w+)"', "".join(code)))
     pictures = {path.stem: path.stat().st_size for path in (ROOT / "docs" / "pages").glob("*.webp")}
     assert len(kinds) > 12 and set(pictures) == kinds | {"run", "index"}, "python -m docs.make.pictures"

@@ -236,7 +236,7 @@ def _foreign(folder, design):
         Reader(
             "foreign commands",
             (german, plain),
-            lambda path: importers.command_table.read_commands(ForeignTable(path), design),
+            lambda path: importers.command_and_sensor_tables.read_commands(ForeignTable(path), design),
         ),
         Reader(
             "foreign poses",
@@ -253,7 +253,7 @@ def _foreign(folder, design):
         Reader(
             "foreign sensors",
             (log,),
-            lambda path: importers.sensor_table.read_sensors(ForeignTable(path), lambda t: True),
+            lambda path: importers.command_and_sensor_tables.read_sensors(ForeignTable(path), lambda t: True),
         ),
         Reader("recipe", (recipe,), importers.load_recipe),
         Reader(

@@ -47,7 +47,7 @@ def agrees(design, text, folder, seed, count, home, noise):
 
 
 @pytest.mark.parametrize("noise", [0.04, 0.004])
-@pytest.mark.parametrize("home_values", [False, True], ids=["", "home_values"])
+@pytest.mark.parametrize("home", [False, True], ids=["", "home"])
 @pytest.mark.slow
 def test_few_frames_are_measured(design, rig_text, tmp_path, home, noise):
     scores = [agrees(design, rig_text, tmp_path / str(count), 40 + count, count, home, noise) for count in (1, 2, 4)]
@@ -56,7 +56,7 @@ def test_few_frames_are_measured(design, rig_text, tmp_path, home, noise):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("count", range(1, 7))
-@pytest.mark.parametrize("home_values", [False, True], ids=["", "home_values"])
+@pytest.mark.parametrize("home", [False, True], ids=["", "home"])
 def test_few_frames_are_measured_whatever_the_draw(design, rig_text, tmp_path, count, home):
     scores = [
         agrees(design, rig_text, tmp_path / str(seed), seed, count, home, (0.04, 0.004)[seed % 2]) for seed in range(20)

@@ -107,7 +107,7 @@ def test_what_cannot_be_told_is_refused(tmp_path, capsys):
         ("part.png", "no full sheet"),
         ("none.png", "no marker of the rig"),
         ("typo.png", "no such file"),
-        ("half.png", "cut off?"),
+        ("half.png", "truncated?"),
     ):
         assert main(["check-print", str(tmp_path / name), str(tmp_path / "rig.toml")]) == 1
         assert says in capsys.readouterr().err

@@ -13,7 +13,6 @@ from rig.cli.shared.output_escaping_and_progress_display import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 from rig.formats.output_files.atomic_file_and_manifest import file_digest
-from rig.report.verdict_and_refutations_of_results import State
 
 if TYPE_CHECKING:
     from calib.certification.calibration_data_type_and_claim_sentences import Calibration
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from rig.effects.texts.effect_text_and_dict import Kinds
     from rig.effects.texts.user_effect_file_loading import Plugin
     from rig.recording.recording_folder import Recording
-    from rig.report.verdict_and_refutations_of_results import Refutation
+    from rig.report.verdict_and_refutations_of_results import Refutation, State
 
 
 EVERY = 5  # poses between two checks by vision
@@ -186,12 +185,16 @@ def print_refutations(path: Path, refutations: tuple[Refutation, ...]) -> None:
         print(f"warning: {path} was {one.line}", file=sys.stderr)
 
 
-def write_refutation(arguments: Namespace, path: Path, recording: str, finding: str, state: State = State.BAD) -> None:
+def write_refutation(
+    arguments: Namespace, path: Path, recording: str, finding: str, state: State | None = None
+) -> None:
     """Write a refutation of a calibration by a recording's finding into its folder; warns where that fails.
 
-    finding : a sentence without its full stop; state : BAD where it is refuted, CHECK where it leaves something out
+    finding : a sentence without its full stop; state : BAD (None), or CHECK where it leaves something out
     """
-    from rig.report.verdict_and_refutations_of_results import NAME, Refutation, add_refutation
+    from rig.report.verdict_and_refutations_of_results import NAME, Refutation, State, add_refutation
+
+    state = State.BAD if state is None else state
 
     new = Refutation(
         file_digest(path), path.name, datetime.now(UTC).date().isoformat(), arguments.command, recording, finding, state

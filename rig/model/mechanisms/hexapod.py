@@ -131,7 +131,7 @@ def singularity_rows(T: RigidTransform, lengths: Floats, hexapod: Hexapod) -> Fl
 
 
 def link_points(lengths: Floats, hexapod: Hexapod) -> None:
-    """Points of links for drawing: none, as struts are no links."""
+    """Points of links for drawing at lengths (n, axes): none, as struts are no links."""
     return None
 
 

@@ -186,7 +186,7 @@ def singularity_rows(T: RigidTransform, values: Floats, chain: Chain) -> Floats:
 
 
 def link_points(values: Floats, chain: Chain) -> None:
-    """Points of links for drawing: none, as a chain is drawn without links."""
+    """Points of links for drawing at values (n, axes): none, as a chain is drawn without links."""
     return None
 
 

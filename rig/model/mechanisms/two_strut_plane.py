@@ -105,7 +105,7 @@ def singularity_rows(T: RigidTransform, lengths: Floats, planar: Planar2) -> Flo
 
 
 def link_points(lengths: Floats, planar: Planar2) -> None:
-    """Points of links for drawing: none, as struts are no links."""
+    """Points of links for drawing at lengths (n, 2): none, as struts are no links."""
     return None
 
 

@@ -97,7 +97,7 @@ def test_an_arm_whose_noise_is_stated_ten_times_too_small_says_so_and_claims_wha
     done = certify_arm(small, UR10, worlds.TRACKER, rng)
     claim = promised_arm(small, done, rng)
     assert any(
-        "positions of the hand scatter by 0.3" in line and "beyond the 0.0346 mm that is stated" in line
+        "positions of the hand scatter by 0.3" in line and "beyond the 0.0346 mm stated for them" in line
         for line in claim.unexplained
     )
     honest = certify_arm(samples, UR10, worlds.TRACKER, np.random.default_rng(4))

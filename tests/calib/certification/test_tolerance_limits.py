@@ -22,7 +22,7 @@ def test_the_smallest_samples_are_those_of_the_tables():
 def test_fewer_say_what_they_can():
     with pytest.raises(
         NotEnoughData,
-        match=r"^41 distinct .* takes 59 with 95% .* 93.0% of poses with 95.0% .* 95% with 87.8%.* record 18 more",
+        match=r"^41 distinct .* requires 59 with 95% .* 93.0% of poses with 95.0% .* 95% with 87.8%.* record 18 more",
     ):
         noise_free_errors_and_tolerance_limits.upper_tolerance_limit(np.arange(41.0))
     assert noise_free_errors_and_tolerance_limits.upper_tolerance_limit(

@@ -222,7 +222,7 @@ def test_a_grid_that_lacks_a_vertex_is_refused_by_name():
 @pytest.mark.parametrize(
     "spoil, says",
     [
-        (lambda tree: tree["levels"][0].reverse(), "grow"),
+        (lambda tree: tree["levels"][0].reverse(), "increasing"),
         (lambda tree: tree["values"].pop(), "must have 27x|27 vertices|entries"),
         (lambda tree: tree["levels"].pop(), "3 axes"),
         (lambda tree: tree.update(kind="cubic"), "cubic"),

@@ -125,7 +125,9 @@ def test_command_line_writes_diagnosis_and_page(tmp_path, capsys):
     page = (tmp_path / "out" / "diagnosis.html").read_text()
     assert "Scale error at joint 4" in page and "Findings that affect individual poses" in page
     table = np.genfromtxt(tmp_path / "out" / "contributions.csv", delimiter=",", names=True)
-    lever = np.linalg.norm(secret_arms.error_model.joint_jacobian(samples.commanded, true)[:, :3, 3], axis=1)
+    lever = np.linalg.norm(
+        secret_arms.error_model_and_observations.joint_jacobian(samples.commanded, true)[:, :3, 3], axis=1
+    )
     q = samples.commanded[:, 3]
     assert np.corrcoef(table["scale_error_joint_4"], 3e-3 * np.abs(q - 0.0) * lever)[0, 1] > 0.99
     assert table["what_remains"].mean() < 1e-4 < table["scale_error_joint_4"].mean()

@@ -133,10 +133,7 @@ def test_what_of_arms_cannot_be_investigated_is_refused(tmp_path, capsys):
     assert "requires an [instrument] that measures its poses" in capsys.readouterr().err
     (tmp_path / "rig.toml").write_text(text)
     assert (
-        main(
-            ["simulate_world", str(tmp_path / "rig.toml"), "--plan", "turn:P1,sobol:3", "--out", str(tmp_path / "rec")]
-        )
-        == 1
+        main(["simulate", str(tmp_path / "rig.toml"), "--plan", "turn:P1,sobol:3", "--out", str(tmp_path / "rec")]) == 1
     )
     assert "there is no cube 'P1'; there are none" in capsys.readouterr().err
     assert not (tmp_path / "out").exists() and not (tmp_path / "rec" / "rig.toml").exists()
@@ -150,7 +147,7 @@ def test_play_is_told_from_friction_by_one_experiment(tmp_path, capsys, effect, 
     assert (
         main(
             [
-                "simulate_world",
+                "simulate",
                 str(rig),
                 "--plan",
                 "sobol:3",
@@ -200,7 +197,7 @@ def test_a_quiet_arm_is_left_in_peace(tmp_path, capsys):
     assert (
         main(
             [
-                "simulate_world",
+                "simulate",
                 str(rig),
                 "--plan",
                 "sobol:3",
@@ -228,7 +225,7 @@ def test_what_a_camera_in_the_hand_leaves_alike_is_told_apart(tmp_path, capsys):
     assert (
         main(
             [
-                "simulate_world",
+                "simulate",
                 str(rig),
                 "--plan",
                 "sobol:3",

@@ -160,7 +160,7 @@ def edited(path, **changes):
         (
             {"nominal__strut_range__2": [20.0, 40.0]},
             "home needs strut 3 at .* outside its strut_range 20 .. 40",
-            "home_values",
+            "home",
         ),
         (
             {"fitted__strut_range__2": [0.1, 40.0]},

@@ -40,12 +40,12 @@ def test_what_forward_gives_inverse_takes_back(tmp_path, rig, name):
     rows = [",".join([str(i), *map(repr, row)]) for i, row in enumerate(q.tolist())]
     (tmp_path / "q.csv").write_text("\n".join([",".join(["frame", *arm.axes]), *rows]) + "\n")
     tree = json.loads(rig(name, "--forward", tmp_path / "q.csv", "--steps", "--json"))
-    found = np.array([entry["pose"] for entry in tree["link_frames"]])
+    found = np.array([entry["pose"] for entry in tree["frames"]])
     T = pose(found[:, :3], found[:, 3:])
     np.testing.assert_allclose(pose_difference(mechanism.forward(q, arm), T), 0, atol=1e-12)
-    assert [step["joint"] for step in tree["link_frames"][0]["steps"]] == [0, *range(len(low), 0, -1)]
+    assert [step["joint"] for step in tree["frames"][0]["steps"]] == [0, *range(len(low), 0, -1)]
     back = json.loads(rig(name, "--inverse", poses_file(tmp_path / "p.csv", T), "--json"))
-    for entry, own in zip(back["link_frames"], q):
+    for entry, own in zip(back["frames"], q):
         many = np.array([one["q"] for one in entry["solutions"]])
         apart = (many - own) - np.where(arm.slides, 0.0, 2 * np.pi) * np.round((many - own) / (2 * np.pi))
         assert np.abs(apart).max(axis=1).min() < 1e-7 and len(many) >= 2
@@ -88,7 +88,7 @@ def test_steps_of_solutions_found_numerically_end_where_the_hand_is_at_zero(tmp_
     T = mechanism.forward(np.array([[0.3, -0.4, 0.1, -1.5, 0.4, 1.2, 0.3][: len(arm.joints)]]), arm)
     file = poses_file(tmp_path / "p.csv", T)
     tree = json.loads(rig(name, "--inverse", file, "--steps", "--json"))
-    for one in tree["link_frames"][0]["solutions"]:
+    for one in tree["frames"][0]["solutions"]:
         assert one["found"] == "numerically" and [s["joint"] for s in one["steps"]] == list(range(len(arm.joints) + 1))
         np.testing.assert_allclose(
             list(one["steps"][-1]["points"].values()),
@@ -125,7 +125,7 @@ def test_a_calibrated_arm_is_finished_from_every_branch():
     q = np.array([[0.3, -1.0, 1.2, 0.4, 0.9, 0.5], [1.0, -0.6, 1.4, -0.7, -1.1, 2.0]])
     T = correction.predict(q)
     tree = ArmKinematics(nominal, correction).inverse(np.arange(2), T)
-    for i, entry in enumerate(tree["link_frames"]):
+    for i, entry in enumerate(tree["frames"]):
         assert len(entry["solutions"]) == 8
         finished = np.array([one["corrected"] for one in entry["solutions"]])
         np.testing.assert_allclose(

@@ -4,7 +4,6 @@ dimensions.
 
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +14,9 @@ from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.planning import plan
 from rig.report.pages.page_templates_and_page_index import Page, list_pages_below_folder, read_page_summary, write_page
 from rig.report.verdict_and_refutations_of_results import State, Verdict
+from tests.conftest import ROOT
 
-BENCH = Path(__file__).parent / "data" / "bench"
+BENCH = ROOT / "tests" / "data" / "bench"
 
 
 def page(path, state=State.GOOD, why="fine", kind="measure"):

@@ -143,7 +143,7 @@ def test_a_missed_step_in_a_recording_is_told(rig_file, tmp_path, capsys):
     assert "1 change in 110 poses from corners.csv" in said
     assert f"from frame {first} on strut 3 is longer by +0.0" in said and said.count("longer") == 1
     assert main(["online", str(tmp_path / "rec"), "--state", str(state)]) == 1
-    assert "count twice" in capsys.readouterr().err
+    assert "counted twice" in capsys.readouterr().err
     more = [
         "--machine",
         str(tmp_path / "truth.json"),

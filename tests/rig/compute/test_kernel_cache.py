@@ -125,8 +125,8 @@ def test_no_kernel_is_loaded_from_where_others_can_write(open_one, tmp_path):
     theirs.mkdir()
     theirs.chmod(0o777)
     code = (
-        "from rig.effects.framework import play_operator; import numpy as np; "
-        "print(play_operator.play_operator(np.ones((3, 1)), 0.5).sum())"
+        "from rig.effects.framework import machine_motion_and_play as motion; import numpy as np; "
+        "print(motion.play_operator(np.ones((3, 1)), 0.5).sum())"
     )
     environment = {
         "PATH": os.environ["PATH"],
@@ -159,8 +159,8 @@ def test_a_kernel_runs_on_a_read_only_installation_without_a_home(tmp_path):
     (tmp_path / "tmp").mkdir()
     (tmp_path / "tmp").chmod(0o777)
     code = (
-        "from rig.effects.framework import play_operator; import numpy as np\n"
-        "print(play_operator.__file__, play_operator.play_operator(np.ones((3, 1)), 0.5).sum())"
+        "from rig.effects.framework import machine_motion_and_play as motion; import numpy as np\n"
+        "print(motion.__file__, motion.play_operator(np.ones((3, 1)), 0.5).sum())"
     )
     done = subprocess.run(
         [*nobody, "-c", code],
@@ -179,10 +179,10 @@ def test_who_waits_for_what_is_compiled_is_told_once_and_not_again_where_it_is_l
     code = (
         "from rig.compute.numba_kernels_and_lazy_exports import announce_compilation; "
         "from rig.effects.framework import "
-        "play_operator; import "
+        "machine_motion_and_play as motion; import "
         "numpy as np\n"
         "with announce_compilation(lambda: print('compiling')):\n    "
-        "for values in (np.ones((3, 1)), np.ones((3, 1), np.float32)): play_operator.play_operator(values, 0.5)"
+        "for values in (np.ones((3, 1)), np.ones((3, 1), np.float32)): motion.play_operator(values, 0.5)"
     )
     told = [
         subprocess.run(

@@ -19,9 +19,9 @@ from rig.model.design import port_problem
 from tests.conftest import ROOT
 
 HOLD = (
-    "import sys, signal\nfrom rig.driving.controller_lock import Occupied\nfrom rig.errors import RigError\n"
+    "import sys, signal\nfrom rig.driving.controller_lock import ControllerLock\nfrom rig.errors import RigError\n"
     "def end(*_): raise KeyboardInterrupt\nsignal.signal(signal.SIGTERM, end)\n"
-    "try:\n    with Occupied(*sys.argv[1:]):\n        print('held', flush=True)\n        signal.pause()\n"
+    "try:\n    with ControllerLock(*sys.argv[1:]):\n        print('held', flush=True)\n        signal.pause()\n"
     "except RigError as error:\n    print(error, flush=True)\nexcept KeyboardInterrupt:\n    print('ended', "
     "flush=True)\n"
 )

@@ -88,7 +88,7 @@ def test_poses_on_the_command_line():
 
 
 @pytest.mark.parametrize(
-    ("read_csv_table", "good", "bad"),
+    ("read", "good", "bad"),
     [
         (certify.parse_share, "0.9999", ("0.4", "1", "1_0")),
         (certify.parse_relative_uncertainty, "0", ("0.1", "-1e-9", "1_0")),

@@ -46,7 +46,7 @@ def frames():
 def test_frames_do_not_wait_for_the_cameras_to_be_adjusted(frames, monkeypatch):
     design, images = frames
     gate, measure = threading.Event(), module.measure_observations
-    monkeypatch.setattr(module, "measure", lambda *arguments: gate.wait(60) and measure(*arguments))
+    monkeypatch.setattr(module, "measure_observations", lambda *arguments: gate.wait(60) and measure(*arguments))
     live, sights = Live(design), []
 
     def take(frame):
@@ -70,7 +70,7 @@ def test_frames_do_not_wait_for_the_cameras_to_be_adjusted(frames, monkeypatch):
 
 def test_a_mistake_made_while_adjusting_is_raised(frames, monkeypatch):
     design, images = frames
-    monkeypatch.setattr(module, "measure", lambda *arguments: 1 / 0)
+    monkeypatch.setattr(module, "measure_observations", lambda *arguments: 1 / 0)
     live = Live(design)
     for frame in range(TAUGHT[0]):
         live.take(frame, images[0])

@@ -1,6 +1,4 @@
-"""Nonlinear parameters of an arm's terms, optimised between grid values, and how sure they and the sizes with
-them are.
-"""
+"""Nonlinear parameters of an arm's terms, optimised between grid values, with the uncertainty of parameters and sizes."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -171,23 +171,11 @@ def drives(tmp_path, capsys, name, effects, without=(), another=False):
         return capsys.readouterr().out
 
     options = [word for effect in effects for word in ("--effect", effect)]
-    said(
-        "simulate_world",
-        rig,
-        "--plan",
-        "sobol:120",
-        *options,
-        "--seed",
-        "3",
-        "--out",
-        tmp_path / "rec",
-        "--truth",
-        truth,
-    )
+    said("simulate", rig, "--plan", "sobol:120", *options, "--seed", "3", "--out", tmp_path / "rec", "--truth", truth)
     said("diagnose", tmp_path / "rec", "--out", tmp_path / "d")
     if another:
         said(
-            "simulate_world",
+            "simulate",
             rig,
             "--machine",
             truth,
@@ -216,7 +204,7 @@ def drives(tmp_path, capsys, name, effects, without=(), another=False):
     for way in ("c", "plain"):
         said("correct", tmp_path / f"{way}.json", "--poses", tmp_path / "w.csv", "--out", tmp_path / f"{way}.csv")
         said(
-            "simulate_world",
+            "simulate",
             rig,
             "--machine",
             truth,

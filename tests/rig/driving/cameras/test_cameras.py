@@ -109,7 +109,7 @@ def test_a_pipeline_opens_only_what_reads_decodes_and_converts(tmp_path, monkeyp
     monkeypatch.setattr(cv2, "VideoCapture", lambda place, kind: opened.append(place) or closed)
     for text in WRITING:
         with pytest.raises(
-            CameraError, match="'cam0': gstreamer:.*(may write|must end in appsink|no setting|images come from)"
+            CameraError, match="'cam0': gstreamer:.*(may write|must end in appsink|no setting|name an image source)"
         ):
             open_camera(camera("gstreamer:" + text.format(tmp_path / "written")), Ticking())
     assert not opened

@@ -185,7 +185,7 @@ def test_scaled_coordinates_are_made_whole_again_and_never_moved_in():
 
 @pytest.mark.parametrize("state", [b"Hold:0", b"Door:1", b"Tool"])
 def test_a_controller_that_is_held_is_said_to_be(state):
-    with pytest.raises(ControllerFault, match=f"is held .*{state.decode()}.* rig stop"):
+    with pytest.raises(ControllerFault, match=f"is in hold.*{state.decode()}.* rig stop"):
         talk([(b"?", IDLE.replace(b"Idle", state))], lambda p: p.hello())
 
 

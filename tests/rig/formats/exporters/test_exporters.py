@@ -78,7 +78,7 @@ def test_sheets_hold_every_bit_of_a_hexapod(true):
         tree["base_joints"],
         tree["platform_joints"],
         tree["strut_range"],
-        pose(tree["home_values"]["position"], tree["home_values"]["rotvec"]),
+        pose(tree["home"]["position"], tree["home"]["rotvec"]),
         tree["strut_zeros"],
     )
     lengths = configuration_sets.sobol_configurations(m.strut_range, 20)

@@ -180,7 +180,7 @@ def test_of_two_places_that_one_cannot_be_written_is_one_error(tmp_path):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from rig.formats.output_files import Outputs, staged_folder as staged, write_text
+from rig.formats.output_files import CommandOutputs, staged_folder as staged, write_text
 count = [0]
 def counted(function):
     def call(*given, **more):
@@ -190,7 +190,7 @@ def counted(function):
         return function(*given, **more)
     return call
 os.replace, os.unlink, os.fsync = counted(os.replace), counted(os.unlink), counted(os.fsync)
-with Outputs("measure") as outputs:
+with CommandOutputs("measure") as outputs:
     folder = outputs.folder(Path(sys.argv[1]))
     for name in ("frames.csv", "poses.csv"):
         write_text(folder / name, "new " + name)
