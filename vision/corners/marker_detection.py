@@ -1,6 +1,4 @@
-"""Detection of markers in an image: corners with covariance, read or expected, by the fit of the whole
-square.
-"""
+"""Detection of markers in an image, read or expected: corners with covariance by the fit of the whole square."""
 
 from __future__ import annotations
 

@@ -1,5 +1,8 @@
-"""Smoothing of logged temperatures, which hold a thermometer's noise: noise in what an effect follows makes
-the effect look smaller, and leaves behind what no model explains (Fuller, Measurement error models, 1987, ch. 1)."""
+"""Smoothing of logged temperatures, which hold a thermometer's noise.
+
+Noise in what an effect follows makes the effect look smaller, and leaves behind what no model explains (Fuller,
+Measurement error models, 1987, ch. 1).
+"""
 
 from dataclasses import replace
 

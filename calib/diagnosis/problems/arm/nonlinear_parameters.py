@@ -1,4 +1,4 @@
-"""Nonlinear parameters of an arm's terms, optimised between grid values, with the uncertainty of parameters and sizes."""
+"""Nonlinear parameters of an arm's terms, optimised between grid values, and their uncertainty."""
 
 from collections.abc import Callable
 from dataclasses import replace

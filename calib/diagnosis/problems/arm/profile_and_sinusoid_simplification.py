@@ -1,6 +1,4 @@
-"""Simplification of an arm's terms: profiles, sinusoids and scales of one joint, of which the simplest stands
-for the others.
-"""
+"""Simplification of profiles, sinusoids and scales of one joint to the simplest of them that explains as much."""
 
 from dataclasses import replace
 

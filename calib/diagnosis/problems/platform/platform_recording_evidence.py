@@ -1,6 +1,4 @@
-"""Evidence of a platform's recording for its diagnosis: corners and closures at an operating point, what only
-such a machine says of what explains them.
-"""
+"""Evidence of a platform's recording for its diagnosis: corners and closures about an operating point."""
 
 from dataclasses import dataclass, replace
 
