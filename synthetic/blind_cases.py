@@ -10,13 +10,14 @@ import numpy as np
 
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.framework.effect_places_parameters_and_covariates import Drawing, Place
+from rig.effects.framework.effect_parameters_and_covariates import Drawing
 from rig.errors import RigError
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Camera, Design
 from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_axes
+from rig.model.places_and_tolerances import Place
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.planning.plan import build_plan
 from rig.planning.plan_construction_and_table import Plan

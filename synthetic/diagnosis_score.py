@@ -10,10 +10,10 @@ import scipy
 
 from rig.array_and_json_types import Json
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.framework.effect_places_parameters_and_covariates import Place
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
 from rig.formats.local_and_remote_input_files import short_repr
+from rig.model.places_and_tolerances import Place
 
 STRONG = 7.0  # signal-to-noise from which an effect must be found
 Group = tuple[str, list["Figure"], dict[str, int]]  # (effect or strength, detected .. covered, {taken for: times})

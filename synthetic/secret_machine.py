@@ -12,7 +12,6 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_places_parameters_and_covariates import Place
 from rig.effects.texts.effect_text_and_dict import Kinds
 from rig.errors import RigError
 from rig.formats import machine_json
@@ -22,6 +21,7 @@ from rig.model.design import Camera, Design
 from rig.model.design_comparison_and_cube_remounting import design_with_turned_cubes, quarter_turns_of_cubes
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
 from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_links, has_stages, has_struts
+from rig.model.places_and_tolerances import Place
 from rig.model.pose import exp, pose
 from rig.recording.recording_folder import Sensors
 

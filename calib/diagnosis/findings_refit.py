@@ -32,7 +32,6 @@ from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
-from rig.effects.framework.effect_places_parameters_and_covariates import Place
 from rig.effects.texts.effect_text_and_dict import Kinds
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading, machine_json
@@ -40,6 +39,7 @@ from rig.formats.checked_entries import Entries
 from rig.formats.output_files.atomic_file_and_manifest import load_manifest as manifest
 from rig.model import mechanisms
 from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_arm, require_struts
+from rig.model.places_and_tolerances import Place
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, frames_with_known_hashes
 from rig.recording.recording_folder import Recording
 

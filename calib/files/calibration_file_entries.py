@@ -9,7 +9,6 @@ from calib.correction.physics_compensation import Physics, Unknown
 from rig.array_and_json_types import Booleans, Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
-from rig.effects.framework.effect_places_parameters_and_covariates import Place
 from rig.effects.texts.effect_text_and_dict import Kinds, effect_to_dict
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
@@ -19,6 +18,7 @@ from rig.model import mechanisms
 from rig.model.design import Actuator, Platform
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
 from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts, has_links, has_stages, has_struts
+from rig.model.places_and_tolerances import Place
 
 
 def require_text(tree: Entries, key: str, known_texts: Sequence[str]) -> None:

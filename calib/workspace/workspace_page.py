@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.workspace.workspace_map_and_lost_poses import SHORT, Workspace
 from rig.array_and_json_types import Floats, Integers
-from rig.effects.framework.effect_places_parameters_and_covariates import PLOT_UNITS
+from rig.effects.framework.effect_parameters_and_covariates import PLOT_UNITS
 from rig.formats.number_parsing_and_rounding import number_text
 from rig.report.pages.html_and_svg_elements import (
     heading_html,

@@ -8,8 +8,8 @@ from scipy import special
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats, Integers
-from rig.effects.framework.effect_places_parameters_and_covariates import Place
 from rig.model.design import Marker
+from rig.model.places_and_tolerances import Place
 from rig.model.pose import log
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, solve_step

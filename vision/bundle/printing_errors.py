@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.model.marker_and_sensor_tolerances import PLACES, SIDES
+from rig.model.places_and_tolerances import PLACES, SIDES
 from rig.model.pose import exp, log
 from vision.targets import MarkerMap
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats, Integers
 from rig.model.design import Camera
-from rig.model.marker_and_sensor_tolerances import SIDES
+from rig.model.places_and_tolerances import SIDES
 from rig.model.pose import skew
 from vision import lens
 from vision.bundle.printing_errors import NAMES, NONE, SIDE, Printing, Prints

@@ -28,9 +28,9 @@ from calib.diagnosis.report.residual_plots import (
 )
 from calib.report.pose_figures_and_effect_displacements import FACTORS, effect_displacements, mechanism_scene, rig_scene
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect_places_parameters_and_covariates import Place
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Chain
+from rig.model.places_and_tolerances import Place
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_and_svg_elements import heading_html, paragraph_html, table_html
 from rig.report.pages.image_plane_and_3d_views import DrawnEffect, view_3d_html

@@ -14,7 +14,7 @@ from calib.report.platform_and_lens_calibration_pages import evidence_html, prov
 from calib.report.pose_figures_and_effect_displacements import correction_error_figures, pose_coverage_figures
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
-from rig.effects.framework.effect_places_parameters_and_covariates import PLOT_UNITS
+from rig.effects.framework.effect_parameters_and_covariates import PLOT_UNITS
 from rig.model import mechanisms
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_and_svg_elements import (

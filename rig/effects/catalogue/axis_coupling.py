@@ -7,7 +7,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_places_parameters_and_covariates import (
+from rig.effects.framework.effect_parameters_and_covariates import (
     Context,
     Covariate,
     Drawing,

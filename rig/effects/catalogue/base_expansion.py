@@ -7,12 +7,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
-from rig.effects.framework.effect_places_parameters_and_covariates import (
-    Context,
-    Covariate,
-    Parameter,
-    temperature_covariate,
-)
+from rig.effects.framework.effect_parameters_and_covariates import Context, Covariate, Parameter, temperature_covariate
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
 

@@ -8,20 +8,20 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_places_parameters_and_covariates import (
+from rig.effects.framework.effect_parameters_and_covariates import (
     Context,
     Covariate,
     Drawing,
     Linear,
     Node,
     Parameter,
-    Place,
     draw_parameter,
     load_covariate,
     log_uniform,
 )
 from rig.effects.framework.machine_motion_and_play import Motion, independent_load_columns
 from rig.errors import RigError
+from rig.model.places_and_tolerances import Place
 
 HEAVIEST, LIGHTER, OFF_CENTRE = (
     (4.0, 15.0),

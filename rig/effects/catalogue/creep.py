@@ -6,7 +6,7 @@ from typing import ClassVar
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.servo_lag import lagged_path
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_places_parameters_and_covariates import Parameter
+from rig.effects.framework.effect_parameters_and_covariates import Parameter
 from rig.effects.framework.machine_motion_and_play import Motion
 
 

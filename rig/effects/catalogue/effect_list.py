@@ -37,9 +37,9 @@ from rig.effects.catalogue.transmission_error import TransmissionError
 from rig.effects.catalogue.vibration import Vibration
 from rig.effects.catalogue.warm_up import WarmUp
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_places_parameters_and_covariates import AXES, Parameter, fill_axis_placeholder
+from rig.effects.framework.effect_parameters_and_covariates import Parameter, fill_axis_placeholder
 from rig.formats.number_parsing_and_rounding import range_text
-from rig.model.marker_and_sensor_tolerances import Tolerance
+from rig.model.places_and_tolerances import AXES, Tolerance
 
 ALL: tuple[type[Effect], ...] = (
     ScaleError,

@@ -6,9 +6,9 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_places_parameters_and_covariates import Parameter, Place
+from rig.effects.framework.effect_parameters_and_covariates import Parameter
 from rig.effects.framework.marker_table import Markers, replace_marker_columns
-from rig.model.marker_and_sensor_tolerances import PLACES
+from rig.model.places_and_tolerances import PLACES, Place
 from rig.model.pose import displace_selected_poses, exp
 
 

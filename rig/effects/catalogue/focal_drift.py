@@ -8,9 +8,10 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
-from rig.effects.framework.effect_places_parameters_and_covariates import Context, Parameter, Place
+from rig.effects.framework.effect_parameters_and_covariates import Context, Parameter
 from rig.errors import RigError
 from rig.model.design import Camera
+from rig.model.places_and_tolerances import Place
 
 AMBIENT = "ambient_temperature_C"
 

@@ -8,17 +8,17 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_places_parameters_and_covariates import (
+from rig.effects.framework.effect_parameters_and_covariates import (
     COUNT,
     Context,
     Drawing,
     Linear,
     Parameter,
-    Place,
     log_uniform,
 )
 from rig.model.chebyshev_warp_and_printed_edge_shift import chebyshev_products, warp_columns
 from rig.model.design import Camera
+from rig.model.places_and_tolerances import Place
 
 LACKING = {
     "thin prism": (8, 9, 10, 11),

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_places_parameters_and_covariates import Parameter
+from rig.effects.framework.effect_parameters_and_covariates import Parameter
 from rig.effects.framework.marker_table import Markers, replace_marker_columns
-from rig.model.marker_and_sensor_tolerances import SIDES
+from rig.model.places_and_tolerances import SIDES
 
 
 @dataclass(frozen=True, slots=True)

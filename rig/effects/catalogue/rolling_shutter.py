@@ -7,8 +7,9 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_places_parameters_and_covariates import Parameter, Place
+from rig.effects.framework.effect_parameters_and_covariates import Parameter
 from rig.model.design import Camera
+from rig.model.places_and_tolerances import Place
 
 
 @dataclass(frozen=True, slots=True)

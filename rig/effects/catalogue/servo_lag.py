@@ -8,7 +8,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_places_parameters_and_covariates import Covariate, Parameter, travel_covariate
+from rig.effects.framework.effect_parameters_and_covariates import Covariate, Parameter, travel_covariate
 from rig.effects.framework.machine_motion_and_play import Motion, Path
 
 AFTER = np.array([0.25, 0.5, 1, 2, 4, 8])  # time constants after a change of speed at which the path gets a knot

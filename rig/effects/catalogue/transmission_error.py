@@ -8,7 +8,7 @@ import scipy
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_places_parameters_and_covariates import (
+from rig.effects.framework.effect_parameters_and_covariates import (
     COUNT,
     Context,
     Covariate,
@@ -16,12 +16,12 @@ from rig.effects.framework.effect_places_parameters_and_covariates import (
     Linear,
     Node,
     Parameter,
-    Place,
     derivative_step,
     log_uniform,
     travel_covariate,
 )
 from rig.effects.framework.machine_motion_and_play import Motion
+from rig.model.places_and_tolerances import Place
 
 KNOTS = (5, 9, 14)  # of a strut's profile, or a slide's
 SPACINGS = (1.0, 0.5, 0.25, 0.12, 0.07, 0.05, 0.035)  # rad between knots of a joint's profile

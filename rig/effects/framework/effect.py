@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect_places_parameters_and_covariates import (
-    AXES,
+from rig.effects.framework.effect_parameters_and_covariates import (
     COUNT,
     QUADRATURE,
     Context,
@@ -24,8 +23,6 @@ from rig.effects.framework.effect_places_parameters_and_covariates import (
     Linear,
     Node,
     Parameter,
-    Place,
-    axis_mask,
     derivative_step,
     draw_parameter,
     parameter_grid,
@@ -35,7 +32,7 @@ from rig.effects.framework.machine_motion_and_play import SOON, Motion, Path
 from rig.effects.framework.marker_table import Markers
 from rig.errors import RigError
 from rig.model.design import Camera
-from rig.model.marker_and_sensor_tolerances import Tolerance
+from rig.model.places_and_tolerances import AXES, Place, Tolerance, axis_mask
 
 REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stated
 MOTION_STAGES = ("command", "struts", "structure")

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE
-from rig.effects.framework.effect_places_parameters_and_covariates import AXES
 from rig.effects.framework.machine_motion_and_play import Motion
+from rig.model.places_and_tolerances import AXES
 
 POSE = ("x", "y", "z", "rx", "ry", "rz")
 OWN = ("own travel", "own step", "own direction", "own speed", "own way", "own load")

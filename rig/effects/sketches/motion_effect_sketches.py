@@ -11,13 +11,14 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect
-from rig.effects.framework.effect_places_parameters_and_covariates import Drawing, Parameter, Place
+from rig.effects.framework.effect_parameters_and_covariates import Drawing, Parameter
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
 from rig.model.design import Camera, Design
+from rig.model.places_and_tolerances import Place
 from rig.model.pose import exp, pose_difference
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording.recording_folder import PAYLOAD, Commands, Sensors

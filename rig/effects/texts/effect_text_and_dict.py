@@ -10,13 +10,13 @@ from rig.array_and_json_types import Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect
-from rig.effects.framework.effect_places_parameters_and_covariates import AXES, Place, parse_stage_place
 from rig.errors import RigError
 from rig.formats.checked_entries import NAME, nearest_known_word
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.model import mechanisms
 from rig.model.design import Design
+from rig.model.places_and_tolerances import AXES, Place, parse_stage_place
 
 Kinds = Mapping[str, type[Effect]]  # effects by their names
 

@@ -23,8 +23,9 @@ from numpy.typing import ArrayLike
 from rig.effects.catalogue.effect_list import BY_NAME, STAGES
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect
-from rig.effects.framework.effect_places_parameters_and_covariates import AXES, Context, Parameter
+from rig.effects.framework.effect_parameters_and_covariates import Context, Parameter
 from rig.errors import FileError, RigError
+from rig.model.places_and_tolerances import AXES
 
 KINDS = ("axis", *AXES, "rig", "clock", "camera", "cameras", "marker", "markers", "target")  # of place
 ROLES = ("linear", "inverse", "size", "phase", "log", "even", "moment", "direction", "choice")  # of a parameter

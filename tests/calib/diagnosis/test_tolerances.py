@@ -24,7 +24,7 @@ from calib.diagnosis.problems.platform.scores_of_all_candidates import (
 from calib.diagnosis.problems.requested_effects import RequestedEffects
 from calib.diagnosis.report.report_entries_and_diagnosis_folder import diagnosis_report
 from rig.effects.catalogue import effect_list
-from rig.model.marker_and_sensor_tolerances import PLACES, SIDES
+from rig.model.places_and_tolerances import PLACES, SIDES
 from synthetic import blind_image_settings
 from tests.calib.diagnose_recording import diagnosis_of, page_text
 from tests.calib.recordings_with_effects import recorded

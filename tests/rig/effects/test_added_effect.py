@@ -22,7 +22,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.base import Effect, Motion, Parameter
-from rig.effects.framework.effect_places_parameters_and_covariates import Covariate
+from rig.effects.framework.effect_parameters_and_covariates import Covariate
 
 
 @dataclass(frozen=True, slots=True)

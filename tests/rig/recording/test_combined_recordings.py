@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from rig.cli.command_line import main
-from rig.effects.framework.effect_places_parameters_and_covariates import Drawing
+from rig.effects.framework.effect_parameters_and_covariates import Drawing
 from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.model import motion_simulation
 from rig.model.pose import exp, pose, pose_to_vector

@@ -13,7 +13,7 @@ from calib.diagnosis.problems.requested_effects import EffectSites, RequestedEff
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate as EffectCandidate
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_places_parameters_and_covariates import COUNT, QUADRATURE
+from rig.effects.framework.effect_parameters_and_covariates import COUNT, QUADRATURE
 from rig.errors import RigError
 
 

@@ -15,7 +15,7 @@ from calib.models.chain.identification import identify_chain
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_places_parameters_and_covariates import Context
+from rig.effects.framework.effect_parameters_and_covariates import Context
 from rig.errors import NotEnoughData, RigError
 from rig.model import motion_simulation
 from rig.model.design import Design

@@ -15,7 +15,7 @@ from calib.diagnosis.problems.arm.joint_candidates import Form, JointCandidate
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
 from calib.diagnosis.problems.arm.scores_of_all_candidates import joint_products, solved_nodes
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect_places_parameters_and_covariates import Parameter
+from rig.effects.framework.effect_parameters_and_covariates import Parameter
 
 SEARCHED = ("size", "log", "even")  # roles of parameters that have a value between those of a grid
 CLOSE = 1e-3  # of the way between two values of a grid, to which a parameter is found

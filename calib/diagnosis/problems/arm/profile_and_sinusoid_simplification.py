@@ -12,7 +12,7 @@ from calib.diagnosis.problems.arm.nonlinear_parameters import has_continuous_par
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_poses
 from calib.diagnosis.problems.arm.scores_of_all_candidates import score_candidates
 from rig.array_and_json_types import Booleans
-from rig.effects.framework.effect_places_parameters_and_covariates import COUNT
+from rig.effects.framework.effect_parameters_and_covariates import COUNT
 
 FINE = 0.3  # step between orders, of what a joint's travel resolves
 CYCLES = 2  # sinusoids that a profile is tried to be made of

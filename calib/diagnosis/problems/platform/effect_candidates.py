@@ -18,7 +18,8 @@ from calib.diagnosis.problems.requested_effects import EffectSites, RequestedEff
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate as EffectCandidate
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_places_parameters_and_covariates import QUADRATURE, Context, Place
+from rig.effects.framework.effect_parameters_and_covariates import QUADRATURE, Context
+from rig.model.places_and_tolerances import Place
 
 SIZED = ("linear", "inverse", "size")  # roles of the numbers that tell how large an effect is
 ROUNDED = 1e-12  # share by which a sinusoid stays below its amplitude's bound, so that rounding does not take it beyond

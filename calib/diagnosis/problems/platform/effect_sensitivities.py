@@ -13,8 +13,9 @@ from calib.diagnosis.problems.platform.linearised_residuals import LinearisedMod
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
-from rig.effects.framework.effect_places_parameters_and_covariates import COUNT, Linear, Place
+from rig.effects.framework.effect_parameters_and_covariates import COUNT, Linear
 from rig.effects.framework.machine_motion_and_play import Motion
+from rig.model.places_and_tolerances import Place
 
 
 @dataclass(slots=True, eq=False)

@@ -31,7 +31,7 @@ from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.problems.platform.temperature_alternatives_of_findings import WARM
 from rig.array_and_json_types import Floats
-from rig.model.marker_and_sensor_tolerances import STILL
+from rig.model.places_and_tolerances import STILL
 
 LASTING = ("image position", "place on the marker")  # what is left and depends on these is the same in every frame
 LASTING_VIEWS = ("map", "outward", "markers", "targets")  # effects that residuals show so are, too

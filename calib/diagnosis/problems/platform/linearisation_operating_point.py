@@ -13,14 +13,13 @@ from calib.samples.recording_samples import Sampled, sample_recording
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_places_parameters_and_covariates import Place
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Camera, Design
-from rig.model.marker_and_sensor_tolerances import FINDER, SEAT
 from rig.model.mechanism_geometry_classes import Hexapod, Planar2
 from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
+from rig.model.places_and_tolerances import FINDER, SEAT, Place
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Recording, Sensors
 from vision.corner_observations import Observations

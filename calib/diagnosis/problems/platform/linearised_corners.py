@@ -7,9 +7,8 @@ import numpy as np
 
 from calib.diagnosis.problems.platform.linearisation_operating_point import EDGE_SHIFT, OperatingPoint
 from rig.array_and_json_types import Floats, Integers
-from rig.effects.framework.effect_places_parameters_and_covariates import Place
 from rig.model.design import Design
-from rig.model.marker_and_sensor_tolerances import FINDER, SEAT
+from rig.model.places_and_tolerances import FINDER, SEAT, Place
 from vision import lens
 from vision.bundle.corner_jacobians import (
     corner_jacobians,

@@ -26,7 +26,7 @@ from calib.models.platform.identification import (
 )
 from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import thread_map
-from rig.model.marker_and_sensor_tolerances import FINDER, SEAT
+from rig.model.places_and_tolerances import FINDER, SEAT
 
 CORNERS, CLOSURES = 0, 1  # the blocks
 # standard deviations; a residual counts for no more, so that one wild corner proves nothing and a crowd still does

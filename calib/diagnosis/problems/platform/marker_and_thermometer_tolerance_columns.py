@@ -20,9 +20,9 @@ from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions 
 from calib.diagnosis.problems.remainder_covariates_and_formulas import time_cosines
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
-from rig.effects.framework.effect_places_parameters_and_covariates import Linear, Place
+from rig.effects.framework.effect_parameters_and_covariates import Linear
 from rig.model import mechanisms
-from rig.model.marker_and_sensor_tolerances import PLACES, SIDES, STEEL, THERMOMETER, Tolerance
+from rig.model.places_and_tolerances import PLACES, SIDES, STEEL, THERMOMETER, Place, Tolerance
 from vision.bundle.printing_errors import KINDS, NAMES
 
 ALPHA = 1e-3  # chance, over all, that tolerances are taken to be at work where they are not

@@ -26,8 +26,8 @@ from calib.identify.robust_fit import (
 from calib.models.platform.identification import loop_closure_jacobian, strut_length_jacobian
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_places_parameters_and_covariates import Place
 from rig.model import mechanisms
+from rig.model.places_and_tolerances import Place
 from rig.recording.recording_folder import PAYLOAD
 from vision.corner_observations import observations_of_frames
 from vision.predict import predict_sightings

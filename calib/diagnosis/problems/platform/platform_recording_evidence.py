@@ -58,7 +58,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.effect import AT_REST, Effect
 from rig.model.design import Design
-from rig.model.marker_and_sensor_tolerances import PLACES
+from rig.model.places_and_tolerances import PLACES
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Recording
 from rig.recording.time_origin import TimeOrigin

@@ -19,8 +19,8 @@ from rig.array_and_json_types import Floats, Integers
 from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.compute.worker_processes import Progress
-from rig.effects.framework.effect_places_parameters_and_covariates import Place
 from rig.effects.framework.machine_motion_and_play import Motion
+from rig.model.places_and_tolerances import Place
 from vision.bundle.corner_jacobians import corner_jacobians
 
 CHUNK = 64  # nodes at a time

@@ -16,8 +16,8 @@ from calib.diagnosis.problems.remainder_covariates_and_formulas import (
     time_cosines,
 )
 from rig.array_and_json_types import Floats, Integers
-from rig.effects.framework.effect_places_parameters_and_covariates import Place
 from rig.model.chebyshev_warp_and_printed_edge_shift import warp_columns
+from rig.model.places_and_tolerances import Place
 from rig.model.pose import pose_difference
 
 SLOW, FAST = 8, 24  # cosines of a smooth function of time

@@ -23,7 +23,7 @@ from calib.diagnosis.problems.remainder_covariates_and_formulas import time_cosi
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
 from rig.effects.framework.effect import Candidate as EffectCandidate
-from rig.effects.framework.effect_places_parameters_and_covariates import AXES, Place
+from rig.model.places_and_tolerances import AXES, Place
 from rig.recording.recording_folder import Sensors
 
 WARM = tuple(
