@@ -1,7 +1,9 @@
 """The entry points of rig: a recording loaded and saved, configurations planned, mistakes that its files show."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +18,10 @@ from rig.model.pose import pose_difference
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_and_svg_elements import result_html
+
+if TYPE_CHECKING:
+    from rig.effects.framework.effect import Effect
+    from rig.effects.sketches import Sketch
 
 CERTAIN = 0.7  # proof of a mistake in the files, from which nothing is learnt by looking farther
 
@@ -192,3 +198,36 @@ def check_files(path: Path) -> tuple[Recording | None, CheckResult]:
         rest = Mistake("corners and poses were not checked", "Correct this first and repeat the check", False, 0.0)
         return None, CheckResult(sort_mistakes([*found, rest]))
     return recording, CheckResult(found)
+
+
+@dataclass(frozen=True, slots=True)
+class EffectCatalogue:
+    """The catalogue of effects as a document. markdown : its text; sketches : {effect's name: SVG text}"""
+
+    markdown: str
+    sketches: dict[str, str]
+
+
+def effect_catalogue(
+    effects: "Mapping[str, type[Effect]]", folder: str = "", draw: "Callable[[type[Effect]], Sketch] | None" = None
+) -> EffectCatalogue:
+    """EffectCatalogue of effects {name: class}, with a sketch of each where a function draws them.
+
+    folder : where the document finds the sketches, NAME.svg; draw : raises RigError for an effect without a sketch
+    """
+    from rig.effects.catalogue.effect_list import catalogue_markdown
+    from rig.report.pages.page_templates_and_page_index import standalone_svg
+
+    drawn: dict[str, str] = {}
+    shown: dict[str, str] = {}
+    for name, kind in effects.items():
+        if draw is None:
+            break
+        try:
+            sketch = draw(kind)
+        except RigError as error:
+            shown[name] = f"No sketch: {error}."
+            continue
+        drawn[name] = standalone_svg(f"what {kind.label()} does", sketch.words, sketch.figures)
+        shown[name] = f"![What {kind.label()} does: {sketch.words}]({folder}/{name}.svg)"
+    return EffectCatalogue(catalogue_markdown(effects.values(), shown), drawn)

@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +16,7 @@ from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.formats.output_files import write_bytes
 from rig.model.design import Design, Target
-from synthetic.cube_nets_and_stl import NET, SIDES, Piece, Placed, Size, arrange_net
+from synthetic.cube_nets_and_stl import NET, SIDES, Piece, Placed, Size, arrange_net, cube_stl_files
 from synthetic.sheet_rulers_and_assembly_page import (
     FOOT,
     LEFT,
@@ -64,7 +65,25 @@ class Page(NamedTuple):
     loose: tuple[Loose, ...]
 
 
-def write_sheets(design: Design, path: str | Path, paper: str = "A4") -> list[str]:
+@dataclass(frozen=True, slots=True, eq=False)
+class PrintSheets:
+    """Sheets of a design as written. design; lines : a text on each sheet, in their order"""
+
+    design: Design
+    lines: tuple[str, ...]
+
+    def write_bodies(self, folder: Path, paper_thickness: float) -> int:
+        """Write a binary STL file for each cube of the design, smaller by the paper (m) on each side; returns how many.
+
+        Raises RigError where there is no cube, or nothing is left of one
+        """
+        found = cube_stl_files(self.design, paper_thickness)
+        for name, data in found.items():
+            write_bytes(folder / f"{name}.stl", data)
+        return len(found)
+
+
+def write_sheets(design: Design, path: str | Path, paper: str = "A4") -> PrintSheets:
     """Write a PDF with the sheets of all targets of a design and the assembly page.
 
     Raises RigError for an unknown paper, a face or a marker too large for it, or a design without targets
@@ -85,7 +104,7 @@ def write_sheets(design: Design, path: str | Path, paper: str = "A4") -> list[st
         pdf.savefig(figure)
     write_bytes(path, buffer.getvalue())
     ways = [f"{page.label}: {paper} {'landscape' if page.paper[0] > page.paper[1] else 'portrait'}" for page in pages]
-    return [*ways, f"assembly: {paper} portrait"]
+    return PrintSheets(design, (*ways, f"assembly: {paper} portrait"))
 
 
 def sheets_of_target(target: Target, paper: str) -> list[Page]:

@@ -1,6 +1,7 @@
 """Printed marker size from a photograph that shows markers with a sheet or ruler of known size."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -8,8 +9,10 @@ import scipy
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats, Integers, Pixels
-from rig.errors import RigError
+from rig.errors import FileError, RigError
 from rig.model.design import Camera, Design
+from rig.recording.exposures_and_images import read_image
+from rig.recording.image_file_check import MOST_OF_A_PHOTOGRAPH
 from vision.corners.marker_detection import detect_markers
 from vision.targets import MarkerMap, marker_map
 
@@ -33,6 +36,33 @@ class Printed:
     uncertainty: tuple[float, ...]
     markers: int
     bend: float
+
+    @property
+    def mean_scale(self) -> float:
+        """Mean of the scales along all directions."""
+        return sum(self.scale) / len(self.scale)
+
+
+def measure_print(
+    photo: Path, design: Design, sheet: tuple[float, float, float], ruler: tuple[Floats, float] | None = None
+) -> Printed:
+    """Printed scale of the markers in a photograph's file, by a ruler or, without one, by the whole sheet.
+
+    sheet : width, height and their standard uncertainty, m; ruler : (2, 2) px of two of its lines, and m between them
+    Raises FileError for a file that is no picture, RigError as `print_scale_on_sheet` and `print_scale_by_ruler`
+    """
+    if not photo.is_file():
+        raise FileError(photo, "no such file")
+    try:
+        image = read_image(photo, MOST_OF_A_PHOTOGRAPH)
+    except FileError as error:
+        raise FileError(
+            photo, f"is not a readable picture (truncated?): {str(error).removeprefix(error.path).lstrip(': ')}"
+        ) from None
+    if ruler is not None:
+        return print_scale_by_ruler(image, design, *ruler)
+    width, height, uncertainty = sheet
+    return print_scale_on_sheet(image, design, (width, height), uncertainty)
 
 
 def print_scale_on_sheet(image: Pixels, design: Design, paper: tuple[float, float], tolerance: float) -> Printed:

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared.command_options import add_json_option, parse_length, print_json
-from rig.errors import FileError
 
 if TYPE_CHECKING:
-    from rig.array_and_json_types import Floats
+    from rig.array_and_json_types import Floats, Json
     from rig.model.design import Design
     from vision.printed_marker_size import Printed
 
@@ -47,66 +46,50 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Say which side the markers really have, and what to write into rig.toml."""
     from rig.formats.rig_toml import design_file
-    from rig.recording.exposures_and_images import read_image
-    from rig.recording.image_file_check import MOST_OF_A_PHOTOGRAPH
-    from vision import printed_marker_size
+    from vision.printed_marker_size import measure_print
 
     design = design_file.load_design(arguments.design)
-    if not arguments.photo.is_file():
-        raise FileError(arguments.photo, "no such file")
-    try:
-        image = read_image(arguments.photo, MOST_OF_A_PHOTOGRAPH)
-    except FileError as error:
-        raise FileError(
-            arguments.photo,
-            f"is not a readable picture (truncated?): {str(error).removeprefix(error.path).lstrip(': ')}",
-        ) from None
-    if arguments.ruler is not None:
-        found = printed_marker_size.print_scale_by_ruler(image, design, *arguments.ruler)
+    found = measure_print(arguments.photo, design, arguments.sheet, arguments.ruler)
+    if arguments.json:
+        print_json(_tree(found, design))
     else:
-        width, height, tolerance = arguments.sheet
-        found = printed_marker_size.print_scale_on_sheet(image, design, (width, height), tolerance)
-    (_print_tree if arguments.json else _say)(found, design)
+        _print_scale(found, design)
 
 
-def _print_tree(found: Printed, design: Design) -> None:
-    print_json(
-        {
-            "schema": "printed/1",
-            "markers": found.markers,
-            "directions": list(found.directions),
-            "scale": list(found.scale),
-            "standard_uncertainty": list(found.uncertainty),
-            "bend_px": found.bend,
-            "side": {k: v * _mean(found) for k, v in _stated(design)},
-        }
-    )
+def _tree(found: Printed, design: Design) -> Json:
+    """What --json prints."""
+    return {
+        "schema": "printed/1",
+        "markers": found.markers,
+        "directions": list(found.directions),
+        "scale": list(found.scale),
+        "standard_uncertainty": list(found.uncertainty),
+        "bend_px": found.bend,
+        "side": {name: side * found.mean_scale for name, side in _stated_sides(design)},
+    }
 
 
-def _say(found: Printed, design: Design) -> None:
+def _print_scale(found: Printed, design: Design) -> None:
+    """Print the scale by direction, then whether rig.toml is right or what to write into it."""
     print(f"{found.markers} markers, as large as designed times:")
     for direction, scale, uncertainty in zip(found.directions, found.scale, found.uncertainty):
         print(f"  {scale:.4f} +- {2 * uncertainty:.4f} (k=2) {direction}")
     within = 2 * max(found.uncertainty)
     if len(found.scale) > 1 and abs(found.scale[0] - found.scale[1]) > within:
         print("bad: the printer scales one way; markers are no squares: print them again, without fitting to the page")
-    elif abs(_mean(found) - 1) <= within:
+    elif abs(found.mean_scale - 1) <= within:
         print(f"good: the sides of rig.toml are right to {within * 100:.2f} %")
     else:
         print(
             "check: write into rig.toml "
             + "; ".join(
-                f"marker = {side * _mean(found):.6f} (target {name}, stated {side:.6f})"
-                for name, side in _stated(design)
+                f"marker = {side * found.mean_scale:.6f} (target {name}, stated {side:.6f})"
+                for name, side in _stated_sides(design)
             )
         )
 
 
-def _mean(found: Printed) -> float:
-    return sum(found.scale) / len(found.scale)
-
-
-def _stated(design: Design) -> list[tuple[str, float]]:
+def _stated_sides(design: Design) -> list[tuple[str, float]]:
     """(name, side m) of the targets, of loose markers their first."""
     return [
         (target.name, target.marker if target.marker is not None else target.listed[0].side)

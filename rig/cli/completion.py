@@ -15,15 +15,6 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Print the shell's completion of all commands and options, file names where files are named."""
-    import argparse
-    from pathlib import Path
+    from rig.cli.shared.argument_parser import completion_script
 
-    import shtab
-
-    parser = arguments.all_commands()
-    commands = next(action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
-    for command in commands.choices.values():
-        for action in command._actions:
-            if action.type is Path or getattr(action.type, "__name__", "") == "file_or_stdout":
-                action.complete = shtab.FILE
-    print(shtab.complete(parser, arguments.shell))
+    print(completion_script(arguments.all_commands(), arguments.shell))

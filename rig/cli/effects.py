@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rig.cli.shared import input_file_options
 from rig.cli.shared.command_options import add_json_option, add_overwrite_option, print_json
 from rig.errors import RigError
-
-if TYPE_CHECKING:
-    pass
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -68,30 +64,14 @@ def run(arguments: Namespace) -> None:
 
 def _new(arguments: Namespace) -> None:
     """Write a file with a new effect: as a diagnosis suggests it, or an example."""
-    from rig.effects.texts.effect_file_from_formula import EXAMPLE, load_suggestion
-    from rig.effects.texts.user_effect_file_loading import effect_name_problem, effects_of_source
+    from rig.effects.texts.effect_file_from_formula import new_effect
     from rig.formats.output_files import write_text
 
     if arguments.name is not None or arguments.json:
         raise RigError("--new writes a file; omit NAME and --json")
-    problem = effect_name_problem(arguments.new)
-    if problem:
-        raise RigError(f"--new {problem}")
-    if arguments.place is not None and arguments.source is None:
-        raise RigError("--place selects a suggestion of a diagnosis: state its folder with --from")
-    place, formula = (
-        ("strut 1", EXAMPLE) if arguments.source is None else load_suggestion(arguments.source, arguments.place)
-    )
     path = Path(f"{arguments.new}.py") if arguments.out is None else arguments.out
-    out, source = arguments.outputs.file(path), formula.source(arguments.new)
-    (kind,) = effects_of_source(source, path)
-    write_text(out, source)
-    values = ",".join(f"{name}={value:.6g}" for name, value in formula.values.items())
-    print(
-        f"written: {path}, {arguments.new} at {', '.join(kind.places)}: {formula.text().replace('np.', '')}; "
-        f"{formula.where()}"
-    )
+    made = new_effect(arguments.new, path, arguments.source, arguments.place)
+    write_text(arguments.outputs.file(path), made.source)
+    print(f"written: {path}, {made}")
     print(f"rig diagnose REC --out DIR --effects {path}")
-    print(
-        f"rig simulate RIG.toml --effects {path} --effect {arguments.new}:{place.replace(' ', '')}:{values} --out REC"
-    )
+    print(f"rig simulate RIG.toml --effects {path} --effect {made.argument} --out REC")

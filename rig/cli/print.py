@@ -2,12 +2,8 @@
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rig.cli.shared.command_options import add_overwrite_option, file_or_stdout, parse_length, require_matplotlib
-
-if TYPE_CHECKING:
-    from rig.model.design import Design
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -49,24 +45,16 @@ def run(arguments: Namespace) -> None:
 
     from synthetic.print_sheets import write_sheets
 
-    for line in write_sheets(design, out, arguments.paper):
+    sheets = write_sheets(design, out, arguments.paper)
+    for line in sheets.lines:
         print(line)
     print(
         f"written: {arguments.out}. Print at 100 %, without fitting to the page, and hold a ruler to the "
         "rulers on each sheet."
     )
     if folder is not None:
-        _bodies(arguments, design, folder)
-
-
-def _bodies(arguments: Namespace, design: "Design", folder: Path) -> None:
-    from rig.formats.output_files import write_bytes
-    from synthetic.cube_nets_and_stl import cube_stl_files
-
-    found = cube_stl_files(design, arguments.paper_thickness)
-    for name, data in found.items():
-        write_bytes(folder / f"{name}.stl", data)
-    print(
-        f"written: {len(found)} bodies in {arguments.stl}, mm, smaller on each side by the paper's "
-        f"{arguments.paper_thickness * 1e3:g} mm"
-    )
+        count = sheets.write_bodies(folder, arguments.paper_thickness)
+        print(
+            f"written: {count} bodies in {arguments.stl}, mm, smaller on each side by the paper's "
+            f"{arguments.paper_thickness * 1e3:g} mm"
+        )

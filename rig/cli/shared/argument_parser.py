@@ -1,8 +1,9 @@
 """Argument parser of the commands, with the nearest known word for a mistyped option or command."""
 
 import re
-from argparse import ArgumentParser
+from argparse import ArgumentParser, _SubParsersAction
 from collections.abc import Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 PROGRESS = ("auto", "lines", "none")
@@ -94,6 +95,18 @@ def suggestion_text(word: str, known: Iterable[str]) -> str:
     r"""Suggestion after a mistyped word: \"; did you mean ..?\", \"\" where no known word is near."""
     near = nearest_word(word, known)
     return f"; did you mean {near}?" if near else ""
+
+
+def completion_script(parser: ArgumentParser, shell: str) -> str:
+    """Completion script of a shell (bash, zsh, fish) for a parser of all commands, file names where files are named."""
+    import shtab
+
+    commands = next(action for action in parser._actions if isinstance(action, _SubParsersAction))
+    for command in commands.choices.values():
+        for action in command._actions:
+            if action.type is Path or getattr(action.type, "__name__", "") == "file_or_stdout":
+                action.complete = shtab.FILE
+    return str(shtab.complete(parser, shell))
 
 
 def add_common_options(parser: ArgumentParser, command: str) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.formula_quantities import POSE, Quantity, quantity_by_name
-from rig.effects.texts.user_effect_file_loading import effects_of_source
+from rig.effects.texts.user_effect_file_loading import effect_name_problem, effects_of_source
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
@@ -307,3 +307,44 @@ def load_suggestion(folder: Path, place: str | None) -> tuple[str, Written]:
         raise RigError(f"{folder} suggests nothing at {place!r}; it does at {', '.join(found)}")
     place = place or next(iter(found))
     return place, Written.read(found[place].table("model"))
+
+
+@dataclass(frozen=True, slots=True)
+class NewEffect:
+    """A new user-defined effect. name; place : where it is fitted; places : where it can sit; formula
+    source : text of its file
+    """
+
+    name: str
+    place: str
+    places: tuple[str, ...]
+    formula: Written
+    source: str
+
+    @property
+    def argument(self) -> str:
+        """The effect as the option --effect of `rig simulate` names it, with its fitted values."""
+        values = ",".join(f"{name}={value:.6g}" for name, value in self.formula.values.items())
+        return f"{self.name}:{self.place.replace(' ', '')}:{values}"
+
+    def __str__(self) -> str:
+        formula = self.formula.text().replace("np.", "")
+        return f"{self.name} at {', '.join(self.places)}: {formula}; {self.formula.where()}"
+
+
+def new_effect(name: str, path: Path, diagnosis_folder: Path | None = None, place: str | None = None) -> NewEffect:
+    """A new effect of a name, of the formula that a diagnosis suggests at a place, or of an example.
+
+    path : of its file, to be named in errors; diagnosis_folder : with diagnosis.json, or None for the example
+    place : None where the diagnosis suggests one formula
+    Raises RigError for an invalid name, a place without a diagnosis, and as `load_suggestion`
+    """
+    problem = effect_name_problem(name)
+    if problem:
+        raise RigError(f"--new {problem}")
+    if place is not None and diagnosis_folder is None:
+        raise RigError("--place selects a suggestion of a diagnosis: state its folder with --from")
+    found, formula = ("strut 1", EXAMPLE) if diagnosis_folder is None else load_suggestion(diagnosis_folder, place)
+    source = formula.source(name)
+    (kind,) = effects_of_source(source, path)
+    return NewEffect(name, found, kind.places, formula, source)
