@@ -119,7 +119,7 @@ def findings_of_diagnosis(diagnosis: Diagnosis) -> Findings:
 
 def unexplained_findings(lacks_of_fit: Iterable[LackOfFit]) -> tuple[Unknown, ...]:
     """Findings that stay unexplained: what is left over and has no name."""
-    return tuple(Unknown(u.place, u.magnitude, u.unit, tuple(u.depends_on), False) for u in lacks_of_fit)
+    return tuple(Unknown(str(u.place), u.magnitude, u.unit, tuple(u.depends_on), False) for u in lacks_of_fit)
 
 
 def load_findings(folder: Path, recording: Recording, kinds: Kinds = BY_NAME) -> Findings:

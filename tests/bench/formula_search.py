@@ -53,7 +53,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
                 ratios.append(ratio)
                 print(
                     f"  {law} {k}: {effect}; found {[f'{e.name} {e.place}' for e in found.effects]}, left "
-                    f"{sorted({u.place for u in found.left})}; "
+                    f"{sorted({str(u.place) for u in found.left})}; "
                     f"suggested {[(s.place, s.written.text()) for s in found.suggestions]}, {ratio:.3f}",
                     file=sys.stderr,
                     flush=True,

@@ -174,7 +174,7 @@ def _outdone(problem: Problem[Fit, Model, C], model: Model, fit: Fit, score: Sco
         as much as the function."""
     if score.candidate.vector:
         return False
-    size, place, alike = problem.linear(model).size, score.candidate.place, problem.policy.alike
+    size, place, alike = problem.linear(model).size, score.candidate.site, problem.policy.alike
 
     def there(at: Model) -> list[LackOfFit]:
         return [

@@ -17,6 +17,7 @@ from calib.diagnosis.engine.frame_inner_products import (
 )
 from calib.diagnosis.engine.linear_model import LinearModel
 from rig.array_and_json_types import Floats
+from rig.model.places_and_tolerances import Place
 
 ALPHA = 1e-4  # chance of calling anything unknown where there is nothing, over all tests
 LIKELY = 1e-3  # chance above which no dispersion is asked, since that only makes it likelier
@@ -30,7 +31,7 @@ class Test:
     depends_on : names of covariates; information : sum of 1 / unit^2 by which the place is weighed; prior : size of a
         coefficient, None for any"""
 
-    place: str
+    place: Place
     unit: str
     depends_on: tuple[str, ...]
     weights: Floats
@@ -46,7 +47,7 @@ class LackOfFit:
     simpler : ((delta chi-square, not divided, and parameters) of its first function alone, of its first two, ..)
     among : how many such were asked of its place, of which it is one"""
 
-    place: str
+    place: Place
     magnitude: float
     unit: str
     depends_on: tuple[str, ...]
@@ -132,7 +133,7 @@ def significant_lack_of_fit(lacks_of_fit: list[LackOfFit | None], alpha: float =
 
 def first_of_each_place(lacks_of_fit: list[LackOfFit]) -> list[LackOfFit]:
     """The first, most significant LackOfFit of each place, in order."""
-    seen: dict[str, LackOfFit] = {}
+    seen: dict[Place, LackOfFit] = {}
     for u in lacks_of_fit:
         seen.setdefault(u.place, u)
     return list(seen.values())
@@ -142,7 +143,13 @@ MATERIAL = 1.2  # times the stated noise; a statement of noise is seldom better 
 
 
 def detect_excess_scatter(
-    place: str, unit: str, noise: float, square: float, freedom: float, tests: int = 1, depends_on: tuple[str, ...] = ()
+    place: Place,
+    unit: str,
+    noise: float,
+    square: float,
+    freedom: float,
+    tests: int = 1,
+    depends_on: tuple[str, ...] = (),
 ) -> LackOfFit | None:
     """LackOfFit of excess scatter at a place, beyond chance and the stated noise; None where noise suffices.
 
@@ -188,7 +195,7 @@ def share_explained_by_functions(
     the other
     correlated_frames : frames in a row whose errors may be alike"""
     found = [
-        test_lack_of_fit(model, products, Test("", "", (), weights, 1.0), correlated_frames, alpha=1.0)
+        test_lack_of_fit(model, products, Test(Place(""), "", (), weights, 1.0), correlated_frames, alpha=1.0)
         for products, weights in function_parts
     ]
     seen = [u for u in found if u is not None]

@@ -13,6 +13,7 @@ from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import C, SelectionPolicy, StatedTerms
+from rig.model.places_and_tolerances import Place
 
 Fit = TypeVar("Fit")
 Fit_contra = TypeVar("Fit_contra", contravariant=True)
@@ -93,12 +94,12 @@ class Problem(Protocol[Fit, Model, C]):
     def cross_validations(self, fit: Fit, numbers: list[int]) -> list[CrossValidation]:
         """Of each of some terms alone."""
 
-    def lack_of_fit(self, model: Model, place: str | None = None) -> list[LackOfFit]:
+    def lack_of_fit(self, model: Model, place: Place | None = None) -> list[LackOfFit]:
         """What nobody named, the most convincing first; at a place of a name alone, by the chance that names are found
         by, where one is given.
         """
 
-    def within(self, left: LackOfFit, place: str) -> bool:
+    def within(self, left: LackOfFit, place: Place) -> bool:
         """Whether what is left sits where something at a place does, or at a part of it."""
 
 

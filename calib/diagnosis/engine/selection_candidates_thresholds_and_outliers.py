@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.identify.robust_fit import MOST
 from rig.array_and_json_types import Floats
+from rig.model.places_and_tolerances import Place
 
 Node = dict[str, Any]  # {parameter: value} of the nonlinear parameters, one node of a candidate's grid
 
@@ -56,6 +57,11 @@ class Candidate:
     bounds: tuple[Floats, Floats] | None = None
     searched: bool = False
     vector: bool = False
+
+    @property
+    def site(self) -> Place:
+        """Its place as a Place."""
+        return Place.parse(self.place)
 
     def allowed(self, coefficients: Floats) -> Floats:
         """Coefficients (q,) within the bounds, those beyond at them."""

@@ -292,7 +292,7 @@ def remove_unsupported_findings(
     for f in selection.findings:
         if problem.given.holds(f.score.candidate):
             continue
-        place = f.score.candidate.place
+        place = f.score.candidate.site
         doubts = [
             u
             for u in problem.lack_of_fit(after, place)
@@ -320,6 +320,6 @@ def _stays(problem: Problem[Fit, Model, C], finding: Finding[C], fit: Fit, left:
     larger = any(
         u.delta_chi2 > finding.score.delta_chi2
         for u in left
-        if u.depends_on and problem.within(u, finding.score.candidate.place)
+        if u.depends_on and problem.within(u, finding.score.candidate.site)
     )
     return not larger and is_finding_significant(problem, finding, model, fit, count)

@@ -124,7 +124,7 @@ def _remark_entries(d: Diagnosis) -> list[RemarkEntry]:
             )
         )
     out += [
-        RemarkEntry(UNKNOWN, u.place, _size_of(u), remark_reason_sentence(reason), u.p_value)
+        RemarkEntry(UNKNOWN, str(u.place), _size_of(u), remark_reason_sentence(reason), u.p_value)
         for u, reason in d.tolerable.left
     ]
     return out + [
@@ -142,7 +142,7 @@ def largest_unexplained(diagnosis: Diagnosis) -> Unexplained | None:
     """Largest unexplained lack of fit of a Diagnosis, else the scatter of poses beyond their stated noise, or N"""
     if diagnosis.left:
         first = diagnosis.left[0]
-        return Unexplained(first.place, first.magnitude, first.unit, first.depends_on)
+        return Unexplained(str(first.place), first.magnitude, first.unit, first.depends_on)
     if isinstance(diagnosis.evidence, ScatterSize):
         beyond, unstated = diagnosis.evidence.scatter_beyond_stated(diagnosis.selection)
         return Unexplained("rig", beyond, "m", ()) if unstated else None
@@ -152,7 +152,7 @@ def largest_unexplained(diagnosis: Diagnosis) -> Unexplained | None:
 def unnamed_finding_entries(lacks_of_fit: list[LackOfFit]) -> list[FindingEntry]:
     """Entries of findings without a name, one for each place with a lack of fit."""
     return [
-        FindingEntry(UNKNOWN, u.place, _size_of(u), Evidence(p_value=u.p_value, delta_chi2=u.delta_chi2))
+        FindingEntry(UNKNOWN, str(u.place), _size_of(u), Evidence(p_value=u.p_value, delta_chi2=u.delta_chi2))
         for u in first_of_each_place(lacks_of_fit)
     ]
 

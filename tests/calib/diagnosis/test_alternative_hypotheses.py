@@ -20,6 +20,7 @@ from rig.cli import command_line
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Candidate, Linear
 from rig.formats.rig_toml import design_file
+from rig.model.places_and_tolerances import Place
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
 from synthetic import unlisted_physics
@@ -124,7 +125,7 @@ def test_a_step_soon_after_the_start_is_found(tmp_path, design):
 def test_what_fits_a_name_only_far_from_what_rigs_show_gets_none(tmp_path, design):
     rec = recorded(tmp_path, design, [unlisted_physics.SlippingClutch("strut 5", 1.2e-4)], route=PLAN)
     found = diagnosis_of(rec, only=["warm_up", "missed_steps", "creep", "scale_error"])
-    assert not found.effects and found.left[0].place == "strut 5"
+    assert not found.effects and found.left[0].place == Place("strut", "5")
 
 
 @pytest.mark.slow

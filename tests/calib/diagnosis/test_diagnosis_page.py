@@ -16,6 +16,7 @@ from calib.diagnosis.report.report_entries_and_diagnosis_folder import diagnosis
 from calib.diagnosis.report.residual_plots import effect_residual_figures, model_residuals, residuals_without_effects
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.texts.effect_text_and_dict import parse_effect
+from rig.model.places_and_tolerances import Place
 from rig.planning import plan
 from rig.recording import recording_folder
 from rig.recording.recording_tables import write_poses
@@ -82,8 +83,8 @@ def test_without_a_finding_nothing_is_claimed(diagnosed, tmp_path):
     still = diagnosis_of(found, ["missed_steps strut 1"])
     assert "Nothing is unmodelled" in made(tmp_path, found, replace(still, left=[]))[1]
     left = [
-        LackOfFit("strut 3", 4e-5, "m", ("history",), 1e-9, 80.0),
-        LackOfFit("camera cam1", 0.2, "px", ("image position",), 1e-9, 70.0),
+        LackOfFit(Place("strut", "3"), 4e-5, "m", ("history",), 1e-9, 80.0),
+        LackOfFit(Place("camera", "cam1"), 0.2, "px", ("image position",), 1e-9, 70.0),
     ]
     text = made(tmp_path, found, replace(still, left=left))[1]
     assert "There is something at strut 3 that no catalogued effect explains, 40 µm, correlated with history." in text

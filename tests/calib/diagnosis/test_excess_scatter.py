@@ -18,6 +18,7 @@ from calib.diagnosis.report.report_data_and_verdict import summary_sentence
 from calib.diagnosis.report.report_entries_and_diagnosis_folder import diagnosis_report
 from calib.samples.recording_samples import sample_recording
 from rig.model.design import Arm
+from rig.model.places_and_tolerances import Place
 from rig.recording import recording_folder
 from rig.recording.recording_tables import Poses
 from rig.report.verdict_and_refutations_of_results import State
@@ -113,7 +114,7 @@ def test_corners_noisier_than_stated_are_unexplained(tmp_path, design):
 def test_chance_alone_is_never_beyond_the_noise():
     rng = np.random.default_rng(0)
     squares = [float((rng.normal(size=60) ** 2).sum()) for _ in range(3000)]
-    assert not any(detect_excess_scatter("rig", "m", 1.0, s, 60) for s in squares)
-    assert detect_excess_scatter("rig", "m", 1.0, 0.99 * MATERIAL**2 * 5000, 5000) is None and detect_excess_scatter(
-        "rig", "m", 1.0, 1.1 * MATERIAL**2 * 5000, 5000
-    )
+    assert not any(detect_excess_scatter(Place("rig"), "m", 1.0, s, 60) for s in squares)
+    assert detect_excess_scatter(
+        Place("rig"), "m", 1.0, 0.99 * MATERIAL**2 * 5000, 5000
+    ) is None and detect_excess_scatter(Place("rig"), "m", 1.0, 1.1 * MATERIAL**2 * 5000, 5000)

@@ -32,6 +32,7 @@ from rig.effects.texts.user_effect_file_loading import load_effect_file
 from rig.errors import FileError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.rig_toml import design_file
+from rig.model.places_and_tolerances import Place
 from tests.calib import unlisted_laws
 from tests.calib.diagnosis.test_arm_diagnosis import recorded as arm_recorded
 from tests.calib.recordings_with_effects import recorded
@@ -260,7 +261,7 @@ def test_a_joint_that_follows_another_is_suggested_once(tmp_path):
     (arms, _), _ = arm_recorded(lambda q: 3e-4 * np.sin(1.3 * q[:, [3]] + 0.5) * (np.arange(6) == 1))
     now = fit_poses(arms)
     left = arm_left(now)
-    assert {"joint 2", "joint 3"} <= {u.place for u in left}  # they turn about axes that are alike
+    assert {Place("joint", "2"), Place("joint", "3")} <= {u.place for u in left}  # they turn about axes that are alike
     (found,) = arm_suggestions(now, left)
     assert found.place == "joint 2" and [q.name for q in found.written.quantities] == ["travel of joint 4"]
     assert found.after < 1.2 * found.noise < 0.5 * found.before

@@ -25,6 +25,7 @@ from calib.diagnosis.problems.arm.scores_of_all_candidates import (
 from calib.diagnosis.problems.arm.whitened_columns import Columns, Part
 from calib.diagnosis.problems.requested_effects import RequestedEffects
 from calib.identify.robust_fit import excess_scatter, robust_weights
+from rig.model.places_and_tolerances import Place
 from tests.calib import secret_arms
 from tests.rig.arms import UR10
 
@@ -168,6 +169,6 @@ def test_what_the_catalogue_lacks_is_unknown_at_its_joint():
         *find_lack_of_fit_by_joint(chosen, 5),
         *arm_excess_scatter.excess_scatter(chosen, pose_repeatability(chosen), []),
     ]
-    assert left[0].place == "joint 3" and left[0].depends_on == ("pose",)
+    assert left[0].place == Place("joint", "3") and left[0].depends_on == ("pose",)
     assert left[0].magnitude == pytest.approx(np.std(2e-4 * np.sin(arms.q[:, 0])), rel=0.3)
-    assert left[-1].place == "rig" and left[-1].depends_on == ("configuration",)
+    assert left[-1].place == Place("rig") and left[-1].depends_on == ("configuration",)

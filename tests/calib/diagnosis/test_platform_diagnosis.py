@@ -23,6 +23,7 @@ from calib.diagnosis.report.report_entries_and_diagnosis_folder import diagnosis
 from calib.samples.recording_samples import sample_recording
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.texts.effect_text_and_dict import parse_effect
+from rig.model.places_and_tolerances import Place
 from rig.planning import plan
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
@@ -127,7 +128,7 @@ def test_what_no_catalogue_lists_is_called_unknown(tmp_path, design):
     odd = replace(point, commands=replace(point.commands, values=lengths))
     refined = refine_operating_point(odd, Sensitivities(odd))
     left = find_lack_of_fit_by_place(refined.model)
-    assert left and left[0].place == "strut 4" and left[0].depends_on == ("strut 1's position",)
+    assert left and left[0].place == Place("strut", "4") and left[0].depends_on == ("strut 1's position",)
 
 
 def test_tangents_of_what_is_seen_are_derivatives(quiet):
@@ -190,7 +191,7 @@ def test_a_marker_of_another_size_gets_no_name(tmp_path, design):
         recording_folder.load_recording(tmp_path),
         only=["face_misplacement", "print_scale", "edge_bias", "cube_misplacement"],
     )
-    assert not found.effects and found.left[0].place == "marker 7"
+    assert not found.effects and found.left[0].place == Place("marker", "7")
 
 
 def test_a_body_moved_by_hand_says_which_faces_sit_elsewhere(tmp_path):

@@ -9,6 +9,7 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import oper
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.formats.rig_toml import design_file
+from rig.model.places_and_tolerances import Place
 from rig.planning import plan
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine, unlisted_physics
@@ -62,7 +63,7 @@ def seen(tmp_path_factory, rig_text):
 )
 def test_a_curve_that_outdoes_a_law_leaves_no_name(seen, effect, depends, looked_at):
     found = seen(effect)
-    assert found.effects == () and (found.left[0].place, found.left[0].depends_on) == (effect.place, (depends,))
+    assert found.effects == () and (found.left[0].place, found.left[0].depends_on) == (effect.site, (depends,))
     (suggested,) = found.suggestions
     assert suggested.place == effect.place and [q.name for q in suggested.written.quantities] == [looked_at]
 
@@ -85,7 +86,7 @@ def test_a_focal_length_that_comes_and_goes_is_seen_beside_a_mount_that_stands(t
         [],
     )
     left = problem.lack_of_fit(problem.residual(problem.start()))
-    assert left and {(u.place, u.depends_on) for u in left} == {("camera cam1", ("time",))}
+    assert left and {(u.place, u.depends_on) for u in left} == {(Place("camera", "cam1"), ("time",))}
 
 
 def test_first_functions_count_by_themselves():
@@ -98,7 +99,7 @@ def test_first_functions_count_by_themselves():
     for q, (delta, rank) in enumerate(found, 1):
         alone = solve_normal_equations(Normal((columns.T @ y)[None, :q], G[None, :q, :q], np.diag(G)[None, :q]))
         assert delta == pytest.approx(float(alone.delta_chi2[0])) and rank == alone.rank[0] == min(q, 3)
-    whole = LackOfFit("strut 1", 1e-6, "m", ("time",), 0.0, found[-1][0] / 2, 3, 2.0, found)
+    whole = LackOfFit(Place("strut", "1"), 1e-6, "m", ("time",), 0.0, found[-1][0] / 2, 3, 2.0, found)
     assert whole.shortest(200) == (found[0][0], pytest.approx(np.log(200))) and whole.evidence(200) == pytest.approx(
         found[0][0] - np.log(200)
     )

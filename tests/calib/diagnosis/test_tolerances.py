@@ -24,7 +24,7 @@ from calib.diagnosis.problems.platform.scores_of_all_candidates import (
 from calib.diagnosis.problems.requested_effects import RequestedEffects
 from calib.diagnosis.report.report_entries_and_diagnosis_folder import diagnosis_report
 from rig.effects.catalogue import effect_list
-from rig.model.places_and_tolerances import PLACES, SIDES
+from rig.model.places_and_tolerances import PLACES, SIDES, Place
 from synthetic import blind_image_settings
 from tests.calib.diagnose_recording import diagnosis_of, page_text
 from tests.calib.recordings_with_effects import recorded
@@ -177,4 +177,6 @@ def test_tolerances_come_in_where_they_explain_more_than_the_best_candidate(tmp_
 def test_what_has_no_name_beside_tolerances_is_left_and_offered_a_formula(tmp_path, design):
     hidden = ["backlash:strut2:gap=6e-5", printed(design, 5e-6, 2e-4)]
     found = diagnosis_of(recorded(tmp_path, design, hidden, 11, ROUTE, 0.03), only=["print_scale", "face_misplacement"])
-    assert {u.place for u in found.left} == {"strut 2"} and {s.place for s in found.suggestions} == {"strut 2"}
+    assert {u.place for u in found.left} == {Place("strut", "2")} and {s.place for s in found.suggestions} == {
+        "strut 2"
+    }

@@ -44,6 +44,7 @@ from calib.diagnosis.problems.evidence_interface import HeldOutPoses
 from calib.samples.pose_samples import time_block_folds
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
+from rig.model.places_and_tolerances import Place
 
 ALIASES = 3  # other orders of a sinusoid that are looked at
 KNOWN = 0.5  # numbers that data must determine of a term for it to be tested
@@ -202,14 +203,14 @@ class ArmProblem:
             )
         return out
 
-    def lack_of_fit(self, model: Fit, place: str | None = None) -> list[LackOfFit]:
+    def lack_of_fit(self, model: Fit, place: Place | None = None) -> list[LackOfFit]:
         if place is None:
             return remainder.find_lack_of_fit_by_joint(model, correlated_frames=self.policy.cluster)
         return remainder.find_lack_of_fit_by_joint(
             model, correlated_frames=self.policy.cluster, place=place, alpha=self.policy.alpha
         )
 
-    def within(self, left: LackOfFit, place: str) -> bool:
+    def within(self, left: LackOfFit, place: Place) -> bool:
         return left.place == place
 
 

@@ -47,6 +47,7 @@ from calib.diagnosis.problems.remainder_covariates_and_formulas import (
 from rig.array_and_json_types import Floats
 from rig.effects.framework.machine_motion_and_play import independent_load_columns
 from rig.effects.texts.effect_file_from_formula import Written
+from rig.model.places_and_tolerances import Place
 
 # joints of which a formula is held out: something unnamed remains of every real arm, and the largest are worth a look
 SHOWN = 2
@@ -66,7 +67,7 @@ def suggest_joint_formulas(fit: Fit, unexplained: list[LackOfFit]) -> list[Sugge
     At most SHOWN.
     """
     motion, places = fit.arms.context.moved(), {u.place for u in unexplained if u.depends_on}
-    open_, out = [j for j, place in enumerate(motion.places) if place in places], []
+    open_, out = [j for j, place in enumerate(motion.places) if Place.parse(place) in places], []
     for _ in range(SHOWN):
         tried = [found for j in open_ if (found := _found(fit, j)) is not None]
         if not tried:
@@ -144,7 +145,7 @@ JOINTS = "joints"
 
 
 def find_lack_of_fit_by_joint(
-    fit: Fit, correlated_frames: int = 1, place: str | None = None, alpha: float = ALPHA
+    fit: Fit, correlated_frames: int = 1, place: Place | None = None, alpha: float = ALPHA
 ) -> list[LackOfFit]:
     """Find lack of fit ([LackOfFit]) of a Fit's residuals to smooth functions at each joint, largest first.
 
@@ -156,7 +157,8 @@ def find_lack_of_fit_by_joint(
         products = joint_products(fit, j)
         information = float(products.gamma.sum())
         for depends, basis in _bases(arms, j):
-            test = Test(moved.places[j], moved.units[j], (depends,), basis[fit.used][:, None, :], information, PRIOR)
+            weights = basis[fit.used][:, None, :]
+            test = Test(Place.parse(moved.places[j]), moved.units[j], (depends,), weights, information, PRIOR)
             found.append(test_lack_of_fit(fit.linear, products, test, correlated_frames))
     return sorted(
         significant_lack_of_fit([u for u in found if u is not None and place in (None, u.place)], alpha),
@@ -205,7 +207,9 @@ def excess_scatter(fit: Fit, repeats: Repeats | None, covariates: Sequence[Covar
             square = float(np.einsum("ni,nij,nj->", left, np.linalg.inv(own), left))
             noise = float(np.sqrt(np.einsum("nii->n", own).mean()))
             found.append(
-                detect_excess_scatter("rig", unit, noise, square, left.size - left.shape[1] * taken, k // 3, depends)
+                detect_excess_scatter(
+                    Place("rig"), unit, noise, square, left.size - left.shape[1] * taken, k // 3, depends
+                )
             )
     return [u for u in found if u is not None]
 

@@ -61,14 +61,14 @@ MIDDLE = 5.6 / 2  # a middle square has so many times the variance of a mean squ
 STRUTS, IMAGES = "struts", "images"
 
 
-def is_lack_of_fit_at_place(lack: LackOfFit, place: str) -> bool:
+def is_lack_of_fit_at_place(lack: LackOfFit, place: Place) -> bool:
     """Whether a LackOfFit is at a place, or at a part of it."""
-    at, own = Place.parse(place), Place.parse(lack.place)
-    return at.includes(own) or (at.kind == "clock" and Place("rig").includes(own))  # a clock moves all axes
+    moved = Place("rig") if place.kind == "clock" else place  # a clock moves all axes
+    return moved.includes(lack.place) or place.includes(lack.place)
 
 
 def find_lack_of_fit_by_place(
-    model: LinearisedModel, place: str | None = None, alpha: float = ALPHA
+    model: LinearisedModel, place: Place | None = None, alpha: float = ALPHA
 ) -> list[LackOfFit]:
     """Find lack of fit ([LackOfFit]) of the residuals at each place, the most significant first.
 
@@ -106,7 +106,7 @@ def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
         size = np.sqrt(max(alike, 0) / len(k.t) * own[:, i].mean())
         out.append(
             LackOfFit(
-                str(Place.axis("strut", i)),
+                Place.axis("strut", i),
                 float(size),
                 "m",
                 ("order",),
@@ -122,7 +122,7 @@ def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
         if ratio > 0:
             out.append(
                 LackOfFit(
-                    str(Place.axis("strut", i)),
+                    Place.axis("strut", i),
                     float(scatter[i]),
                     "m",
                     (),
@@ -146,17 +146,15 @@ def _camera(model: LinearisedModel, i: int) -> list[LackOfFit | None]:
             test_lack_of_fit(
                 model.linear,
                 products,
-                Test(str(at), "px", ("time",), camera_time_functions(k, count)[:, :, part], information),
+                Test(at, "px", ("time",), camera_time_functions(k, count)[:, :, part], information),
             )
             for count in (SLOW, FAST)
             for part in _apart(k, at, count)
         ]
-        out.append(_following(products, np.argsort(k.t), str(at), information))
+        out.append(_following(products, np.argsort(k.t), at, information))
     if not any(e.warps and e.site == at for e in k.effects):  # else what its image still bends by belongs to that lens
         seen = np.flatnonzero(k.observed.observations.camera == i)
-        out.append(
-            _still(model, seen, image_warp_pixel_derivatives(k, i)[seen], str(at), "image position", information)
-        )
+        out.append(_still(model, seen, image_warp_pixel_derivatives(k, i)[seen], at, "image position", information))
     return out
 
 
@@ -182,7 +180,7 @@ def _marker(model: LinearisedModel, edges: Floats, number: int, count: int) -> l
             model,
             hit,
             moved,
-            str(Place("marker", str(number))),
+            Place("marker", str(number)),
             "place on the marker",
             4 * count / model.corner_noise() ** 2,
         )
@@ -190,7 +188,7 @@ def _marker(model: LinearisedModel, edges: Floats, number: int, count: int) -> l
 
 
 def _still(
-    model: LinearisedModel, hit: Integers, moved: Floats, place: str, depends: str, information: float
+    model: LinearisedModel, hit: Integers, moved: Floats, place: Place, depends: str, information: float
 ) -> LackOfFit | None:
     """LackOfFit of displacements (h, 2, q) px of observed corners (h,) that are the same in every frame; where they are
     likely by chance, as without dispersion."""
@@ -208,7 +206,7 @@ def _still(
     return test_lack_of_fit(model.linear, products, Test(place, "px", (depends,), weights, information))
 
 
-def _following(products: FrameProducts, order: Integers, place: str, information: float) -> LackOfFit:
+def _following(products: FrameProducts, order: Integers, place: Place, information: float) -> LackOfFit:
     """LackOfFit of a camera that moves in any way by which exposures that follow each other look alike."""
     beta, gamma = products.beta[order], products.gamma[order]
     scale = np.sqrt(np.maximum(np.einsum("faa->a", gamma), 1e-300))
@@ -232,7 +230,7 @@ def excess_scatter(model: LinearisedModel, left: list[LackOfFit]) -> list[LackOf
         for u in found
         if u is not None
         and u.place not in known
-        and not any(is_lack_of_fit_at_place(u, effect.place) for effect in model.point.effects)
+        and not any(is_lack_of_fit_at_place(u, effect.site) for effect in model.point.effects)
     ]
 
 
@@ -260,7 +258,7 @@ def _strut_scatter(model: LinearisedModel) -> list[LackOfFit | None]:
     squares, freedom = (residual**2 / own).sum(axis=0), F - len(geometric_parameters(k.platform)) / k.axes
     noise = np.sqrt(own.mean(axis=0))
     return [
-        detect_excess_scatter(str(Place.axis("strut", i)), "m", float(noise[i]), float(squares[i]), freedom, k.axes)
+        detect_excess_scatter(Place.axis("strut", i), "m", float(noise[i]), float(squares[i]), freedom, k.axes)
         for i in range(k.axes)
     ]
 
@@ -271,7 +269,9 @@ def _corners(model: LinearisedModel) -> LackOfFit | None:
     if seen is None or stated is None:
         return None
     freedom = (len(model.corner_residual) - model.corners.local.shape[1] * model.frames) / MIDDLE
-    return detect_excess_scatter("cameras", "px", stated, freedom * (model.corner_noise() / stated) ** 2, freedom)
+    return detect_excess_scatter(
+        Place("cameras"), "px", stated, freedom * (model.corner_noise() / stated) ** 2, freedom
+    )
 
 
 def ranked_covariates(before: LinearisedModel, after: LinearisedModel) -> list[Covariate]:

@@ -31,6 +31,7 @@ from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions 
     model_with_smooth_functions,
     smooth_function_columns,
 )
+from rig.model.places_and_tolerances import Place
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,12 +175,12 @@ class PlatformProblem:
         """
         return CORNERS if candidate.seen_alone or not self.point.axes else CLOSURES
 
-    def lack_of_fit(self, model: LinearisedModel, place: str | None = None) -> list[LackOfFit]:
+    def lack_of_fit(self, model: LinearisedModel, place: Place | None = None) -> list[LackOfFit]:
         return (
             remainder.find_lack_of_fit_by_place(model)
             if place is None
             else remainder.find_lack_of_fit_by_place(model, place, self.policy.alpha)
         )
 
-    def within(self, left: LackOfFit, place: str) -> bool:
+    def within(self, left: LackOfFit, place: Place) -> bool:
         return remainder.is_lack_of_fit_at_place(left, place)

@@ -26,7 +26,7 @@ ROUNDS = 3  # of taking what smooth functions explain off the corners
 SEEN = 1e-3  # share of a function's square that the nuisances must leave for it to be taken off
 
 
-def smooth_strut_functions(point: OperatingPoint) -> list[tuple[str, list[tuple[str, Floats]]]]:
+def smooth_strut_functions(point: OperatingPoint) -> list[tuple[str, list[tuple[Place, Floats]]]]:
     """[(depends on, [(place, (F, axes, q) m)])] of smooth functions of struts at an OperatingPoint."""
     F, ones = len(point.t), np.ones(point.axes)
     bases = [
@@ -59,10 +59,10 @@ def smooth_strut_functions(point: OperatingPoint) -> list[tuple[str, list[tuple[
         for i in range(point.axes):
             weights = np.zeros((F, point.axes, functions.shape[2]))
             weights[:, i] = functions[:, i]
-            strutwise.append((str(Place.axis("strut", i)), weights))
+            strutwise.append((Place.axis("strut", i), weights))
         out.append((depends, strutwise))
     if pace.any():
-        out.append(("speed", [("rig", speeds)]))
+        out.append(("speed", [(Place("rig"), speeds)]))
     return out
 
 
@@ -160,19 +160,22 @@ def smooth_function_columns(
         if k.axes
         else {}
     )  # the finest of each
-    sites = [(u, Place.parse(u.place)) for u in lacks_of_fit]
     named = {
-        "pose" if d.endswith("position") else d for u, at in sites if at.kind in ("strut", "rig") for d in u.depends_on
+        "pose" if d.endswith("position") else d
+        for u in lacks_of_fit
+        if u.place.kind in ("strut", "rig")
+        for d in u.depends_on
     }
     parts = [w for d in sorted(named & weights.keys()) for _, w in weights[d]]
     pixels = []
-    for u, at in sites:
+    for u in lacks_of_fit:
+        at = u.place
         if at.kind in ("camera", "cameras") and u.depends_on == ("time",):
             shapes = camera_time_functions(k, FAST)[k.observed.observations.frame]
             pixels.append(np.einsum("nca,nak->nck", camera_mount_and_focal_pixel_derivatives(model, at), shapes))
         elif at.kind in ("camera", "cameras") and u.depends_on == ("image position",):
             pixels.append(image_warp_pixel_derivatives(k, _camera_index(k, at)))
-    if any(at.kind in ("marker", "markers") for _, at in sites):
+    if any(u.place.kind in ("marker", "markers") for u in lacks_of_fit):
         ids = np.unique(k.observed.markers.id[k.observed.sightings.marker])
         pixels.append(_marker_pixels(k, ids) @ np.kron(np.eye(len(ids)), _distortions()))
     return np.concatenate(pixels, axis=2) if pixels else None, np.concatenate(parts, axis=2) if parts else None

@@ -85,14 +85,14 @@ def suggest_strut_formulas(
     progress : called with (label, done, of), or None
     """
     k = fit.refined.point
-    places = list(dict.fromkeys(u.place for u in unexplained if Place.parse(u.place).kind in ("strut", "rig")))
+    places = list(dict.fromkeys(u.place for u in unexplained if u.place.kind in ("strut", "rig")))
     model = problem.residual(fit)
     if not k.axes or not places:
         return []
     said = progress or silent_progress
-    struts = [i for i in range(k.axes) if str(Place.axis("strut", i)) in places]
+    struts = [i for i in range(k.axes) if Place.axis("strut", i) in places]
     sites = [_of_strut(k, i) for i in struts] + (
-        [_of_all(k), _of_platform(k)] if len(struts) >= SEVERAL or "rig" in places else []
+        [_of_all(k), _of_platform(k)] if len(struts) >= SEVERAL or Place("rig") in places else []
     )
     tried: list[Found | None] = []
     for site in sites:
