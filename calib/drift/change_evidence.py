@@ -9,7 +9,7 @@ mean is one while nothing changes. Source: Pollak, Optimal detection of a change
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -19,6 +19,7 @@ from scipy.special import logsumexp
 
 from calib.drift.visit_equations_and_reference import GAP, GEOMETRY, GROWTH, OWN, SOFT, UNITS, Equations, Reference
 from rig.array_and_json_types import Floats
+from rig.model.places_and_tolerances import Place
 from vision.bundle.unknowns_and_estimate import POSE_SCALE
 
 SIZES = (1.0, 0.25, 0.0625)  # of the greatest plausible size, each as likely
@@ -48,7 +49,7 @@ class Hypothesis:
     """kind : of KINDS; name : in words; columns : (q,) of the unknowns; size : (q,) their greatest plausible standard
     deviation, scaled
     unit : (q,) own units (m, rad, a share, kg/(N/m)) of a scaled unknown; prior : its probability, were there a
-        change."""
+        change; place : what moves, None where no place does."""
 
     kind: str
     name: str
@@ -56,16 +57,17 @@ class Hypothesis:
     size: Floats
     unit: Floats
     prior: float
+    place: Place | None = None
 
 
 def change_hypotheses(reference: Reference) -> list[Hypothesis]:
     """Hypotheses of all changes that may happen to a rig."""
     places = 6 * len(reference.places)
     own, zeros = places + GEOMETRY, places + GEOMETRY - 6
-    found: list[tuple[str, str, list[int], float, float]] = []
-    for k, name in enumerate(reference.places):
-        kind = "target" if name.startswith("target") else "camera"
-        found.append((kind, name, list(range(6 * k, 6 * k + 6)), PLACE_SIZE, POSE_SCALE))
+    found: list[tuple[str, str | Place, list[int], float, float]] = []
+    for k, place in enumerate(reference.places):
+        kind = "target" if place.kind == "target" else "camera"
+        found.append((kind, place, list(range(6 * k, 6 * k + 6)), PLACE_SIZE, POSE_SCALE))
     found += [("zero", f"zero of strut {i + 1}", [zeros + i], ZERO_SIZE, POSE_SCALE) for i in range(6)]
     found += [("nut", OWN[i], [own + i], GAP_SIZE, GAP) for i in range(6)]
     found += [("temperature", OWN[6], [own + 6], GROWTH_SIZE, GROWTH), ("payload", OWN[7], [own + 7], SOFT_SIZE, SOFT)]
@@ -73,19 +75,20 @@ def change_hypotheses(reference: Reference) -> list[Hypothesis]:
     return [
         Hypothesis(
             kind,
-            name,
+            str(what),
             np.array(columns),
             np.full(len(columns), size / unit),
             np.full(len(columns), unit),
             1 / (len(KINDS) + 1) / members[kind],
+            what if isinstance(what, Place) else None,
         )
-        for kind, name, columns, size, unit in found
+        for kind, what, columns, size, unit in found
     ]
 
 
 def prior_information(reference: Reference, covariance: Floats) -> Floats:
     """Prior information (p, p), scaled, in what stays constant between visits."""
-    places = np.concatenate([np.full(6, POSE_SCALE / STATED[name.split(" ")[0]]) for name in reference.places])
+    places = np.concatenate([np.full(6, POSE_SCALE / STATED[place.kind]) for place in reference.places])
     values, vectors = np.linalg.eigh(covariance / POSE_SCALE**2)
     values = np.maximum(values, values[-1] * 1e-12)
     return np.asarray(
@@ -100,8 +103,8 @@ UNSAID = 1e-6  # chance beyond which what the likeliest change leaves is no nois
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Suspect:
-    """A change that is thought of. kind, name as in Hypothesis; since : index of the first visit with it, 0 the first
-    of all
+    """A change that is thought of. kind, name, place as in Hypothesis; since : index of the first visit with it,
+    0 the first of all
     odds : its probability, were there a change; value, sigma : (q,) in own units, none of what has no name."""
 
     kind: str
@@ -110,6 +113,7 @@ class Suspect:
     odds: float
     value: Floats
     sigma: Floats
+    place: Place | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,7 +183,9 @@ def change_verdict(
             found.append(
                 (
                     np.log(h.prior) + weight,
-                    Suspect(h.kind, h.name, onset[k], 0.0, value * h.unit, np.sqrt(np.diag(covariance)) * h.unit),
+                    Suspect(
+                        h.kind, h.name, onset[k], 0.0, value * h.unit, np.sqrt(np.diag(covariance)) * h.unit, h.place
+                    ),
                 )
             )
         found.append(
@@ -229,5 +235,5 @@ def _ranked(found: list[tuple[float, Suspect]], log_sum: float) -> tuple[Suspect
         odds[suspect.name] = odds.get(suspect.name, 0.0) + float(np.exp(weight - log_sum))
         if suspect.name not in best or weight > best[suspect.name][0]:
             best[suspect.name] = weight, suspect
-    out = [Suspect(o.kind, o.name, o.since, odds[o.name], o.value, o.sigma) for _, o in best.values()]
+    out = [replace(suspect, odds=odds[suspect.name]) for _, suspect in best.values()]
     return tuple(sorted(out, key=lambda one: -one.odds))

@@ -6,6 +6,7 @@ import numpy as np
 
 from calib.drift.change_evidence import ALARM, SOMETHING, Suspect, Verdict
 from calib.drift.visit_equations_and_reference import Reference
+from rig.model.places_and_tolerances import Place
 
 SHOWN = 3  # suspects that are listed
 LEAST = 0.01  # odds below which none but the first is
@@ -88,9 +89,9 @@ def change_verdict_lines(
 def _key(named: Suspect | None, reference: Reference) -> str:
     if named is None:
         return SOMETHING
-    if named.kind == "target":
-        return "base" if named.name.removeprefix("target ") in reference.base else "platform"
-    return "instrument" if named.name == "instrument" else named.kind
+    if named.place is not None and named.kind == "target":
+        return "base" if named.place.name in reference.base else "platform"
+    return "instrument" if named.place == Place("instrument") else named.kind
 
 
 def _said(one: Suspect, reference: Reference) -> str:

@@ -23,6 +23,7 @@ from rig.model import motion_simulation
 from rig.model.design import Camera, Design, Platform
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_hexapod
+from rig.model.places_and_tolerances import Place
 from rig.model.pose import log, skew
 from rig.recording.recording_folder import Commands, Recording, Sensors
 from vision.bundle.normal_equations import linearise, normal_equations
@@ -36,12 +37,12 @@ from vision.targets import marker_map
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """cameras : (Camera, ...) as the first visit found them; places : what may move, "camera NAME", "target NAME" of
-    base and platform, or "instrument"; base : names of the targets on the base; targets : a mark of where rig.toml
+    """cameras : (Camera, ...) as the first visit found them; places : what may move, cameras, targets of base and
+    platform, or the instrument; base : names of the targets on the base; targets : a mark of where rig.toml
     states all markers."""
 
     cameras: tuple[Camera, ...]
-    places: tuple[str, ...]
+    places: tuple[Place, ...]
     base: tuple[str, ...]
     targets: str
 
@@ -51,14 +52,14 @@ class Reference:
         RigError for a camera that moves.
         """
         if measured is None:
-            return cls((), ("instrument",), (), "")
+            return cls((), (Place("instrument"),), (), "")
         cameras = measured.design.cameras
         moving = [camera.name for camera in cameras if camera.mount == "moving"]
         if moving:
             raise RigError(f"camera {moving[0]} has a moving mount; watching requires fixed cameras")
         places = (
-            *(f"camera {camera.name}" for camera in cameras),
-            *(f"target {target.name}" for target in design.targets),
+            *(Place("camera", camera.name) for camera in cameras),
+            *(Place("target", target.name) for target in design.targets),
         )
         return cls(
             cameras, places, tuple(target.name for target in design.targets if target.body == "base"), _mark(design)
@@ -255,8 +256,8 @@ def _by_cameras(measured: Measurement, samples: Samples, T: RigidTransform, refe
     u, estimate = adjustment_unknowns(kept, a.state, a.stated, FREE)
     _, derivatives = linearise(kept, estimate, u, whitener_of_observations(kept))
     blocks = normal_equations(kept, derivatives, u, np.zeros(u.shared))
-    frames, at = 6 * len(samples), {f"target {name}": s for name, s in u.targets.items()}
-    at |= {f"camera {a.state.cameras[i].name}": s for i, s in u.poses.items()}
+    frames, at = 6 * len(samples), {Place("target", name): s for name, s in u.targets.items()}
+    at |= {Place("camera", a.state.cameras[i].name): s for i, s in u.poses.items()}
     away = np.concatenate([log(T.inv() * a.state.platform).ravel() / POSE_SCALE, np.zeros(u.shared)])
     N = np.zeros((len(away), len(away)))
     for f in range(len(samples)):
@@ -285,13 +286,13 @@ def _by_cameras(measured: Measurement, samples: Samples, T: RigidTransform, refe
     kept_rows = np.setdiff1d(np.arange(len(b)), own)
     N, b = _without(N, b, own)
     scale = np.r_[np.ones(frames), POSE_SCALE / u.scale][kept_rows]
-    place = np.zeros((len(kept_rows), frames + 6 * len(reference.places)))
-    place[:frames, :frames] = np.eye(frames)
-    for k, name in enumerate(reference.places):
-        if name in at:
-            of_place = np.searchsorted(kept_rows, frames + np.arange(at[name].start, at[name].stop))
-            place[of_place, frames + 6 * k : frames + 6 * k + 6] = np.diag(scale[of_place])
-    return _Seen(place.T @ N @ place, place.T @ b, samples)
+    of_places = np.zeros((len(kept_rows), frames + 6 * len(reference.places)))
+    of_places[:frames, :frames] = np.eye(frames)
+    for k, place in enumerate(reference.places):
+        if place in at:
+            motion_rows = np.searchsorted(kept_rows, frames + np.arange(at[place].start, at[place].stop))
+            of_places[motion_rows, frames + 6 * k : frames + 6 * k + 6] = np.diag(scale[motion_rows])
+    return _Seen(of_places.T @ N @ of_places, of_places.T @ b, samples)
 
 
 def _of_machine(seen: _Seen, T: RigidTransform, recording: Recording, calibration: Calibration) -> Equations:

@@ -21,6 +21,7 @@ from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files import write_text
 from rig.model.design import DISTORTION_TERMS, Camera
+from rig.model.places_and_tolerances import Place
 from rig.model.pose import pose_to_entry
 from rig.recording.frame_selection_and_content_hashes import (
     content_hashes_of_frames,
@@ -179,7 +180,7 @@ def write_history(path: Path | str, history: History) -> None:
     tree = {
         "schema": SCHEMA,
         "calibration_sha256": history.calibration,
-        "places": r.places,
+        "places": [str(place) for place in r.places],
         "base": r.base,
         "targets": r.targets,
         "cameras": cameras,
@@ -202,7 +203,10 @@ def read_history(path: Path | str, calibration: str) -> History:
         tree.fail(f"places has {len(places)} names; a rig has 1 to {MOST_PLACES}", "places")
     unknowns = 6 * len(places) + GEOMETRY + len(OWN)
     reference = Reference(
-        tuple(_camera(table) for table in tree.tables("cameras")), places, tree.texts("base"), tree.text("targets")
+        tuple(_camera(table) for table in tree.tables("cameras")),
+        tuple(map(Place.parse, places)),
+        tree.texts("base"),
+        tree.text("targets"),
     )
     return History(
         calibration,

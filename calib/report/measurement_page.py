@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.report.pose_figures_and_effect_displacements import pose_coverage_figures
 from rig.array_and_json_types import Floats
+from rig.model.places_and_tolerances import Place
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_and_svg_elements import (
@@ -25,6 +26,7 @@ from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 from vision import frame_and_effect_pictures
 from vision.bundle.adjustment_validation_and_determinacy import HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places
+from vision.bundle.unknowns_and_estimate import UnknownName
 from vision.measurement_result import TWICE, MeasurementResult, measurement_verdict
 from vision.reading.marker_identity_mistakes import Suspect
 from vision.recording_adjustment import Measurement
@@ -262,6 +264,7 @@ def _cameras(recording: Recording, m: Measurement) -> str:
     sigma = dict(zip(m.adjustment.shared_names, np.sqrt(np.diag(m.adjustment.shared_covariance))))
     rows = []
     for stated, found in zip(recording.design.cameras, m.design.cameras):
+        camera = Place("camera", found.name)
         moved = pose_to_vector(stated.pose.inv() * found.pose)
         rows.append(
             (
@@ -269,7 +272,7 @@ def _cameras(recording: Recording, m: Measurement) -> str:
                 f"{np.linalg.norm(moved[:3]) * 1e3:.3f}",
                 f"{np.linalg.norm(moved[3:]) * 1e3:.3f}",
                 *(
-                    f"{value:.3f} ± {2 * sigma.get((found.name, term), 0):.3f}"
+                    f"{value:.3f} ± {2 * sigma.get(UnknownName(camera, term), 0):.3f}"
                     for term, value in (
                         ("fx", found.matrix[0, 0]),
                         ("fy", found.matrix[1, 1]),

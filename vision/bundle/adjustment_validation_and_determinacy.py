@@ -175,7 +175,7 @@ def determined_combinations(adjustment: Adjustment) -> DeterminedUnknowns:
     kept = np.flatnonzero(
         ~adjustment.of_prints
     )  # how markers are printed, no recording tells marker by marker: that is said in one line
-    u, names = adjustment.unknowns, [" ".join(adjustment.shared_names[k]) for k in kept]
+    u, names = adjustment.unknowns, [str(adjustment.shared_names[k]) for k in kept]
     worth = np.where(np.isfinite(adjustment.prior), adjustment.prior, POSE_SIGMA)[kept]
     covariance = adjustment.shared_covariance[np.ix_(kept, kept)]
     scaled = covariance / np.outer(worth, worth)

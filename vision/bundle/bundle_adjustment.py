@@ -20,6 +20,7 @@ from vision.bundle.unknown_priors import adjustment_unknowns, stated_lens_prior_
 from vision.bundle.unknowns_and_estimate import (
     POSE_SCALE,
     Estimate,
+    UnknownName,
     Unknowns,
     align_with_datums,
     offset_from_stated,
@@ -60,7 +61,7 @@ class Adjustment:
     platform_given_cameras: Floats
     platform_common: Floats
     shared_factor: Floats
-    shared_names: list[tuple[str, str]]
+    shared_names: list[UnknownName]
     prior: Floats
     dof: float
     cost: float
@@ -222,5 +223,5 @@ def _inverse_root(information: Floats, u: Unknowns) -> Floats:
     values, vectors = np.linalg.eigh((information + information.T) / 2)
     if not values[0] > OPEN * values[-1]:
         worst = np.argsort(-np.abs(u.basis @ vectors[:, 0]))[:3]
-        raise NotEnoughData("the images do not determine: " + ", ".join(" ".join(u.names[i]) for i in worst))
+        raise NotEnoughData("the images do not determine: " + ", ".join(str(u.names[i]) for i in worst))
     return vectors / np.sqrt(values)

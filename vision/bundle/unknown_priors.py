@@ -11,13 +11,14 @@ import numpy as np
 
 from rig.array_and_json_types import Floats, Integers
 from rig.model.design import Camera
-from rig.model.places_and_tolerances import SIDES
+from rig.model.places_and_tolerances import SIDES, Place
 from rig.model.pose import skew
 from vision import lens
 from vision.bundle.printing_errors import NAMES, NONE, SIDE, Printing, Prints
 from vision.bundle.unknowns_and_estimate import (
     POSE_SCALE,
     Estimate,
+    UnknownName,
     Unknowns,
     do_cameras_hold_base,
     marker_motions_relative_to_targets,
@@ -69,7 +70,7 @@ def _prints(
     printing: Printing,
     state: State,
     rows: list[int],
-    add: Callable[[int, list[float], float, list[tuple[str, str]]], slice],
+    add: Callable[[int, list[float], float, list[UnknownName]], slice],
 ) -> Prints:
     """Unknowns of how each marker was printed. add : (count, scales, prior, names) -> the columns"""
     parts = printing.parts
@@ -78,12 +79,14 @@ def _prints(
             len(parts),
             printing.sigma(state.placed.side[row]).tolist(),
             1.0,
-            [(f"print {state.placed.id[row]}", NAMES[part]) for part in parts],
+            [UnknownName(Place("print", str(state.placed.id[row])), NAMES[part]) for part in parts],
         )
         for row in rows
     }
     sides = SIDE in parts
-    shared = add(int(sides), [printing.side * SIDES.sigma] * sides, 1.0, [("prints", NAMES[SIDE])] * sides)
+    shared = add(
+        int(sides), [printing.side * SIDES.sigma] * sides, 1.0, [UnknownName(Place("prints"), NAMES[SIDE])] * sides
+    )
     return Prints(parts, own, shared)
 
 
@@ -110,7 +113,7 @@ def adjustment_unknowns(
     poses, lenses, local_poses, scale, prior, names = {}, {}, {}, [], [], []
     local = 6
 
-    def add(count: int, scales: list[float], held: float, labels: list[tuple[str, str]]) -> slice:
+    def add(count: int, scales: list[float], held: float, labels: list[UnknownName]) -> slice:
         scale.extend(scales)
         prior.extend([held] * count)
         names.extend(labels)
@@ -119,16 +122,17 @@ def adjustment_unknowns(
     for i, camera in enumerate(state.cameras):
         if i not in seen:
             continue
+        place = Place("camera", camera.name)
         if i in state.moving:
             local_poses[i] = slice(local, local + 6)
             local += 6
         elif "poses" in free:
             scales, held = ([POSE_SCALE] * 6, 0.0) if i in anchored else ([POSE_SIGMA] * 6, 1.0)
-            poses[i] = add(6, scales, held, [(camera.name, part) for part in PARTS])
+            poses[i] = add(6, scales, held, [UnknownName(place, part) for part in PARTS])
         if "lenses" in free:
             terms = lens.lens_parameter_names(camera.distortion)
             lenses[i] = add(
-                len(terms), lens_prior_sigmas(camera).tolist(), 1.0, [(camera.name, term) for term in terms]
+                len(terms), lens_prior_sigmas(camera).tolist(), 1.0, [UnknownName(place, term) for term in terms]
             )
     rows = np.unique(observations.marker)
     markers, targets, middles = {}, {}, {}
@@ -138,14 +142,17 @@ def adjustment_unknowns(
                 6,
                 _place_prior(state.placed.side[row]),
                 1.0,
-                [(f"marker {state.placed.id[row]}", part) for part in PARTS],
+                [UnknownName(Place("marker", str(state.placed.id[row])), part) for part in PARTS],
             )
     if "targets" in free:
         for name in dict.fromkeys(state.placed.target[row] for row in rows):
             own = np.flatnonzero([target == name for target in state.placed.target])
             middles[name] = stated.placed.T_body_marker.translation[own].mean(axis=0)
             targets[name] = add(
-                6, _place_prior(state.placed.side[own].mean()), 1.0, [(f"target {name}", part) for part in PARTS]
+                6,
+                _place_prior(state.placed.side[own].mean()),
+                1.0,
+                [UnknownName(Place("target", name), part) for part in PARTS],
             )
     printed = printing is not None and not markers and not targets
     prints = _prints(printing, state, rows.tolist(), add) if printed and printing is not None else NONE

@@ -1,17 +1,32 @@
 """Unknowns of an adjustment as columns, the estimate of them, and the update of the estimate by a step."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Booleans, Floats, Integers
+from rig.model.places_and_tolerances import Place
 from rig.model.pose import exp, log
 from vision.bundle.printing_errors import NONE, Prints, apply_printing_errors, fill_printing_error_offsets
 from vision.predict import State
 from vision.targets import MarkerMap
 
 POSE_SCALE = 1e-3  # m, rad; only conditions the equations
+
+
+class UnknownName(NamedTuple):
+    """Name of a shared unknown. place : a camera, marker or target, or "print" and "prints" of how a marker and all are
+    printed
+    part : "x" .. "rz", a lens term, or a part of a print
+    """
+
+    place: Place
+    part: str
+
+    def __str__(self) -> str:
+        return f"{self.place.name if self.place.kind == 'camera' else self.place} {self.part}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,7 +37,7 @@ class Unknowns:
     local_poses : {moving camera: slice within a frame's block}; shared, local : how many; used : (F, local) bool, seen
         at all
     scale : (shared,) own units per unknown; prior : (shared,) 1 where the stated value holds it, else 0
-    names : (who, which part) of each shared unknown; basis : (shared, k) motions that leave the datums where they are
+    names : UnknownName of each shared unknown; basis : (shared, k) motions that leave the datums where they are
     middles : {target name: (3,) m, what it turns about}; seen : rows of the marker map that are observed
     prints : Prints, how markers held where they are stated are printed
     """
@@ -37,7 +52,7 @@ class Unknowns:
     used: Booleans
     scale: Floats
     prior: Floats
-    names: list[tuple[str, str]]
+    names: list[UnknownName]
     basis: Floats
     middles: dict[str, Floats]
     seen: Integers

@@ -8,13 +8,14 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
 from rig.errors import NotEnoughData
+from rig.model.places_and_tolerances import Place
 from rig.model.pose import exp, log, pose_difference
 from tests.vision.drawn_observations import known, scene
 from vision.bundle.adjustment_validation_and_determinacy import determined_combinations
 from vision.bundle.bundle_adjustment import adjust_bundle
 from vision.bundle.normal_equations import linearise
 from vision.bundle.unknown_priors import TERM_PRIOR, adjustment_unknowns
-from vision.bundle.unknowns_and_estimate import align_points, offset_from_stated, update_estimate
+from vision.bundle.unknowns_and_estimate import UnknownName, align_points, offset_from_stated, update_estimate
 from vision.corner_observations import corner_correlation_rows, whitener_of_observations
 from vision.predict import State, predict_corners
 from vision.targets import marker_map
@@ -184,7 +185,7 @@ def test_a_term_that_nothing_shows_stays_put(setting):
     sigma = dict(zip(result.shared_names, np.sqrt(np.diag(result.shared_covariance))))
     for before, after in zip(state.cameras, result.state.cameras):
         assert abs(after.distortion[4] - before.distortion[4]) < 0.05
-        assert sigma[after.name, "k3"] == pytest.approx(TERM_PRIOR["k3"], rel=0.05)
+        assert sigma[UnknownName(Place("camera", after.name), "k3")] == pytest.approx(TERM_PRIOR["k3"], rel=0.05)
     weak = determined_combinations(result).undetermined
     assert {name for _, names in weak for name in names} >= {f"{camera.name} k3" for camera in state.cameras}
     assert "not determined by this recording" in "\n".join(determined_combinations(result).lines())
