@@ -155,7 +155,7 @@ def _effect(kind: type[Effect], design: Design, route: Plan, rng: np.random.Gene
     sensors, _ = secret_machine.draw_temperatures(float(route.t[-1]), np.random.default_rng(0), 0)
     motion = motion_simulation.motion_of_commands(design, route.commands, route.t, (), sensors)
     motion = replace(motion, T=mechanisms.kinematics_of(design.mechanism).forward(motion.lengths, design.mechanism))
-    place = str(rng.choice(mechanisms.axis_places(design.mechanism)))
+    place = str(rng.choice(mechanisms.axis_place_texts(design.mechanism)))
     effect = kind.drawn(place, Drawing(design, route.t, motion, lambda effect, camera: 0.0), rng)
     reason = effect.needs(motion)
     if reason:

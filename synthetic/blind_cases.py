@@ -181,7 +181,7 @@ def _effect(kind: type[Effect], design: Design, route: Plan, rng: np.random.Gene
     place = str(rng.choice(kind.places))
     camera = design.cameras[rng.integers(len(design.cameras))]
     target = design.targets[rng.integers(len(design.targets))]
-    axes = mechanisms.axis_places(design.mechanism)
+    axes = mechanisms.axis_place_texts(design.mechanism)
     place = {
         "axis": axes[rng.integers(len(axes))],
         "camera": str(Place("camera", camera.name)),

@@ -48,7 +48,7 @@ class ArmKinematics:
                 "q": q[i].tolist(),
                 "pose": pose_to_vector(T[i]).tolist(),
                 "near_singular": _near_singular(q[i], arm),
-                "beyond_limits": [p for p, b in zip(mechanisms.axis_places(arm), beyond[i]) if b],
+                "beyond_limits": [p for p, b in zip(mechanisms.axis_place_texts(arm), beyond[i]) if b],
             }
             if correction is not None:
                 entry["corrected"] = pose_to_vector(correction.predict(q[i])).tolist()
@@ -154,7 +154,7 @@ def _numeric(T: RigidTransform, arm: Arm, steps: bool) -> tuple[str, list[Json]]
 def _beyond(q: list[float], arm: Arm) -> list[str]:
     """Places of the joints that no whole turn brings within their limits."""
     beyond = mechanism.limit_excess(mechanism.nearest_equivalent_angles(np.array(q), arm, np.zeros(len(q))), arm)
-    return [place for place, by in zip(mechanisms.axis_places(arm), beyond) if by]
+    return [place for place, by in zip(mechanisms.axis_place_texts(arm), beyond) if by]
 
 
 def _finished(T: RigidTransform, q: list[float], correction: ArmCorrection) -> list[float] | None:

@@ -69,7 +69,7 @@ def iso230_axis_tests(correction: AnyCorrection, poses: HeldPoses) -> tuple[Axis
     mechanism = correction.nominal
     alone = poses.step.sum(axis=1) == 1
     out = []
-    for axis, name in enumerate(mechanisms.axis_places(mechanism)):
+    for axis, name in enumerate(mechanisms.axis_place_texts(mechanism)):
         rows = np.flatnonzero(alone & poses.step[:, axis])
         found = _test(
             name,

@@ -280,7 +280,7 @@ def require_reachable(commands: Floats, mechanism: Struts | Arm | Chain, labels:
     """Raise Unreachable, listing every pose whose commands (n, axes) m or rad leave the mechanism's range. labels : n
     texts.
     """
-    places = mechanisms.axis_places(mechanism)
+    places = mechanisms.axis_place_texts(mechanism)
     shown = [PLOT_UNITS[unit] for unit in mechanisms.axis_units(mechanism)]
     beyond = mechanisms.kinematics_of(mechanism).limit_excess(commands, mechanism)
     bad = np.flatnonzero((beyond != 0).any(axis=1))

@@ -217,7 +217,7 @@ def commands_at_poses(machine: Machine, T: RigidTransform, route: Route, guess: 
 
 def path_memory_length(machine: Machine) -> Floats:
     """Length (axes,) of path memory: travel one way after which an axis' earlier path no longer matters."""
-    places = mechanisms.axis_places(machine.correction.fitted)
+    places = mechanisms.axis_place_texts(machine.correction.fitted)
     return np.max([e.axes(places) * e.forgets() for e in machine.effects] or [np.zeros(len(places))], axis=0)
 
 

@@ -257,7 +257,7 @@ class ArmRefit:
         physics together.
         """
         response = self.together.response(done.found)
-        cross, places = response @ self.physics.own, mechanisms.axis_places(done.correction.nominal)
+        cross, places = response @ self.physics.own, mechanisms.axis_place_texts(done.correction.nominal)
         kept = [place for place, part in zip(places, done.correction.remainder) if part is not None]
         unknown = tuple(
             replace(u, corrected=u.place in kept or (u.place == "rig" and bool(kept))) for u in self.physics.unknown

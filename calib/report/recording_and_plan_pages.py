@@ -141,7 +141,7 @@ def write_plan_page(path: Path | str, file: str, plan_result: PlanFigures, links
     axes = panel_row_html(
         *(
             plot_panel_svg(name, ("configuration", unit), [Series(n, plan_result.values[:, i] * scale)])
-            for i, (name, (scale, unit)) in enumerate(zip(mechanisms.axis_places(mechanism), scales))
+            for i, (name, (scale, unit)) in enumerate(zip(mechanisms.axis_place_texts(mechanism), scales))
         )
     )
     said = [list_html(plan_result.said[1:])] if plan_result.said[1:] else []

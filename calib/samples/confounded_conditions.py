@@ -111,7 +111,7 @@ def confounds_of_samples(samples: Samples, mechanism: Struts | Arm | Chain | Fre
     if known is None:
         return None
     return confounds_of_design(
-        samples.commanded, known.direction, known.t, known.channels, mechanisms.axis_places(mechanism)
+        samples.commanded, known.direction, known.t, known.channels, mechanisms.axis_place_texts(mechanism)
     )
 
 
@@ -121,7 +121,7 @@ def confounds_of_configurations(values: Floats, start: Floats, mechanism: Struts
     latest = np.maximum.accumulate(np.where(way != 0, np.arange(len(way))[:, None], -1), axis=0)
     direction = np.where(latest < 0, 0.0, np.take_along_axis(way, np.maximum(latest, 0), axis=0))
     return confounds_of_design(
-        values, direction, cast(Floats, EVEN * np.arange(len(values))), {}, mechanisms.axis_places(mechanism)
+        values, direction, cast(Floats, EVEN * np.arange(len(values))), {}, mechanisms.axis_place_texts(mechanism)
     )
 
 
@@ -141,7 +141,7 @@ def confounds_of_recordings(recordings: Sequence[Recording]) -> Confounds | None
         np.concatenate([one.direction for one in known]),
         np.concatenate([one.t + begin for one, begin in zip(known, begins)]),
         {name: np.concatenate([one.channels[name] for one in known]) for name in names},
-        mechanisms.axis_places(recordings[0].design.mechanism),
+        mechanisms.axis_place_texts(recordings[0].design.mechanism),
     )
 
 

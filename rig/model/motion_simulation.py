@@ -57,7 +57,7 @@ def motion_of_commands(
     lengths = np.stack([np.interp(knots, commands.t, column) for column in commands.values.T], axis=1)
     path = Path(knots, lengths, np.searchsorted(knots, t), commands.starts)
     for effect in effects:
-        path = effect.follow(path, mechanisms.axis_places(design.mechanism))
+        path = effect.follow(path, mechanisms.axis_place_texts(design.mechanism))
     home = mechanisms.kinematics_of(design.mechanism).home_values(design.mechanism)
     return Motion(
         require_axes(design.mechanism), design.platform, design.actuator, design.gravity, t, path, sensors, home, None

@@ -189,9 +189,8 @@ def require_commands_in_range(table: csv_and_parquet_tables.Table, design: Desig
         raise FileError(table.path, f"has {len(table)} rows; a plan exposes at most {MOST} times")
     beyond = mechanisms.kinematics_of(design.mechanism).limit_excess(values, design.mechanism)
     for i in np.flatnonzero(beyond.any(axis=1)):
-        table.fail(
-            f"{mechanisms.axis_places(design.mechanism)[np.flatnonzero(beyond[i])[0]]} is commanded out of its range", i
-        )
+        axis = mechanisms.axis_place_texts(design.mechanism)[np.flatnonzero(beyond[i])[0]]
+        table.fail(f"{axis} is commanded out of its range", i)
     return values
 
 

@@ -61,7 +61,7 @@ def _within(q: Floats, goal: Floats, arm: Arm, fixed_hand_part: str) -> Floats:
             or np.abs(new - now).max() > 0.5
         ):
             where = (
-                f"leaves the limits of {mechanisms.axis_places(arm)[int(beyond.argmax())]}"
+                f"leaves the limits of {mechanisms.axis_place_texts(arm)[int(beyond.argmax())]}"
                 if beyond.any()
                 else "is near a singularity"
             )
@@ -113,7 +113,7 @@ def motion_with_straight_hand(q: Floats, goal: Floats, arm: Arm, steps: int = ST
         if beyond.any():
             j = int(np.abs(beyond).argmax())
             raise RigError(
-                f"the straight path leaves the limits of {mechanisms.axis_places(arm)[j]} at {share[k]:.0%} of it"
+                f"the straight path leaves the limits of {mechanisms.axis_place_texts(arm)[j]} at {share[k]:.0%} of it"
             )
         rows.append(new[0])
     return np.vstack([rows, motion_with_hand_still(rows[-1], goal, arm)[1:]])

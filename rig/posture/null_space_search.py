@@ -214,7 +214,7 @@ def _starts(q: Floats, arm: Arm, fixed_hand_part: str) -> Floats:
         scale, unit = (1e3, "mm") if arm.slides[j] else (np.degrees(1), "degrees")
         low, high = scale * arm.limits[j]
         raise RigError(
-            f"posture {i} has {mechanisms.axis_places(arm)[j]} at {scale * q[i, j]:.3f} {unit}, outside its "
+            f"posture {i} has {mechanisms.axis_place_texts(arm)[j]} at {scale * q[i, j]:.3f} {unit}, outside its "
             f"limits {low:.3f} .. {high:.3f}"
         )
     return q

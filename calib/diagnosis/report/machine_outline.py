@@ -178,7 +178,7 @@ def arm_outline_figures(arm: Arm | Chain, q: Floats, marked_joints: dict[int, di
     at, joints = _points(q, arm)
     typical = int(np.argmin(((q - np.median(q, axis=0)) ** 2).sum(axis=1)))
     ghosts = np.linspace(0, len(q) - 1, GHOSTS).astype(int)
-    places, units = mechanisms.axis_places(arm), mechanisms.axis_units(arm)
+    places, units = mechanisms.axis_place_texts(arm), mechanisms.axis_units(arm)
     said = {
         j: f"{places[j]}: "
         + ", ".join(f"{name} {size * 1e3:.3f} m{units[j]}" for name, size in marked_joints[j].items())

@@ -194,7 +194,7 @@ def held_out_region_gains(diagnosis: Diagnosis) -> list[Json]:
     """
     if diagnosis.design is None:
         return []
-    places = mechanisms.axis_places(diagnosis.design.mechanism)
+    places = mechanisms.axis_place_texts(diagnosis.design.mechanism)
     return [
         {
             "joint": j + 1,
@@ -257,7 +257,7 @@ def held_out_gain_table(diagnosis: Diagnosis) -> str:
                 *(f"{(v.before - v.after) * scale:+.{1 if scale > 1 else 4}f}" for v in found),
             ]
         )
-    places = [] if diagnosis.design is None else mechanisms.axis_places(diagnosis.design.mechanism)
+    places = [] if diagnosis.design is None else mechanisms.axis_place_texts(diagnosis.design.mechanism)
     units = " or ".join(dict.fromkeys(UNITS.get(v.unit, v.unit) for v in diagnosis.cross_validations))
     said = note_html(
         f"{units}, RMS along one axis, by which held-out data are predicted better with it than without. A curve of "

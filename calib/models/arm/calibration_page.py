@@ -104,7 +104,8 @@ def _figures(f: Figures) -> list[str]:
 
 def _profiles(calibration: Calibration, samples: Samples) -> str:
     q, nominal = samples.commanded, calibration.correction.nominal
-    rho, places, units = calibration.correction.rho(q), mechanisms.axis_places(nominal), mechanisms.axis_units(nominal)
+    rho, units = calibration.correction.rho(q), mechanisms.axis_units(nominal)
+    places = mechanisms.axis_place_texts(nominal)
     return panel_row_html(
         *(
             plot_panel_svg(

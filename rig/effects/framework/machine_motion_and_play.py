@@ -156,7 +156,7 @@ class Motion:
     @property
     def places(self) -> tuple[str, ...]:
         """The axes' places: "strut 1" .. or "joint 1" .., of an arm's slides "slide 1" .."""
-        return mechanisms.axis_places(self.mechanism)
+        return mechanisms.axis_place_texts(self.mechanism)
 
     @property
     def units(self) -> tuple[str, ...]:

@@ -167,22 +167,22 @@ def require_existing_place(effect: Effect, design: Design) -> Effect:
     """The effect, its place required to exist in the design. Raises RigError otherwise."""
     site, places = effect.site, mechanisms.axis_places(design.mechanism)
     kind, name = site.kind, site.name
-    slide = str(replace(site, kind="slide"))
+    slide = replace(site, kind="slide")
     if kind == "joint" and slide in places:
         try:
-            return check_effect(replace(effect, place=slide))
+            return check_effect(replace(effect, place=str(slide)))
         except ValueError as error:
             raise RigError(str(error)) from None
-    if kind in AXES and design.mechanism.bodies and effect.place not in places:
-        near = nearest_known_word(effect.place, places)
+    if kind in AXES and design.mechanism.bodies and site not in places:
+        names = mechanisms.axis_place_texts(design.mechanism)
+        near = nearest_known_word(effect.place, names)
         raise RigError(
             f"{effect.name} at {effect.place}: this rig has no such axis"
             + (f"; is {near!r} meant?" if near else "")
-            + f"; it has {', '.join(places)}"
+            + f"; it has {', '.join(names)}"
         )
-    axes = [Place.parse(place) for place in places]
     there = {
-        **{word: [axis.name for axis in axes if axis.kind == word] for word in AXES},
+        **{word: [axis.name for axis in places if axis.kind == word] for word in AXES},
         "camera": [c.name for c in design.cameras],
         "target": [t.name for t in design.targets],
         "marker": [str(i) for t in design.targets for i in t.ids],

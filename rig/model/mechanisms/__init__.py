@@ -5,10 +5,19 @@ rig.model.design.
 from rig.model.mechanisms.kinematics_by_kind import (
     ALL,
     MechanismKinematics,
+    axis_place_texts,
     axis_places,
     axis_units,
     kinematics_of,
     travel_unit,
 )
 
-__all__ = ["ALL", "MechanismKinematics", "kinematics_of", "axis_places", "travel_unit", "axis_units"]
+__all__ = [
+    "ALL",
+    "MechanismKinematics",
+    "kinematics_of",
+    "axis_place_texts",
+    "axis_places",
+    "travel_unit",
+    "axis_units",
+]

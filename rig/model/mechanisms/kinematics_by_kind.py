@@ -9,6 +9,7 @@ from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Planar2
 from rig.model.mechanisms import arm, hexapod, mechanism_chain, two_strut_plane
+from rig.model.places_and_tolerances import Place
 
 K = TypeVar("K", bound=Hexapod | Planar2 | Arm | Chain | Free)
 M = TypeVar("M", contravariant=True)  # the geometry of rig.model.design that a kind moves
@@ -105,19 +106,27 @@ def kinematics_of(mechanism: K) -> MechanismKinematics[K]:
     return ALL[mechanism.kind]
 
 
-def axis_places(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> tuple[str, ...]:
-    """Places of a mechanism's axes: "strut 1" .., "joint 1" .., "slide 3", a chain's "stage 2 strut 1"."""
+def axis_places(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> tuple[Place, ...]:
+    """Places of a mechanism's axes: strut 1 .., joint 1 .., slide 3, a chain's stage 2 strut 1."""
     if mechanism.bodies:
-        return tuple(
-            f"stage {k + 1} {place}" for k, stage in enumerate(mechanism.stages) for place in axis_places(stage)
-        )
+        return tuple(place for k, stage in enumerate(mechanism.stages) for place in _numbered(stage.axis_words, k + 1))
     return _numbered(mechanism.axis_words)
 
 
 @cache
-def _numbered(words: tuple[str, ...]) -> tuple[str, ...]:
+def _numbered(words: tuple[str, ...], stage: int = 0) -> tuple[Place, ...]:
     """The places of axes that are called so, counted from 1."""
-    return tuple(f"{word} {i + 1}" for i, word in enumerate(words))
+    return tuple(Place(word, str(i + 1), stage) for i, word in enumerate(words))
+
+
+def axis_place_texts(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> tuple[str, ...]:
+    """Texts of the places of a mechanism's axes: "strut 1" .., a chain's "stage 2 strut 1"."""
+    return _texts(axis_places(mechanism))
+
+
+@cache
+def _texts(places: tuple[Place, ...]) -> tuple[str, ...]:
+    return tuple(map(str, places))
 
 
 def travel_unit(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> str:

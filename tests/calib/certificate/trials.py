@@ -157,7 +157,7 @@ def lengths(errors):
 
 def _drawn(kind, design, route, motion, rng):
     place = str(rng.choice(kind.places))
-    axes = mechanisms.axis_places(design.mechanism)
+    axes = mechanisms.axis_place_texts(design.mechanism)
     return kind.drawn(
         axes[rng.integers(len(axes))] if place == "axis" else place, Drawing(design, route.t, motion, None), rng
     )

@@ -20,7 +20,7 @@ from rig.errors import FileError, RigError, Unreachable
 from rig.formats import csv_and_parquet_tables, machine_json
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import arm, hexapod, mechanism_chain
-from rig.model.mechanisms import axis_places as chain_places
+from rig.model.mechanisms import axis_place_texts as chain_places
 from rig.model.motion_simulation import simulate_machine_run
 from rig.model.pose import exp, log, pose, pose_difference
 from rig.planning.configuration_sets import sobol_configurations

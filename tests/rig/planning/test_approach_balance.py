@@ -35,7 +35,7 @@ def _confounds(design: Design, text: str, seed: int) -> Confounds:
         approach_direction(found.commands, found.t),
         found.t,
         {PAYLOAD: mass},
-        mechanisms.axis_places(design.mechanism),
+        mechanisms.axis_place_texts(design.mechanism),
     )
 
 

@@ -47,6 +47,7 @@ from calib.diagnosis.problems.remainder_covariates_and_formulas import (
 from rig.array_and_json_types import Floats
 from rig.effects.framework.machine_motion_and_play import independent_load_columns
 from rig.effects.texts.effect_file_from_formula import Written
+from rig.model.mechanisms import axis_places
 from rig.model.places_and_tolerances import Place
 
 # joints of which a formula is held out: something unnamed remains of every real arm, and the largest are worth a look
@@ -67,7 +68,7 @@ def suggest_joint_formulas(fit: Fit, unexplained: list[LackOfFit]) -> list[Sugge
     At most SHOWN.
     """
     motion, places = fit.arms.context.moved(), {u.place for u in unexplained if u.depends_on}
-    open_, out = [j for j, place in enumerate(motion.places) if Place.parse(place) in places], []
+    open_, out = [j for j, place in enumerate(axis_places(motion.mechanism)) if place in places], []
     for _ in range(SHOWN):
         tried = [found for j in open_ if (found := _found(fit, j)) is not None]
         if not tried:
@@ -153,12 +154,13 @@ def find_lack_of_fit_by_joint(
     """
     arms, found = fit.arms, []
     moved = arms.context.moved()
+    axes = axis_places(moved.mechanism)
     for j in range(arms.q.shape[1]):
         products = joint_products(fit, j)
         information = float(products.gamma.sum())
         for depends, basis in _bases(arms, j):
             weights = basis[fit.used][:, None, :]
-            test = Test(Place.parse(moved.places[j]), moved.units[j], (depends,), weights, information, PRIOR)
+            test = Test(axes[j], moved.units[j], (depends,), weights, information, PRIOR)
             found.append(test_lack_of_fit(fit.linear, products, test, correlated_frames))
     return sorted(
         significant_lack_of_fit([u for u in found if u is not None and place in (None, u.place)], alpha),

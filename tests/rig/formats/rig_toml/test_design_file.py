@@ -289,7 +289,7 @@ def test_rows_say_which_joints_slide(tmp_path):
         and mechanisms.axis_units(arm) == ("rad", "m", "rad")
         and arm.axes == ("q1", "q2", "q3")
     )
-    assert arm.rows[1].tolist() == [0.1, 0.2, 0, 0, 0] and mechanisms.axis_places(arm) == (
+    assert arm.rows[1].tolist() == [0.1, 0.2, 0, 0, 0] and mechanisms.axis_place_texts(arm) == (
         "joint 1",
         "slide 2",
         "joint 3",
