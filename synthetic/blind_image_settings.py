@@ -35,11 +35,13 @@ class Printing(Effect):
         )
 
 
-def draw_printing_errors(design: Design, rng: np.random.Generator, place: float, side: float) -> Printing:
-    """Printing errors of a design's markers drawn at random. place : m, sigma of shifts; side : share, of sides"""
+def draw_printing_errors(
+    design: Design, rng: np.random.Generator, shift_sigma: float, relative_side_sigma: float
+) -> Printing:
+    """Printing errors of a design's markers drawn at random: shifts (sigma m), and sides (sigma as a share)."""
     count = len(marker_map(design).id)
-    scales = side * (rng.normal() + rng.normal(size=count))
-    return Printing("markers", tuple((place * rng.normal(size=2 * count)).tolist()), tuple(scales.tolist()))
+    scales = relative_side_sigma * (rng.normal() + rng.normal(size=count))
+    return Printing("markers", tuple((shift_sigma * rng.normal(size=2 * count)).tolist()), tuple(scales.tolist()))
 
 
 IMAGE_KINDS = (

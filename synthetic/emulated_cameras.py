@@ -16,7 +16,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.driving.cameras.camera_opening import USUAL
 from rig.driving.clock import Clock, SystemClock
-from rig.driving.emulators.emulator_opening import home_lengths
+from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
 from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation

@@ -35,7 +35,7 @@ STEEPEST = np.cos(np.radians(70))  # corners are written of markers seen no more
 class Simulation:
     """A recording before it is written.
 
-    world : World; plan : Plan; sensors : Sensors as they truly were; log : Sensors as logged; run : machine.Run at the
+    world : World; plan : Plan; sensors : Sensors as they truly were; log : Sensors as logged; run : MachineRun at the
         exposures
     """
 

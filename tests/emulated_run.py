@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rig.driving import emulators
 from rig.driving.clock import SystemClock
-from rig.driving.emulators import emulator_opening
+from rig.driving.emulators import controller_emulator_opening_and_ports
 from rig.driving.emulators.controller_faults import Faults
 from rig.formats.rig_toml import design_file
 from rig.planning.layout import hexapod_layout_and_camera_placement
@@ -55,7 +55,7 @@ def _emulate(folder: str, protocol: str, pipe) -> None:
     made = emulators.emulator_of_design(
         design_file.load_design(Path(folder) / "rig.toml"), Faults((), np.random.default_rng(0)), clock
     )
-    wire = emulator_opening.Terminal(link)
+    wire = controller_emulator_opening_and_ports.Terminal(link)
     told = open(Path(folder) / "told.csv", "w", encoding="utf-8")  # noqa: SIM115
     count = 0
 
@@ -67,7 +67,7 @@ def _emulate(folder: str, protocol: str, pipe) -> None:
             count += 1
 
     pipe.send(True)
-    emulator_opening.serve_emulator(made, wire, lambda: True, lambda name: None, record)
+    controller_emulator_opening_and_ports.serve_emulator(made, wire, lambda: True, lambda name: None, record)
 
 
 class EmulatedRig:

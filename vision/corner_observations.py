@@ -1,6 +1,7 @@
 """Corner observations of a recording as flat arrays, with whitening and merging of repeated corners.
 
-Where it is predicted is the same in every frame, so that the sum of squares over its repeats is that of their mean,
+Where a repeated corner is predicted is the same in every frame, so that the sum of squares over its repeats is that of
+their mean,
 with all their weight, and a constant: adjustments take nearly half of a recording's corners at the price of a few
 hundred, to the same optimum.
 """

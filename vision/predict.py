@@ -133,7 +133,7 @@ def predict_sightings(
 
     state : State; markers : MarkerMap as stated; t : (F,) s of the frames, for effects in time; sensors : Sensors or
         None
-    run : machine.Run with rates, needed where rows of a camera are exposed one after the other
+    run : MachineRun with rates, needed where rows of a camera are exposed one after the other
     Raises RigError where an effect needs a sensor channel that is not there
     """
     for effect in effects:

@@ -1,1 +1,1 @@
-"""The entry points of calib, one file per verb, called by the commands and by notebooks."""
+"""The Python API of calib, a function per verb: what commands and notebooks call."""

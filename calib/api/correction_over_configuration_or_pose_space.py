@@ -36,7 +36,7 @@ from calib.correction.interpolation.field_interface_and_combinations import (
     SpacePart,
     SummedPasses,
 )
-from calib.correction.interpolation_methods_and_summand_extension import (
+from calib.correction.interpolation_methods_and_correction_summand_fields import (
     base_geometry,
     correction_with_map,
     correction_with_pass,
@@ -47,7 +47,7 @@ from calib.correction.interpolation_methods_and_summand_extension import (
     residual_pose_tangents_of_pass,
     single_step_correction_errors,
 )
-from calib.files.calibration_file_entries import mechanism_dict
+from calib.files.mechanism_and_physics_entries_of_calibration_json import mechanism_dict
 from calib.models.arm import certification as arm_certification
 from calib.models.arm import joint_space_correction_certification as arm_extension
 from calib.models.arm.certification import CertifiedArm as ArmCertified
@@ -63,11 +63,12 @@ from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts, has_l
 from rig.model.pose import pose_difference
 
 CONFIGURATION, POSE, BOTH = "configuration", "pose", "both"
-PASS_SPACES = (CONFIGURATION, POSE, BOTH)
+SPACES = (CONFIGURATION, POSE, BOTH)
 
 
 class CorrectionPass(NamedTuple):
-    """What is asked of a pass. kind : one of `interpolation_methods.ALL`, or AUTO; space : of SPACES;
+    """What is asked of a pass. kind : one of `METHODS` of
+    calib.correction.interpolation_methods_and_correction_summand_fields, or AUTO; space : of SPACES;
     configurations : Part of the configuration
     space in which it holds, poses : Part of pose space, in the coordinates of `pose_coordinate_indices`; None for all
         of it."""
@@ -87,7 +88,7 @@ def certify_additional_pass(
 ) -> tuple[Certified, tuple[Tried, ...], int]:
     """(Certified additional pass, methods tried, samples used): a pass of correction by samples measured anew.
 
-    Raises NotEnoughData where a part holds no samples; the rest as `certify_extended`
+    Raises NotEnoughData where a part holds no samples; the rest as `certify_extended_correction`
     """
     correction, said = previous_calibration.correction, progress or silent_progress
     some = samples.take(_within(samples, correction, requested_pass))
@@ -206,9 +207,6 @@ def _within(samples: Samples, correction: AnyCorrection, asked: CorrectionPass) 
     return keep
 
 
-SPACES = ("configuration", "pose", "both")
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ExtendOptions:
     """way : how, of "linear", "simplex", "delaunay", "axes", "radial", "polynomial" or, by held-out error, "auto"
@@ -269,7 +267,9 @@ class ExtendedCorrection:
 def certify_correction_extension(
     options: ExtendOptions, design: Design, sampled: Sampled, rng: np.random.Generator, progress: Progress
 ) -> ExtendedCorrection:
-    """Extended, of a machine on struts or an arm. Raises RigError for a chain, and for a part that bounds nothing"""
+    """ExtendedCorrection of a machine on struts or an arm. Raises RigError for a chain, and for a part that bounds
+    nothing
+    """
     samples, ask = sampled.samples, ExtensionRequest(options.way, options.alone)
     base = "the nominal model alone" if options.alone else "the fitted geometry"
     if has_links(design.mechanism):
@@ -338,7 +338,7 @@ def _parts(text: str | None, mechanism: Struts) -> tuple[SpacePart | None, Space
             raise RigError(
                 f"--within takes NAME=LOW:HIGH separated by commas, names {' '.join(spaces[0] + spaces[1])}, "
                 "low below high and either omitted "
-                f"out where free, not {word.strip()!r}"
+                f"where free, not {word.strip()!r}"
             )
         bounds[at[0][0]][at[0][1]] = pair
     found = [SpacePart(*pair.T) if np.isfinite(pair).any() else None for pair in bounds]

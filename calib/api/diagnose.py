@@ -1,11 +1,4 @@
-"""Diagnosis of a rig's recordings: physics that the model leaves out, and questions for an experiment.
-
-Poses of an instrument are as sure as its others; of cameras, as their images will tell, with what cameras and lenses
-add to all alike.
-
-Geometry and the sizes of all that is admitted are as sure as the recordings so far leave them; a lag's or a
-friction's own shape is taken as found.
-"""
+"""Diagnosis of a rig's recordings: physics that the model leaves out, and questions for an experiment."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -27,7 +20,7 @@ from calib.diagnosis.recording_diagnosis import Diagnosis, DiagnosisOptions
 from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
 from calib.diagnosis.report.diagnosis_page import arm_or_platform_page_view, diagnosis_page
 from calib.diagnosis.report.report_data_and_verdict import Report, diagnosis_verdict
-from calib.diagnosis.report.report_entries_and_diagnosis_folder import diagnosis_report, write_diagnosis_folder
+from calib.diagnosis.report.report_of_diagnosis_and_diagnosis_folder import diagnosis_report, write_diagnosis_folder
 from calib.experiment.experiment_questions_and_information import Question
 from calib.files import calibration_provenance_and_used_frames
 from calib.samples.recording_samples import Sampled, sample_recording

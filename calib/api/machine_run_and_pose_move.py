@@ -28,7 +28,7 @@ from rig.driving.cameras.camera_interface_and_grabbing import Settling, parse_se
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_status_and_operator_advice import TRUST, ControllerStatus
 from rig.driving.driver_opening_and_settled_status import open_driver, settled_status
-from rig.driving.emulators.emulator_opening import home_lengths
+from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
 from rig.driving.move_and_record_loop import RunOperator
 from rig.driving.run_journal_and_recording import Began, Journal
 from rig.driving.run_steps_and_progress import Step, check_steps, step_distances, steps_of_plan

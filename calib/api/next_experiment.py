@@ -128,7 +128,7 @@ def choose_experiment(
 ) -> tuple[list[Experiment], dict[str, str]]:
     """([Experiment], the best first; {plan's text: why it is excluded}).
 
-    plan_texts : plans to choose from, alone and two by two; seed : of them; most_minutes : minutes that one may take;
+    plan_texts : plans to choose from, alone and two by two; seed : of them; minutes_limit : minutes that one may take;
         progress : called with (done, of)
     """
     out: list[Experiment] = []

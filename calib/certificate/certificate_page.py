@@ -183,7 +183,7 @@ def _against(c: Certificate) -> list[str]:
         heading_html("Against the tolerance"),
         *map(paragraph_html, certificate_sentences.conformity_lines(c)),
         note_html(
-            "All tolerances are decided jointly, from limits of 97.5 % confidence (guard bands, JCGM "
+            "One joint decision is made on all tolerances, from limits of 97.5 % confidence (guard bands, JCGM "
             "106): it is wrong in 2.5 % of "
             "cases at the most. A position is accepted only where the scale is certified."
         ),

@@ -43,12 +43,12 @@ from calib.certification.workspace_claim import (
     extension_error_squares,
     sample_workspace,
 )
-from calib.correction import interpolation_methods_and_summand_extension
+from calib.correction import interpolation_methods_and_correction_summand_fields
 from calib.correction.correction import AnyCorrection, solvable_commands_and_poses
 from calib.correction.interpolation.field_interface_and_combinations import Field, FieldSamples, WeightedField
 from calib.correction.interpolation.gaussian_process import RadialMap
 from calib.correction.interpolation.grid import grid_lattice_of_configurations
-from calib.correction.interpolation_methods_and_summand_extension import (
+from calib.correction.interpolation_methods_and_correction_summand_fields import (
     base_geometry,
     correction_with_field,
     fit_correction_summand_field,
@@ -75,8 +75,8 @@ NONE = "none"  # of the ways: the geometry, or the nominal model, as it is
 
 
 class ExtensionRequest(NamedTuple):
-    """kind : one of `interpolation_methods.ALL`, or AUTO; alone : whether on the nominal model instead of on top of a
-    fitted geometry.
+    """kind : one of `METHODS` of the interpolation methods, or AUTO; alone : whether on the nominal model instead of
+    on top of a fitted geometry.
     """
 
     kind: str
@@ -181,13 +181,14 @@ def certify_interpolation_method(
 ) -> tuple[Certified, tuple[Tried, ...]]:
     """Certified interpolation method for an extension, or the best of all by held-out errors; methods tried.
 
-    basis : nominal, label (n,) of the samples, the geometry; against : why none is to be taken of all ways, or None
+    basis : nominal, label (n,) of the samples, the geometry; refusal_reason : why none is to be taken of all ways, or
+        None
     """
     nominal, label, found = basis
     known, correct, said_of = basis_of_samples(samples)
     fields: dict[str, Field | None] = {NONE: None}
     refused: dict[str, str] = {}
-    for name in interpolation_methods_and_summand_extension.METHODS if kind == AUTO else (kind,):
+    for name in interpolation_methods_and_correction_summand_fields.METHODS if kind == AUTO else (kind,):
         progress(f"extending: {name}", 0, 1)
         try:
             fields[name] = fit_correction_summand_field(known, name)

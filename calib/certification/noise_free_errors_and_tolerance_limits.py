@@ -276,7 +276,7 @@ def tolerance_limits_of_true_errors(
     lengths : (n,) or (n, d) measured, in units of each; sigma : alike, standard deviation of their noise in each
     direction.
 
-    Raises NotEnoughData for fewer than tolerance_limits.smallest
+    Raises NotEnoughData for fewer than `least_sample_size`
     """
     n = len(lengths)
     lengths, sigma = lengths.reshape(n, -1), sigma.reshape(n, -1)

@@ -127,7 +127,8 @@ def draw_possible_machines(
         visit
     one
 
-    sizes : Sizes by the same samples; places : (m, axes) m commands; noise : (COUNT,) factors on the poses' covariance
+    sizes : Sizes by the same samples; workspace_commands : (m, axes) m commands; noise : (COUNT,) factors on the
+        poses' covariance
     """
     model, parts, x = (
         _Closures(identified, samples.take(sizes.inliers)),

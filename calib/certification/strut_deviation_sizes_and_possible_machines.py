@@ -262,7 +262,7 @@ class Machines:
         if not found and _surely(np.sum(rest, axis=0)):
             return (
                 f"the {axis}s together leave {_size(np.sum(rest, axis=0)) * 1e6:.2g} um beyond what the "
-                "poses' stated noise explains, "
+                "stated pose noise explains, "
                 "which is attributable to no single one or cause",
             )
         return tuple(_sentence(over, word, sizes, axis) for (over, word), sizes in found.items())

@@ -208,8 +208,8 @@ def workspace_claim(
     identified : Identified of one pose a configuration, from which the machines are drawn; tolerance : Tolerance by it;
         correction : Correction
     samples : Samples of one pose a configuration; rng : numpy Generator; machines : Machines drawn with all that struts
-    may do beyond their geometry, or None: parameters and scatter alone; left : HeldErrors, in place of the scatter, of
-    a correction with an extension
+    may do beyond their geometry, or None: parameters and scatter alone; held_out_errors : HeldErrors, in place of the
+    scatter, of a correction with an extension
     """
     distinct = len(samples)
     determined, better = (

@@ -160,8 +160,8 @@ class Correction(Generic[M, R]):
         return T_base_platform
 
     def goal(self, T_base_platform: RigidTransform, near: Floats) -> Floats:
-        """(n, axes) m or rad that the fitted geometry has to get for poses (n,). near : (n, axes), commands where there
-        is more than one way.
+        """(n, axes) m or rad that the fitted geometry has to get for poses (n,). similar_fit : (n, axes), commands
+        where there is more than one way.
         """
         return mechanisms.kinematics_of(self.fitted).inverse(T_base_platform, self.fitted)
 

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.correction import interpolation_methods_and_summand_extension
+from calib.correction import interpolation_methods_and_correction_summand_fields
 from calib.correction.command_route_and_pose_space_map import NAMES, PoseMap
 from calib.correction.correction import AnyCorrection
-from calib.correction.interpolation_methods_and_summand_extension import pose_coordinate_indices
+from calib.correction.interpolation_methods_and_correction_summand_fields import pose_coordinate_indices
 from calib.models.platform.identification import strut_length_jacobian
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Json
@@ -107,7 +107,7 @@ def pose_map_dict(pose_map: PoseMap) -> Json:
     return {
         "home": pose_to_entry(pose_map.home),
         "coordinates": [NAMES[i] for i in pose_map.coordinates],
-        "field": interpolation_methods_and_summand_extension.field_to_dict(pose_map.field),
+        "field": interpolation_methods_and_correction_summand_fields.field_to_dict(pose_map.field),
     }
 
 
@@ -123,5 +123,5 @@ def pose_map_from_entries(table: Entries, nominal: Struts) -> PoseMap:
     return PoseMap(
         table.pose("home"),
         some,
-        interpolation_methods_and_summand_extension.field_from_entries(table.table("field"), len(some)),
+        interpolation_methods_and_correction_summand_fields.field_from_entries(table.table("field"), len(some)),
     )

@@ -159,7 +159,7 @@ def refine_correction_with_cameras(
 ) -> tuple[Correction[Struts, Radial], Identified]:
     """(Correction, Identified) refined with cameras, by the joint fit of a recording's corners.
 
-    sampled : pipeline.Sampled; design : Design as stated; correction, found : as `calibrate` gives them
+    sampled : Sampled; design : Design as stated; correction, found : as `calibrate` gives them
     Raises RigError for a machine that is not a hexapod, for poses that no camera saw, or where struts
     scatter, so that a command does not give a frame's pose
     """

@@ -59,7 +59,7 @@ class Findings:
 class PlatformRefit:
     """samples : Samples with what the physics adds to their commands; physics : Physics, of which the geometry does not
     know yet
-    refined : Refined that it comes from."""
+    refined : Refinement that it comes from."""
 
     samples: Samples
     physics: Physics

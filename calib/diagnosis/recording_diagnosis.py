@@ -18,7 +18,11 @@ from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import 
     Outliers,
     StatedTerms,
 )
-from calib.diagnosis.engine.term_selection import Selection, remove_unsupported_findings, select_terms
+from calib.diagnosis.engine.term_selection import (
+    Selection,
+    remove_findings_insignificant_with_smooth_functions,
+    select_terms,
+)
 from calib.diagnosis.problems.evidence_interface import (
     Evidence,
     HeldOutPoses,
@@ -229,7 +233,7 @@ def _explained(evidence: Evidence[Fit, C], outliers: Outliers, progress: Progres
     problem = selection.problem
     left = problem.lack_of_fit(problem.residual(selection.fit))
     count = len(selection.findings)
-    selection = remove_unsupported_findings(problem, selection, left)
+    selection = remove_findings_insignificant_with_smooth_functions(problem, selection, left)
     if len(selection.findings) < count:
         left = problem.lack_of_fit(problem.residual(selection.fit))
     if not isinstance(evidence, ToleratedFindings):

@@ -56,7 +56,7 @@ WEAK = 1e-12  # of the greatest eigenvalue; directions below are none
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """A plan's recording under each hypothesis. fits : [Refined] of each; model : LinearisedModel under the first;
+    """A plan's recording under each hypothesis. fits : [Refinement] of each; model : LinearisedModel under the first;
     other : OperatingPoint under the last; columns : [Column] of each one's own numbers; moved : [Column (1)] of what is
         seen otherwise than under the first
     shapes : [Column (1)] of what each does"""

@@ -11,8 +11,8 @@ from calib.certification.calibration_data_type_and_claim_sentences import Calibr
 from calib.certification.held_out_errors import Figures, HeldOut
 from calib.certification.workspace_claim import Claim
 from calib.correction.correction_tables_and_pose_space_map_json import pose_map_dict
-from calib.correction.interpolation_methods_and_summand_extension import field_from_entries, field_to_dict
-from calib.files.calibration_file_entries import (
+from calib.correction.interpolation_methods_and_correction_summand_fields import field_from_entries, field_to_dict
+from calib.files.mechanism_and_physics_entries_of_calibration_json import (
     mechanism_dict,
     mechanism_from_entries,
     physics_dict,

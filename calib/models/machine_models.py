@@ -15,7 +15,7 @@ from calib.certification.workspace_claim import Claim
 from calib.correction.correction import AnyCorrection, Correction
 from calib.correction.correction_tables_and_pose_space_map_json import pose_map_from_entries
 from calib.correction.interpolation.field_interface_and_combinations import Field
-from calib.correction.interpolation_methods_and_summand_extension import gaussian_process_from_entries
+from calib.correction.interpolation_methods_and_correction_summand_fields import gaussian_process_from_entries
 from calib.models.arm import certification as arm_certification
 from calib.models.arm import error_model_and_observations, identification_and_joint_profiles
 from calib.models.arm import error_model_and_observations as arm_errors

@@ -153,7 +153,9 @@ def _several(evidence: list[Evidence]) -> tuple[Change, ...] | None:
 
 
 def change_sentence(change: Change, frame: int, is_undone_later: bool = False) -> str:
-    """Sentence about a change. frame : number of the first frame after it; returns : whether later changes undo it"""
+    """Sentence about a change. frame : number of the first frame after it; is_undone_later : whether later changes
+    undo it
+    """
     if not isinstance(change.size, float):
         position, rotation = (float((part**2).sum() ** 0.5) for part in (change.size[:3], change.size[3:]))
         return (
@@ -283,14 +285,14 @@ def solve_triangle_into_estimate(p: Floats, s: Floats, S: Floats) -> None:
 
 
 @njit(cache=True)
-def add_pose_to_estimate(
+def add_pose_to_estimate_in_place(
     pose: Pose, machine: Machine, estimate: Estimate, onset_index: int, innovation: Floats, update_at_once: bool
 ) -> int:
-    """Add one pose to the estimate, in place. Returns REFUSED where the pose does not close or is not regular;
+    """Add one pose to the estimate in place; returns a status: QUIET, ALARM, or REFUSED where it does not close.
 
-    pose : Pose; machine : Machine; estimate : Estimate; slot : the onset that begins with this pose
-    innovation : (6,) gets the whitened innovation; move : whether the estimate follows at once; otherwise z gathers,
-        all poses about one p
+    pose : Pose; machine : Machine; estimate : Estimate; onset_index : the onset that begins with this pose
+    innovation : (6,) gets the whitened innovation; update_at_once : whether the estimate follows at once; otherwise z
+        gathers, all poses about one p
     """
     p, s, S, sums = estimate.p, estimate.s, estimate.S, estimate.sums
     c = len(s)

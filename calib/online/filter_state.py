@@ -26,7 +26,7 @@ from calib.online.filter_kernels_and_change_detection import (
     Evidence,
     Machine,
     Pose,
-    add_pose_to_estimate,
+    add_pose_to_estimate_in_place,
     solve_triangle_into_estimate,
 )
 from rig.array_and_json_types import Floats
@@ -112,14 +112,14 @@ def state_of_new_session(state: State, shared: int) -> State:
 
 
 def state_with_pose(state: State, pose: Pose, start: Start, update_at_once: bool = True) -> State:
-    """State with one more pose. move : whether the estimate follows at once.
+    """State with one more pose. update_at_once : whether the estimate follows at once.
 
     Raises RigError for a command that closes on no pose or a covariance that is none
     """
     before, slot, innovation = state.estimate, state.learnt % WINDOW, np.empty(6)
     after = Estimate(before.p.copy(), before.s.copy(), before.S.copy(), before.sums.copy())
     try:
-        said = add_pose_to_estimate(pose, start.machine, after, slot, innovation, update_at_once)
+        said = add_pose_to_estimate_in_place(pose, start.machine, after, slot, innovation, update_at_once)
     except ZeroDivisionError:  # a strut without length
         said = REFUSED
     if said == REFUSED:

@@ -1,7 +1,8 @@
 """Square-root information filter of the hexapod's 42 parameters, pose by pose, with change detection.
 
 Linearised at every pose about the estimate of the moment, the first poses once more about a later one, it ends where a
-batch of the same poses does. What changed (change_detection.py) is told within three poses; the filter then goes back
+batch of the same poses does. What changed (filter_kernels_and_change_detection.py) is told within three poses; the
+filter then goes back
 to before it, opens what changed, and learns the poses since anew. A pose that disagrees is held until the next ones say
 whether it alone was wrong.
 Source: docs/mathematics.md (22), (23).

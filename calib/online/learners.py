@@ -11,7 +11,7 @@ from typing import ClassVar, cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.files.calibration_file_entries import mechanism_dict, mechanism_from_entries
+from calib.files.mechanism_and_physics_entries_of_calibration_json import mechanism_dict, mechanism_from_entries
 from calib.models.platform import closed_loop_equations
 from calib.models.platform.identification import PRIOR, geometric_parameters, mechanism_with_parameters
 from calib.models.platform.parameter_accuracy import PLAUSIBLE

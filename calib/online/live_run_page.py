@@ -50,7 +50,7 @@ LATEST = 400  # frames whose figures are shown
 
 
 class RunPage:
-    """Serves the view of a RunObserver. As a context it is open; see calib.online.observer_of_run_frames.Display."""
+    """Serves the view of a RunObserver. As a context it is open; see calib.online.observer_of_run_frames.RunDisplay."""
 
     def __init__(self, looking: RunObserver, port: int) -> None:
         self._design = looking.design

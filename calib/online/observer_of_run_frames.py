@@ -13,8 +13,8 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification.redundant_measuring_limb_checks import has_six_measuring_limbs
 from calib.online.filter_kernels_and_change_detection import change_sentence
+from calib.online.live_learner_and_limb_agreement import Learner, Learnt, LimbWatch
 from calib.online.platform_poses_from_measuring_limbs import Disagreement, LiveLimbPoses
-from calib.online.run_learning import Learner, Learnt, LimbWatch
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.move_and_record_loop import RecordedFrame
@@ -101,7 +101,7 @@ class RunStop:
 
 
 class RunObserver:
-    """See rig.driving.move_and_record_loop.Watcher. start : (axes,) m; live, learner : None where frames are not
+    """See rig.driving.move_and_record_loop.RunWatcher. start : (axes,) m; live, learner : None where frames are not
     measured or poses not learnt from `displays` : who shows it."""
 
     def __init__(

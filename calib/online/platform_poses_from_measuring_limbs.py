@@ -1,8 +1,8 @@
 """Platform poses from accepted measuring limbs, recorded or live, as a recording's samples, checked by vision.
 
 The limbs are learnt on as struts are, from vision's poses, beginning with what their acceptance knows: then what
-detects a strut that missed steps (change_detection.py) detects a limb that slipped. One pose of vision that agrees
-with nothing is vision's mistake; several in a row are not.
+detects a strut that missed steps (filter_kernels_and_change_detection.py) detects a limb that slipped. One pose of
+vision that agrees with nothing is vision's mistake; several in a row are not.
 
 Every few poses vision checks; where the struts tell otherwise than the limbs, in whatever pose, it looks at the next
 ones too, so that a limb that slips between two checks is not believed until the next.

@@ -10,10 +10,10 @@ import numpy as np
 from calib.certification import measuring_limb_calibration_and_slips
 from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.online import measuring_limbs_file
+from calib.online.live_learner_and_limb_agreement import Learner
 from calib.online.measuring_limbs_file import Accepted
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from calib.online.platform_poses_from_measuring_limbs import LimbSource, LiveLimbPoses, write_withdrawal
-from calib.online.run_learning import Learner
 from rig.array_and_json_types import Floats
 from rig.driving.cameras import open_camera
 from rig.driving.cameras.camera_interface_and_grabbing import Settling, SynchronisedCameras, set_exposure_for_markers

@@ -1,3 +1,1 @@
-"""What the pages of measuring, lenses, workspaces and the rest say, each in a module of its own; rig.report.pages is
-their common template.
-"""
+"""HTML pages of measuring, calibrating, learning, verifying and planning; rig.report.pages has their templates."""

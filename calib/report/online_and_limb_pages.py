@@ -117,7 +117,8 @@ def write_measuring_limbs_page(
     withdrawal_reason: str | None,
     links: Sequence[Link] = (),
 ) -> None:
-    """Write the HTML page of measuring limbs. source : of vision's poses; withdrawn : why they cannot stand, or None
+    """Write the HTML page of measuring limbs. source : of vision's poses; withdrawal_reason : why they cannot stand,
+    or None
     name : of the recording; source : of vision's poses; withdrawn : why the limbs cannot stand for vision after
     all, or None
     """

@@ -103,7 +103,7 @@ TABLES = {  # as it is headed: (the dataclass that it becomes, what is said of i
 
 @dataclass
 class Asked:
-    """Hypotheses tested of one key. takes : in words; default : None where it is required"""
+    """What is asked of one key. takes : in words; default : None where it is required"""
 
     takes: str
     default: str | None

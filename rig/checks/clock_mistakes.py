@@ -24,12 +24,12 @@ USUAL = {"m": (1e-4, 3.0), "rad": (2e-4, 30.0)}  # per s: fastest moves of machi
 RATE = (1e-4, 5000.0)  # frames per s
 
 
-def time_range_mistakes(times: dict[str, Floats]) -> Iterator[Mistake]:
-    """Mistakes of time ranges: files whose times (n,) s do not overlap.
+def time_unit_and_clock_origin_mistakes(times_by_file: dict[str, Floats]) -> Iterator[Mistake]:
+    """Mistakes of time units and clock origins: files whose times (n,) s do not overlap those of the frames.
 
     A file whose span is a unit's multiple of the others' is in that unit; one that does not overlap has another origin.
     """
-    ends = {name: (float(t.min()), float(t.max())) for name, t in times.items() if len(t) > 1 and np.ptp(t) > 0}
+    ends = {name: (float(t.min()), float(t.max())) for name, t in times_by_file.items() if len(t) > 1 and np.ptp(t) > 0}
     if "frames.csv" not in ends:
         return
     start, end = ends["frames.csv"]

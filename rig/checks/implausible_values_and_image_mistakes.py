@@ -279,7 +279,7 @@ def _all(recording: Recording) -> Iterator[Mistake]:
     if r.sensors is not None:
         times["sensors.csv"] = r.sensors.t
         yield from unit_and_convention_mistakes.sensor_mistakes(r.sensors, design)
-    apart = list(clock_mistakes.time_range_mistakes(times))
+    apart = list(clock_mistakes.time_unit_and_clock_origin_mistakes(times))
     yield from apart
     if r.commands is not None and not apart:
         yield from clock_mistakes.dwell_clock_offset_mistake(times["frames.csv"], r.commands.t, r.commands.values)

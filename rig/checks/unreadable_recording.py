@@ -155,7 +155,7 @@ def _times(folder: Path, complaint: str) -> Iterator[Mistake]:
     for name in FILES:
         if local_and_remote_input_files.exists(folder / name):
             times[name] = csv_and_parquet_tables.read_csv_table(folder / name, ("t",)).numbers("t")
-    yield from clock_mistakes.time_range_mistakes(times)
+    yield from clock_mistakes.time_unit_and_clock_origin_mistakes(times)
 
 
 def _numbers(folder: Path, complaint: str) -> Iterator[Mistake]:

@@ -45,7 +45,7 @@ def arguments(parser: ArgumentParser) -> None:
         "--only", metavar="EFFECT", action="append", help="test only this effect (or 'EFFECT PLACE'); may be repeated"
     )
     parser.add_argument(
-        "--without", metavar="EFFECT", action="append", default=[], help="exclude this effect; may be given again"
+        "--without", metavar="EFFECT", action="append", default=[], help="exclude this effect; may be repeated"
     )
     parser.add_argument(
         "--assume",
@@ -53,7 +53,7 @@ def arguments(parser: ArgumentParser) -> None:
         action="append",
         default=[],
         help="assume this effect is present: it is fitted from the "
-        "start and retained, whatever the evidence; may be given again",
+        "start and retained, whatever the evidence; may be repeated",
     )
     parser.add_argument(
         "--from",

@@ -81,16 +81,16 @@ def run(arguments: Namespace) -> None:
         return
     from rig.driving import emulators
     from rig.driving.clock import SystemClock
-    from rig.driving.emulators import emulator_opening
+    from rig.driving.emulators import controller_emulator_opening_and_ports
 
     clock = SystemClock()
     if arguments.truth and not arguments.cameras:
         raise RigError("--truth is for --cameras, which show the true machine")
     emulator = emulator_of_arguments(arguments, clock)
     wire = (
-        emulator_opening.Tcp(_address(arguments.tcp, "--tcp"))
+        controller_emulator_opening_and_ports.Tcp(_address(arguments.tcp, "--tcp"))
         if arguments.tcp is not None
-        else emulator_opening.Terminal(arguments.link)
+        else controller_emulator_opening_and_ports.Terminal(arguments.link)
     )
     kept = tempfile.TemporaryDirectory(prefix="rig-emulate-")  # of what the cameras follow, where nobody else wants it
     followed = arguments.history or (Path(kept.name) / "history.csv" if arguments.cameras else None)
@@ -99,7 +99,9 @@ def run(arguments: Namespace) -> None:
     for ending in (signal.SIGINT, signal.SIGTERM):  # a shell's background job ignores the first
         signal.signal(ending, signal.default_int_handler)
     try:
-        emulator_opening.serve_emulator(emulator, wire, lambda: True, _say, history.record if history else lambda: None)
+        controller_emulator_opening_and_ports.serve_emulator(
+            emulator, wire, lambda: True, _say, history.record if history else lambda: None
+        )
     except KeyboardInterrupt:
         print(f"{len(emulator.machine.executed)} moves executed; faults: {', '.join(emulator.faults.struck) or 'none'}")
     finally:

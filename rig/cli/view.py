@@ -1,4 +1,4 @@
-"""rig view: view one frame of a recording with markers and residuals drawn, or all of it in 3-D."""
+"""rig view: view a recording: a picture of one frame with markers and residuals, or a 3-D page of all poses."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Numba kernels: lazy compilation and private cache folder; lazy exports of a package's names.
 
-They are loaded as code.
+Files in the cache are loaded as code, so its folder must be private.
 """
 
 import inspect

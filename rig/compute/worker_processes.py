@@ -175,15 +175,15 @@ def process_pool(
         pool.shutdown(cancel_futures=True)
         if isinstance(error, BrokenProcessPool):
             raise WorkerEnded(
-                "a worker process was killed from outside, as a system does that is short of memory; nothing "
-                "of it is kept"
+                "a worker process was killed from outside, as a system does that is short of memory; none "
+                "of its results are retained"
             ) from None
         raise
     pool.shutdown()
 
 
 def run_child_process(command: Sequence[str | PathLike[str]], env: dict[str, str]) -> subprocess.CompletedProcess[str]:
-    """Run a child process until it ends; returns what it printed as text.
+    """Run a child process until it ends; returns its exit status and what it printed (CompletedProcess).
 
     The child itself is to call `end_when_parent_ends` with this process's id, so that it does not outlive it
     """

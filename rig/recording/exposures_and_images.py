@@ -139,7 +139,7 @@ def load_exposures(
 
 
 def _unusable(folder: Path, name: str, frame: int, camera: Camera, line: int, decode: bool) -> UnreadableImage | None:
-    """Unreadable of an image named in a line of frames.csv, or None. decode : whether it is decoded too"""
+    """UnreadableImage of an image named in a line of frames.csv, or None. decode : whether it is decoded too"""
     look = _listed if local_and_remote_input_files.is_remote(folder) else image_file_problem
     problem = (
         image_path_problem(folder, name)

@@ -74,7 +74,8 @@ class Recording:
     """A whole recording; parts that the folder lacks are None. All times are s from the recording's start: its first
     command, or where nothing was commanded its first exposure; origin : of the owner's clock, to write them
     skipped : images that cannot be used and were excluded, as requested
-    parts : (Part, ..) where it is several recordings of one rig together (see rig.recording.combined_recordings)
+    parts : (RecordingPart, ..) where it is several recordings of one rig together (see
+        rig.recording.combined_recordings)
     stages : {number (from 1): Poses} of a chain's stages below the last, where the folder has them"""
 
     folder: Path
@@ -235,12 +236,12 @@ def load_wanted_poses(path: str | Path) -> WantedPoses:
 
 
 def load_sensors(path: str | Path, origin: TimeOrigin) -> Sensors:
-    """Load Sensors from a sensors.csv, times relative to an Origin. Raises FileError with line and column."""
+    """Load Sensors from a sensors.csv, times relative to an TimeOrigin. Raises FileError with line and column."""
     return _sensor_rows(csv_and_parquet_tables.read_csv_table(path, ("t",)), origin)
 
 
 def _origin(rows: Table) -> TimeOrigin:
-    """The Origin that stands at 0 at the first row of a table with times."""
+    """The TimeOrigin that stands at 0 at the first row of a table with times."""
     rows.times("t", TimeOrigin())  # which checks them
     return TimeOrigin(parse_exact_decimal(rows.text("t")[0]))
 

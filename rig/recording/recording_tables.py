@@ -282,7 +282,7 @@ def write_corners(path: Path, corners: Corners) -> None:
 def copy_frames_commands_and_sensors(source: Path, target: Path, exposures: Exposures, origin: TimeOrigin) -> None:
     """Copy frames.csv (without image names), commands.csv and sensors.csv from one folder to another.
 
-    origin : Origin that the folder's times are told by
+    origin : TimeOrigin that the folder's times are told by
     """
     lines = ["frame,t,camera,image"]
     lines += [

@@ -82,8 +82,8 @@ class Evidence:
 
     held_out : held-out error over what noise and claim allow, the greater of position's and rotation's, None where
         nothing was held out
-    unexplained, confounds : sentences; missing : Missing, ..; refuted : sentences, each saying what refuted it, when it
-        was and by how much
+    unexplained, confounds : sentences; missing : MissingEvidence, ..; refuted : sentences, each saying what refuted
+        it, when it was and by how much
     look : the step that tells more of what is unexplained; named : whether the statement names what is unexplained, so
         that it is not repeated
     """

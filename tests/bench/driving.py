@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.driving.clock import SystemClock
-from rig.driving.emulators.emulator_opening import home_lengths
+from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
 from rig.driving.protocols.protocol_interface import Segment
 from rig.driving.serial_port import SerialPort
 from rig.driving.strut_driver import Driver

@@ -35,7 +35,7 @@ def driven_design(design):
     """A design with a controller that counts from home and can home; speeds such that a move of 2 mm takes a quarter of
     a second.
     """
-    from rig.driving.emulators.emulator_opening import home_lengths
+    from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
 
     controller = Controller(
         "grblhal",
@@ -69,7 +69,7 @@ def protocol(request):
 @pytest.fixture
 def ready(driven_design, protocol):
     """(driver, emulator, clock, home lengths) of a rig that is homed."""
-    from rig.driving.emulators.emulator_opening import home_lengths
+    from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
     from tests.rig.moves_with_faults import bench
 
     driver, emulator, clock = bench(driven_design, protocol, (), 1)

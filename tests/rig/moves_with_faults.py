@@ -7,8 +7,8 @@ import numpy as np
 
 from rig.driving import emulators
 from rig.driving.clock import SimulatedClock
+from rig.driving.emulators.controller_emulator_opening_and_ports import EmulatorPort, home_lengths
 from rig.driving.emulators.controller_faults import Faults, parse_faults
-from rig.driving.emulators.emulator_opening import EmulatorPort, home_lengths
 from rig.driving.strut_driver import Driver
 from rig.errors import MotionError, PositionLost
 

@@ -14,7 +14,12 @@ from vision.bundle.corner_jacobians import (
     small_motion_jacobian,
 )
 from vision.bundle.printing_errors import SIDE, printing_jacobian
-from vision.bundle.unknowns_and_estimate import POSE_SCALE, Estimate, Unknowns, marker_motions_caused_by_targets
+from vision.bundle.unknowns_and_estimate import (
+    POSE_SCALE,
+    Estimate,
+    Unknowns,
+    estimated_marker_motions_by_target_motions,
+)
 from vision.corner_observations import Observations, Whitener
 from vision.predict import observed_points_body
 from vision.targets import SQUARE
@@ -130,7 +135,7 @@ def _range(columns: slice) -> Integers:
 def _about_targets(estimate: Estimate, unknowns: Unknowns) -> tuple[Floats, Floats]:
     """Corners (m, 4, 3) m along each target's own axes, about its middle, and those axes (m, 3, 3) in the body."""
     markers = estimate.state.placed
-    shift = marker_motions_caused_by_targets(estimate, unknowns)
+    shift = estimated_marker_motions_by_target_motions(estimate, unknowns)
     middle = np.array([unknowns.middles.get(name, np.zeros(3)) for name in markers.target])
     turns = shift.rotation.as_matrix()
     before = (markers.corners - shift.translation[:, None]) @ turns  # the corners, their target's motion taken back

@@ -81,7 +81,7 @@ def marker_motions_relative_to_targets(estimate: Estimate, stated: State, unknow
     """Motions (m,) of markers relative to their targets, without the targets' motion; identity for held markers."""
     own = (
         stated.placed.T_body_marker.inv()
-        * marker_motions_caused_by_targets(estimate, unknowns).inv()
+        * estimated_marker_motions_by_target_motions(estimate, unknowns).inv()
         * estimate.state.placed.T_body_marker
     )
     held = np.array([row not in unknowns.markers for row in range(len(estimate.state.placed.id))])
@@ -109,10 +109,10 @@ def update_estimate(estimate: Estimate, unknowns: Unknowns, shared_step: Floats,
     }
     markers, marker_moves, target_moves = state.markers, estimate.marker_moves, dict(estimate.target_moves)
     if unknowns.markers or unknowns.targets:
-        before = marker_motions_caused_by_targets(estimate, unknowns)
+        before = estimated_marker_motions_by_target_motions(estimate, unknowns)
         for name, columns in unknowns.targets.items():
             target_moves[name] = target_moves[name] * exp(step[columns])
-        after = marker_motions_caused_by_targets(replace(estimate, target_moves=target_moves), unknowns)
+        after = estimated_marker_motions_by_target_motions(replace(estimate, target_moves=target_moves), unknowns)
         own = np.zeros((len(state.placed.id), 6))
         for row, columns in unknowns.markers.items():
             own[row] = step[columns]
@@ -128,8 +128,8 @@ def update_estimate(estimate: Estimate, unknowns: Unknowns, shared_step: Floats,
     )
 
 
-def marker_motions_caused_by_targets(estimate: Estimate, unknowns: Unknowns) -> RigidTransform:
-    """Motions (m,) of markers caused by the motion of their targets, in the body's frame."""
+def estimated_marker_motions_by_target_motions(estimate: Estimate, unknowns: Unknowns) -> RigidTransform:
+    """Estimated motions (m,) of markers by the motions of their targets, in the body's frame."""
     matrices = np.tile(np.eye(4), (len(estimate.state.placed.id), 1, 1))
     for name, T in estimate.target_moves.items():
         own = np.array([target == name for target in estimate.state.placed.target])

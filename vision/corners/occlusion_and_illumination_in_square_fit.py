@@ -193,7 +193,7 @@ class Bow(NamedTuple):
 def remove_uneven_illumination(pixels: EdgePixels, square: Square, weight_sum: float, work: Work, bow: Bow) -> float:
     """Remove uneven illumination from a settled fit by one last step of its Square and residuals.
 
-    pixels : EdgePixels, of all of which work holds rows; weight_sum : sum of their weights; found : Bow, overwritten
+    pixels : EdgePixels, of all of which work holds rows; weight_sum : sum of their weights; bow : Bow, overwritten
     Returns the weighted square of the residuals that is left, grey levels
     """
     gain, own, sizes, light = bow.gain, bow.own, bow.sizes, square.light

@@ -136,8 +136,8 @@ def fit_chessboard_corner(
 
     image : (height, width) float; guess : (2,) px; axes : (2, 2) px per square, columns the board's x and y in the
         image
-    white : whether the quadrant between both axes is white; straight : Straight; reach : of a square, what is clear
-        beside an edge
+    white : whether the quadrant between both axes is white; straight : Straight; clear_width : of a square, what is
+        clear beside an edge
     """
     corners = guess + ALONG * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]) @ axes.T
     low, high = np.floor(corners.min(axis=0) - 2).astype(int), np.ceil(corners.max(axis=0) + 2).astype(int)

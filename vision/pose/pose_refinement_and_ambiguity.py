@@ -155,8 +155,8 @@ def refine_pose(
 
     corners : (points (n, 3) m in the body, ideal (n, 2), their covariance (n, 2, 2), camera (n,)); to_camera : (c, 4,
         4) T_camera_world
-    focal : (c,) px; least : px, the scale's floor; J : (n, 2, 6) filled with the whitened derivatives, square : (n,)
-        with the squares
+    focal : (c,) px; least_scale : px, the scale's floor; J : (n, 2, 6) filled with the whitened derivatives, square :
+        (n,) with the squares
     Raises LinAlgError for a step that nothing determines. Geman-McClure weights at first, then a plain fit of the
         inliers.
     """

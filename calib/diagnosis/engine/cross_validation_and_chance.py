@@ -60,8 +60,8 @@ def scan_p_value(deltas: Floats, rank: float, freedom: float) -> float:
 def residual_dispersion(
     model: LinearModel, products: FrameProducts, weights: Floats, coefficients: Floats, correlated_frames: int = 1
 ) -> Dispersion:
-    """Dispersion of a candidate of weights (F, a, q) and coefficients (q,); cluster : frames in a row that are taken
-    together.
+    """Dispersion of a candidate of weights (F, a, q) and coefficients (q,); correlated_frames : frames in a row that
+    are taken together.
     """
     F, a, q = weights.shape
     turned = np.swapaxes(weights, 1, 2)

@@ -24,8 +24,8 @@ def repeatability_of_pairs(
 ) -> Repeats | None:
     """Repeatability (Repeats) of pairs (p, 2) of poses with one command and of their residuals; None for too few.
 
-    poses_of_pairs : two (p, 6 or 3) m and rad, measured poses of each pair, both less the same; left : two (p, k) what
-        a model
+    poses_of_pairs : two (p, 6 or 3) m and rad, measured poses of each pair, both less the same; residuals_of_pairs :
+        two (p, k) what a model
     leaves of each
 
     The difference of two poses under one command holds no model error, so its scatter is pure error; of a residual's

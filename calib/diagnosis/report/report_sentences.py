@@ -255,8 +255,8 @@ def _interval(p: Value) -> str:
 
 
 def finding_line(finding: FindingEntry, most_numbers: int = 6) -> str:
-    """A finding in a line for a terminal, in SI units. few : numbers of a parameter that are printed; of more, how many
-    there are
+    """A finding in a line for a terminal, in SI units. most_numbers : numbers of a parameter that are printed; of
+    more, how many there are
     """
     return f"{finding.effect} at {finding.place}: " + ", ".join(
         _printed(name, p, most_numbers) for name, p in finding.parameters.items()

@@ -6,7 +6,8 @@ Source: Nakamura and Hanafusa, Inverse kinematic solutions with singularity robu
 
 Source: lecture on the manipulator Jacobian, compensation by the differential error transform (steps (1), (2) and on),
 and the configuration-space patent for the summands on top. To make up for any error takes six joints: with fewer the
-hand is brought as near as it comes, see rig.model.mechanisms.deficient_arm, and what is left is for `rest` to say.
+hand is brought as near as it comes, see rig.model.mechanisms.closed_form_and_numerical_arm_inverse, and what is left
+is for `rest` to say.
 """
 
 from collections.abc import Callable

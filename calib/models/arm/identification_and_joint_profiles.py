@@ -93,8 +93,8 @@ def identify_arm(
 
     observations : Observations; nominal : Arm, where the fit starts, its base and tool included (see
         calib.models.arm.instrument_placement)
-    free : (p,) bool, the parameters to fit, those of `parameters` by default; farthest : m (orientations: rad), median
-        by which nominal may miss
+    free : (p,) bool, the parameters to fit, those of `parameters` by default; largest_median_error : m (orientations:
+        rad), median by which nominal may miss
     Raises NotEnoughData for fewer equations than parameters, RigError where nominal is far off or the fit does not
         settle
     """

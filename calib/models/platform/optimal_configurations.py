@@ -154,8 +154,7 @@ def allowed_configurations(commands: Floats, exclusion: ConfigurationExclusion |
     if not len(kept):
         raise RigError(
             f"none of {len(commands)} configurations within the strokes may be visited: the calibration "
-            "leaves no pose of the owner's "
-            "model in reach"
+            "leaves no pose of the nominal model in reach"
         )
     return kept
 

@@ -176,7 +176,7 @@ def _cell(value: float) -> str:
 
 
 def require_matplotlib(drawings: str) -> None:
-    """Require matplotlib: raise MissingLibrary where it is not installed. what : is to be drawn, in the plural"""
+    """Require matplotlib: raise MissingLibrary where it is not installed. drawings : is to be drawn, in the plural"""
     problem = missing_matplotlib_reason()
     if problem:
         raise MissingLibrary(f"{drawings} {problem}")

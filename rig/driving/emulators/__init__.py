@@ -3,6 +3,6 @@ in the field.
 """
 
 from rig.driving.emulators.controller_emulator import TrueCommandsLog
-from rig.driving.emulators.emulator_opening import emulator_of_design
+from rig.driving.emulators.controller_emulator_opening_and_ports import emulator_of_design
 
 __all__ = ["TrueCommandsLog", "emulator_of_design"]

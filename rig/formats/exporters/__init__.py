@@ -1,1 +1,1 @@
-"""A machine's geometry in the files that other programs run: one module per format, each with text(...)."""
+"""A machine's geometry, cameras and recordings in the files that other programs read."""

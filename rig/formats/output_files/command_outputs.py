@@ -1,4 +1,4 @@
-"""Outputs of one command: files staged first, moved to their places when all are complete."""
+"""Outputs of one command: no foreign file overwritten unless forced, all moved to their places when complete."""
 
 import os
 from collections.abc import Iterable
@@ -179,7 +179,7 @@ class CommandOutputs:
         return path
 
     def _beside(self, place: Path, path: Path) -> StagedFolder:
-        """The Staged of a folder. path : as the user named what is written there"""
+        """The StagedFolder of a folder. path : as the user named what is written there"""
         self.in_use = True
         if place not in self._staged:
             try:

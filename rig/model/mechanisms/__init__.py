@@ -1,5 +1,5 @@
-"""Kinds of machine, one module each, all with inverse, forward, jacobian and limits over a geometry of
-rig.model.design.
+"""Kinds of machine, one module each, all with inverse, forward, jacobian and limit_excess over a
+geometry of rig.model.mechanism_geometry_classes.
 """
 
 from rig.model.mechanisms.kinematics_by_kind import (

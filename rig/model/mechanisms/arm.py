@@ -83,7 +83,8 @@ def forward(q: Floats, arm: Arm, guess: RigidTransform | None = None) -> RigidTr
 def jacobian(q: Floats, arm: Arm, output_axes: str = "platform") -> Floats:
     """Jacobian (..., 6, n) of the platform's velocity over its turning rate with the joint values.
 
-    q : (..., n) rad or m; axes : "platform", the tangent on the right, or "base", the axes in which poses are given
+    q : (..., n) rad or m; output_axes : "platform", the tangent on the right, or "base", the axes in which poses are
+        given
     Source: Whitney 1972; the columns are z x (p - o) over z, of a slide z over 0
     Raises ValueError for other axes.
     """

@@ -20,7 +20,7 @@ class MechanismKinematics(Protocol[M]):
 
     AXIS : what an axis is called in a place ("strut", "joint"); UNIT : of its travel, "m" or "rad"
     An arm's prismatic joint is a "slide", its travel in m and its load in N: `rig.model.mechanisms.axis_places` and
-    `units` tell them axis by axis.
+    `axis_units` tell them axis by axis.
     A wrench is (force, moment) in N and N m on the platform's origin, in its axes; a tangent stands on the right (m,
     rad).
     """

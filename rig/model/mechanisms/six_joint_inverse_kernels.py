@@ -88,8 +88,8 @@ def spherical_wrist_inverse(
 ) -> Found:
     """Inverse of arms with a spherical wrist (axes 4, 5, 6 cross in `wrist_crossing`), axes 2 and 3 parallel.
 
-    wanted_hand_points : (m, 3, 3) points A, B, C wanted, AB and AC of length 1, hand : (3, 3) the same at zero; key :
-        (3,) at zero
+    wanted_hand_points : (m, 3, 3) points A, B, C wanted, AB and AC of length 1, hand_points_at_zero : (3, 3) the same
+        at zero; key : (3,) at zero
     free_joint_values : (6,) rad, taken where a joint is free
     Returns q (m, 8, 6) rad, flags (m, 8), -1 for a branch that is not there, reason (m,) and gap (m,) m or rad
     """

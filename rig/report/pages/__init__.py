@@ -1,3 +1,1 @@
-"""Pages: those that commands write (document, parts, svg, figure), the one that a run serves (server), and what both
-look like.
-"""
+"""Pages: templates, HTML and SVG elements, plots and views of pages that commands write, and a run page's server."""

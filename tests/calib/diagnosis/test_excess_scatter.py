@@ -15,7 +15,7 @@ from calib.diagnosis.problems.evidence_interface import ASSUMED_NOISE, RESIDUALS
 from calib.diagnosis.recording_diagnosis import diagnose_evidence
 from calib.diagnosis.report.diagnosis_page import diagnosis_verdict
 from calib.diagnosis.report.report_data_and_verdict import summary_sentence
-from calib.diagnosis.report.report_entries_and_diagnosis_folder import diagnosis_report
+from calib.diagnosis.report.report_of_diagnosis_and_diagnosis_folder import diagnosis_report
 from calib.samples.recording_samples import sample_recording
 from rig.model.design import Arm
 from rig.model.places_and_tolerances import Place

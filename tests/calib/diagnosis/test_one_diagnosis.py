@@ -21,7 +21,7 @@ from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from calib.diagnosis.problems.repeated_commands import FEWEST, repeatability_of_pairs, repeated_pairs
 from calib.diagnosis.problems.requested_effects import RequestedEffects
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
-from calib.diagnosis.report.report_entries_and_diagnosis_folder import diagnosis_report
+from calib.diagnosis.report.report_of_diagnosis_and_diagnosis_folder import diagnosis_report
 from rig.effects.catalogue.effect_list import ALL
 from rig.recording.recording_folder import Sensors
 from tests.calib.diagnose_recording import page_text

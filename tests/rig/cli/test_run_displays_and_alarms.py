@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from calib.certification import measuring_limb_calibration_and_slips
+from calib.online.live_learner_and_limb_agreement import Learner
 from calib.online.live_run_page import RunPage, run_verdict
 from calib.online.measuring_limbs_file import Accepted
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from calib.online.platform_poses_from_measuring_limbs import LiveLimbPoses
-from calib.online.run_learning import Learner
 from calib.online.run_options_and_equipment import compile_kernels_for_run
 from rig.cli.shared.run_display_and_controller_status import PlainLineDisplay, TerminalBlockDisplay, view_lines
 from rig.driving.cameras.camera_interface_and_grabbing import Frame

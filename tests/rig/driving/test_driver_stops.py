@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.driving.emulators.emulator_opening import EmulatorPort, home_lengths
+from rig.driving.emulators.controller_emulator_opening_and_ports import EmulatorPort, home_lengths
 from rig.driving.strut_driver import Driver
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, Stopped
 from tests.rig.driver_steps import STEP, order, truly

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from rig.driving.clock import SimulatedClock
+from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
 from rig.driving.emulators.controller_faults import ALWAYS, KINDS
-from rig.driving.emulators.emulator_opening import home_lengths
 from rig.driving.strut_driver import Driver
 from rig.errors import ControllerFault, MotionError, PositionLost, RigError, Stalled, Unreachable
 from tests.rig.driver_steps import STEP, order, truly

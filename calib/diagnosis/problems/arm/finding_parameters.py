@@ -28,7 +28,8 @@ def finding_parameters(
 ) -> dict[str, Value]:
     """{name: Value} of a finding of a Fit; intervals allow for the dispersion seen.
 
-    origin : of the clock that tells moments; added : (c, c) covariance of the sizes by what the fit took to be exact
+    origin : of the clock that tells moments; added_covariance : (c, c) covariance of the sizes by what the fit took to
+        be exact
     """
     number = finding.number
     one, theta = fit.terms[number], fit.theta[fit.slices[number]]

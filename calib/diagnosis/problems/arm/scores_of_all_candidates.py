@@ -42,7 +42,7 @@ def score_candidates(
     correlated_frames: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[JointScore]:
-    """[Score] of all candidates, the greatest raw delta BIC first. least : raw delta BIC of those listed;
+    """[Score] of all candidates, the greatest raw delta BIC first. least_delta_bic : raw delta BIC of those listed;
     progress : called with (done, of)
     """
     known, out = {}, []

@@ -152,7 +152,7 @@ class OperatingPoint:
         return mechanisms.kinematics_of(m).inverse(self.T, m) - self.effective()
 
     def run(self, effects: tuple[Effect, ...]) -> motion_simulation.MachineRun | None:
-        """machine.Run with rates where some camera exposes row by row, else None."""
+        """MachineRun with rates where some camera exposes row by row, else None."""
         rolls = any(c.shutter == "rolling" for c in self.design.cameras) or any(e.rolls for e in effects)
         return (
             motion_simulation.simulate_machine_run(

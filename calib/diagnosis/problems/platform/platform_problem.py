@@ -36,7 +36,7 @@ from rig.model.places_and_tolerances import Place
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlatformFit:
-    """refined : Refined of the admitted effects; terms : the candidates that they come from, in the same order."""
+    """refined : Refinement of the admitted effects; terms : the candidates that they come from, in the same order."""
 
     refined: Refinement
     terms: tuple[PlatformCandidate, ...] = ()

@@ -11,7 +11,7 @@ import pytest
 
 from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.certification.extended_correction_certification import ExtensionRequest
-from calib.correction.interpolation_methods_and_summand_extension import field_from_entries, field_to_dict
+from calib.correction.interpolation_methods_and_correction_summand_fields import field_from_entries, field_to_dict
 from calib.files import calibration_file
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import arm_pose_covariance

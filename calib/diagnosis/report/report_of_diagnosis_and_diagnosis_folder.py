@@ -1,4 +1,4 @@
-"""Entries of a Report made from a Diagnosis, and the diagnosis folder: diagnosis.json, and files to simulate by."""
+"""Report of a Diagnosis, entry by entry, and the diagnosis folder: diagnosis.json, and files to simulate by."""
 
 import json
 from dataclasses import asdict

@@ -1,4 +1,4 @@
-"""Entries of a calibration file as JSON: mechanism, physics and pose space maps, and their checks."""
+"""Mechanism and physics entries of calibration.json, written, read and checked (pose space maps included)."""
 
 from collections.abc import Callable, Sequence
 from functools import partial

@@ -1,4 +1,4 @@
-"""Interpolation methods by name, and extension of correction summands over the space by them.
+"""Interpolation methods by name, and fields over the space that they fit to correction summands at samples.
 
 KSF_PM(x) = x - IK(GDK(x)) at each sample x; KSF_KR is its Field over all of the configuration space. It stands alone,
 with the nominal model as IK, or on top of the fitted geometry, where it extends what that leaves.
@@ -247,8 +247,8 @@ def correction_with_pass(correction: AnyCorrection, field: Field | None) -> AnyC
 def residual_pose_tangents_of_pass(samples: Samples, correction: AnyCorrection) -> FieldSamples:
     """Residual pose tangents that an earlier pass leaves: from its corrected poses to the measured ones.
 
-    Over the coordinates in which the mechanism's poses differ, see `posed.PoseMap`. Source: configuration-space patent,
-    [0035]
+    Over the coordinates in which the mechanism's poses differ, see `command_route_and_pose_space_map.PoseMap`. Source:
+    configuration-space patent, [0035]
     """
     nominal, some = correction.nominal, list(pose_coordinate_indices(correction.nominal))
     home = home_pose(nominal)
@@ -292,7 +292,7 @@ def fit_correction_summand_field(samples: FieldSamples, kind: str, smoothness_fr
     """Field of a kind fitted to correction summands.
     smoothness_from : a Field of the same kind of more samples, whose smoothness holds for these as well.
 
-    Raises RigError as `kinds.fit`
+    Raises RigError as `fit_field`
     """
     return (
         RadialMap.fit(samples, smoothness_from)

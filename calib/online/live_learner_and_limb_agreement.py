@@ -1,4 +1,4 @@
-"""Learning of the geometry during a run: jumps of struts, and drift from the calibration."""
+"""Live learner of the geometry during a run (jumps, drift), and agreement of measuring limbs with vision."""
 
 from copy import copy
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""Opening of a controller emulator: built from the rig's design, and the ports at which it answers."""
+"""Opening of a controller emulator from the rig's design, and the ports (terminal, TCP) at which it answers."""
 
 import os
 import select
