@@ -76,9 +76,7 @@ def _print_scale(found: Printed, design: Design) -> None:
         print(f"  {scale:.4f} +- {2 * uncertainty:.4f} (k=2) {direction}")
     within = 2 * max(found.uncertainty)
     if len(found.scale) > 1 and abs(found.scale[0] - found.scale[1]) > within:
-        print(
-            "bad: the printer scales one direction; markers are not square: print them again, without fitting to the page"
-        )
+        print("bad: the printer scales one direction; markers are not square: reprint them without fitting to the page")
     elif abs(found.mean_scale - 1) <= within:
         print(f"good: the sides of rig.toml are right to {within * 100:.2f} %")
     else:
