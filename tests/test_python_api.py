@@ -49,9 +49,11 @@ CALLS = {
     "print": "synthetic.print_sheets:write_sheets",
     "check-print": "vision.printed_marker_size:measure_print",
     **dict.fromkeys(("design", "new"), "rig.planning.layout.shipped_arm_layout:layout_rig_toml"),
+    "import": "rig.api:import_recording",
+    "emulate": "rig.driving.emulators.emulator_opening:load_emulator",
     "index": "rig.report.pages.page_templates_and_page_index:write_index_page",
 }  # module:function that does a command's work
-NO_CALL = {"import", "emulate", "view"}
+NO_CALL = {"view"}
 STATEMENTS = 35  # of a command's `run` at the most: arguments, one call, print and write
 COMPUTING = (
     "calib.certif",
