@@ -1,9 +1,10 @@
 """The entry points of rig: a recording loaded and saved, configurations planned, mistakes that its files show."""
 
+import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from rig.report.pages.html_and_svg_elements import result_html
 if TYPE_CHECKING:
     from rig.effects.framework.effect import Effect
     from rig.effects.sketches import Sketch
+    from rig.formats.importers import ImportedRecording, Recipe
 
 CERTAIN = 0.7  # proof of a mistake in the files, from which nothing is learnt by looking farther
 
@@ -231,3 +233,32 @@ def effect_catalogue(
         drawn[name] = standalone_svg(f"what {kind.label()} does", sketch.words, sketch.figures)
         shown[name] = f"![What {kind.label()} does: {sketch.words}]({folder}/{name}.svg)"
     return EffectCatalogue(catalogue_markdown(effects.values(), shown), drawn)
+
+
+class ImportResult(NamedTuple):
+    """A recording imported from foreign files. recording; remarks : what its files show of mistakes"""
+
+    recording: "ImportedRecording"
+    remarks: list[Mistake]
+
+
+def import_recording(
+    recipe: "Recipe", folder: Path, name: Path | None = None, skip_unreadable: bool = False
+) -> ImportResult:
+    """Write the recording that a recipe describes into an empty folder; returns what it holds and remarks on it.
+
+    name : of the folder in errors, by default its path; skip_unreadable : whether unusable images are left out
+    Raises RigError for files that cannot be used, and for what is no recording once it is imported
+    """
+    from rig.checks.implausible_values_and_image_mistakes import recording_file_mistakes
+    from rig.formats import importers
+
+    with tempfile.TemporaryDirectory(prefix="rig-bag-") as unpacked:
+        imported = importers.assemble_recording(importers.unpack_recipe_bags(recipe, Path(unpacked)), skip_unreadable)
+        importers.write_recording(imported, folder)
+    try:
+        recording = recording_folder.load_recording(folder)
+    except RigError as error:
+        text = str(error).replace(str(folder), str(name or folder))
+        raise RigError(f"what was imported is not a recording: {text}") from None
+    return ImportResult(imported, list(recording_file_mistakes(recording)))

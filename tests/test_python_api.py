@@ -48,9 +48,12 @@ CALLS = {
     "completion": "rig.cli.shared.argument_parser:completion_script",
     "print": "synthetic.print_sheets:write_sheets",
     "check-print": "vision.printed_marker_size:measure_print",
+    **dict.fromkeys(("design", "new"), "rig.planning.layout.shipped_arm_layout:layout_rig_toml"),
+    "import": "rig.api:import_recording",
+    "emulate": "rig.driving.emulators.controller_emulator_opening_and_ports:load_emulator",
     "index": "rig.report.pages.page_templates_and_page_index:write_index_page",
 }  # module:function that does a command's work
-NO_CALL = {"new", "design", "import", "emulate", "view"}
+NO_CALL = {"view"}
 STATEMENTS = 35  # of a command's `run` at the most: arguments, one call, print and write
 COMPUTING = (
     "calib.certif",

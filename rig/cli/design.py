@@ -51,86 +51,22 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Write or print a rig.toml."""
-    from rig.errors import RigError
-    from rig.planning.layout import hexapod_layout_and_camera_placement
-    from rig.planning.layout import hexapod_layout_and_camera_placement as layout
-
-    if arguments.arm is not None or arguments.mechanism == "arm":
-        _shipped(arguments)
-        return
-    if arguments.radius is None:
-        raise RigError("a hexapod or planar2 takes --radius, an arm --arm")
-    if arguments.seen is not None:
-        raise RigError("--seen applies to an arm; use it with --arm")
-    size = _size(arguments.size)
-    kind = arguments.mechanism or "hexapod"
-    if arguments.limbs < 0:
-        raise RigError(f"--limbs takes a number of limbs, not {arguments.limbs}")
-    if arguments.limbs and kind != "hexapod":
-        raise RigError(f"--limbs belong to a hexapod's struts; a {kind} has none")
-    figures = (
-        arguments.radius,
-        arguments.cameras,
-        *size,
-        arguments.cubes,
-        arguments.dictionary,
-        arguments.name or kind,
-    )
-    _write(
-        arguments,
-        layout.hexapod_layout_rig_toml(*figures, arguments.limbs)
-        if kind == "hexapod"
-        else hexapod_layout_and_camera_placement.two_strut_layout_rig_toml(*figures),
-    )
-
-
-def _shipped(arguments: Namespace) -> None:
-    """Write or print the rig.toml of a shipped arm."""
-    from rig.errors import RigError
-    from rig.planning.layout import shipped_arm_layout
-
-    if arguments.arm is None:
-        raise RigError(
-            "--mechanism arm takes --arm with the name of a shipped one: "
-            f"{', '.join(shipped_arm_layout.shipped_arm_names())}"
-        )
-    if arguments.mechanism in ("hexapod", "planar2") or arguments.radius is not None:
-        raise RigError(
-            f"--arm brings its own figures; --mechanism {arguments.mechanism or 'hexapod'} and --radius are for struts"
-        )
-    if arguments.seen is None:
-        _write(arguments, shipped_arm_layout.shipped_arm_rig_toml(arguments.arm))
-        return
-    from rig.planning.layout.shipped_arm_layout import arm_layout_rig_toml as layout
-
-    _write(
-        arguments,
-        layout(
-            arguments.arm,
-            arguments.seen,
-            arguments.cameras,
-            _size(arguments.size),
-            arguments.cubes,
-            arguments.dictionary,
-        ),
-    )
-
-
-def _size(text: str) -> tuple[int, int]:
-    """(width, height) px of text like 1280x1024. Raises RigError for other text."""
-    import re
-
-    from rig.errors import RigError
-
-    size = re.fullmatch(r"(\d+)[xX](\d+)", text)
-    if not size:
-        raise RigError(f"--size takes for example 1280x1024, not {text!r}")
-    return int(size[1]), int(size[2])
-
-
-def _write(arguments: Namespace, text: str) -> None:
     from rig.formats.output_files import write_text
+    from rig.planning.layout.shipped_arm_layout import LayoutOptions, layout_rig_toml
 
+    options = LayoutOptions(
+        mechanism=arguments.mechanism,
+        arm=arguments.arm,
+        seen=arguments.seen,
+        radius=arguments.radius,
+        cameras=arguments.cameras,
+        cubes=arguments.cubes,
+        size=arguments.size,
+        dictionary=arguments.dictionary,
+        limbs=arguments.limbs,
+        name=arguments.name,
+    )
+    text = layout_rig_toml(options)
     if arguments.out is None:
         print(text, end="")
         return

@@ -5,16 +5,13 @@ from __future__ import annotations
 import signal
 import tempfile
 from argparse import ArgumentParser, Namespace
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.errors import RigError
-from rig.formats.number_parsing_and_rounding import parse_number, parse_numbers, parse_whole_number
+from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
 if TYPE_CHECKING:
-    from rig.driving.clock import Clock
-    from rig.driving.emulators.controller_emulator import Emulator
     from synthetic.emulated_cameras import EmulatedCameraProcess
 
 PROTOCOLS = ("grblhal", "gcs", "linuxcnc", "struts")  # of rig.model.design, which would load SciPy for a help text
@@ -82,11 +79,15 @@ def run(arguments: Namespace) -> None:
     from rig.driving import emulators
     from rig.driving.clock import SystemClock
     from rig.driving.emulators import controller_emulator_opening_and_ports
+    from rig.driving.emulators.controller_emulator_opening_and_ports import load_emulator
 
     clock = SystemClock()
     if arguments.truth and not arguments.cameras:
         raise RigError("--truth is for --cameras, which show the true machine")
-    emulator = emulator_of_arguments(arguments, clock)
+    options = controller_emulator_opening_and_ports.EmulatorOptions(
+        arguments.protocol, tuple(arguments.fault), arguments.seed, arguments.start, arguments.speed
+    )
+    emulator = load_emulator(arguments.design, options, clock)
     wire = (
         controller_emulator_opening_and_ports.Tcp(_address(arguments.tcp, "--tcp"))
         if arguments.tcp is not None
@@ -122,31 +123,6 @@ def _cameras(arguments: Namespace, followed: Path) -> EmulatedCameraProcess:
     )
     print(f"cameras {cameras.name}", flush=True)
     return cameras
-
-
-def emulator_of_arguments(arguments: Namespace, clock: Clock) -> Emulator:
-    """Emulator that the command's arguments request. Raises RigError for a rig without controller or invalid ones."""
-    import numpy as np
-
-    from rig.driving import emulators
-    from rig.driving.emulators.controller_faults import Faults, parse_faults
-    from rig.formats.rig_toml import design_file
-
-    if not arguments.speed > 0:
-        raise RigError(f"--speed must be above 0, not {arguments.speed:g}")
-    design = design_file.load_design(arguments.design)
-    if design.controller is None:
-        raise RigError(f"{arguments.design} has no [controller]; an emulator needs its speeds and zeros")
-    if arguments.protocol:
-        design = replace(design, controller=replace(design.controller, protocol=arguments.protocol))
-    faults = Faults(sum((parse_faults(text) for text in arguments.fault), ()), np.random.default_rng(arguments.seed))
-    start = None
-    if arguments.start:
-        try:
-            start = np.array(parse_numbers(arguments.start.split(",")))
-        except ValueError:
-            raise RigError(f"--start takes numbers in m separated by commas, not {arguments.start!r}") from None
-    return emulators.emulator_of_design(design, faults, clock, start, arguments.speed)
 
 
 def _say(name: str) -> None:

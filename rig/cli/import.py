@@ -1,7 +1,6 @@
 """rig import: import images, tables and camera files as a recording, and write the recipe of it."""
 
 import argparse
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +10,6 @@ from rig.errors import RigError
 
 if TYPE_CHECKING:
     from rig.formats.importers import ImportedRecording, Recipe
-    from rig.recording.recording_folder import Recording
 
 TABLES = {
     "commands": "table of the commands: time, lengths or angles",
@@ -72,7 +70,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Make a recording from foreign files, print what was assumed, and save it as a recipe."""
-    from rig.checks.implausible_values_and_image_mistakes import recording_file_mistakes
+    from rig.api import import_recording
     from rig.formats import importers
     from rig.formats.output_files import write_text
 
@@ -96,15 +94,10 @@ def run(arguments: argparse.Namespace) -> None:
         _rig(arguments, recipe)
         return
     out = arguments.outputs.folder(arguments.out)
-    with tempfile.TemporaryDirectory(prefix="rig-bag-") as unpacked:
-        imported = importers.assemble_recording(
-            importers.unpack_recipe_bags(recipe, Path(unpacked)), arguments.skip_unreadable
-        )
-        importers.write_recording(imported, out)
+    imported, remarks = import_recording(recipe, out, arguments.out, arguments.skip_unreadable)
     kept = arguments.out.parent / f"{arguments.out.name}.import.toml"
     if arguments.recipe is None:
         write_text(arguments.outputs.file(kept), importers.recipe_toml(imported.recipe, kept.parent))
-    remarks = recording_file_mistakes(_loaded(out, arguments.out))
     _say(imported)
     arguments.result = _result(
         imported, [str(remark) for remark in remarks], kept if arguments.recipe is None else arguments.recipe
@@ -164,16 +157,6 @@ def _rig(arguments: argparse.Namespace, recipe: "Recipe") -> None:
     print(f"imported: {len(design.cameras)} cameras")
     _say_assumed(said)
     print(f"written: {arguments.out}")
-
-
-def _loaded(folder: Path, place: Path) -> "Recording":
-    """The recording as it is read back. Raises RigError that names it by its place."""
-    from rig.recording import recording_folder
-
-    try:
-        return recording_folder.load_recording(folder)
-    except RigError as error:
-        raise RigError(f"what was imported is not a recording: {str(error).replace(str(folder), str(place))}") from None
 
 
 def _say(imported: "ImportedRecording") -> None:

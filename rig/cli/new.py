@@ -4,11 +4,14 @@ import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from rig.cli.shared.argument_parser import suggestion_text
 from rig.cli.shared.command_options import add_overwrite_option, parse_length
 from rig.errors import RigError
+
+if TYPE_CHECKING:
+    from rig.planning.layout.shipped_arm_layout import LayoutOptions
 
 KINDS = ("hexapod", "planar2", "arm")
 CAMERAS, SIZE = "3", "1280x1024"  # what is taken where nothing is answered
@@ -40,7 +43,7 @@ def run(arguments: Namespace) -> None:
     nobody is there.
     """
     from rig.formats.output_files import write_text
-    from rig.planning.layout import shipped_arm_layout
+    from rig.planning.layout.shipped_arm_layout import LayoutOptions, layout_rig_toml, shipped_arm_names
 
     out = arguments.out / "rig.toml"
     there = arguments.out.is_dir()
@@ -58,18 +61,12 @@ def run(arguments: Namespace) -> None:
     )
     if kind == "arm":
         name = _answer(
-            arguments,
-            "arm",
-            f"Which arm? {', '.join(shipped_arm_layout.shipped_arm_names())}",
-            None,
-            _one_of(shipped_arm_layout.shipped_arm_names()),
+            arguments, "arm", f"Which arm? {', '.join(shipped_arm_names())}", None, _one_of(shipped_arm_names())
         )
-        text, seen = (
-            shipped_arm_layout.shipped_arm_rig_toml(name),
-            "its poses come from an instrument; see [instrument] in it",
-        )
+        options, seen = LayoutOptions(arm=name), "its poses come from an instrument; see [instrument] in it"
     else:
-        text, seen = _with_struts(arguments, kind)
+        options, seen = _strut_options(arguments, kind)
+    text = layout_rig_toml(options)
     if place is None:
         arguments.out.mkdir()
         place = arguments.outputs.file(out)
@@ -94,9 +91,9 @@ def _index(folder: Path) -> None:
             write_index_page(outputs.file(folder / NAME), folder)
 
 
-def _with_struts(arguments: Namespace, kind: str) -> tuple[str, str]:
-    """(text of a rig.toml of struts, remarks on it)."""
-    from rig.planning.layout import hexapod_layout_and_camera_placement
+def _strut_options(arguments: Namespace, kind: str) -> tuple["LayoutOptions", str]:
+    """(options of a layout of struts, remarks on it)."""
+    from rig.planning.layout.shipped_arm_layout import LayoutOptions
 
     question = (
         "How large? radius of the circle of base joints"
@@ -106,12 +103,8 @@ def _with_struts(arguments: Namespace, kind: str) -> tuple[str, str]:
     radius = _answer(arguments, "radius", f"{question}, with its unit, as 300mm", None, parse_length)
     cameras = _answer(arguments, "cameras", "How many cameras look at it?", CAMERAS, _count)
     width, height = _answer(arguments, "size", "How large are their images, px?", SIZE, _size)
-    make = (
-        hexapod_layout_and_camera_placement.hexapod_layout_rig_toml
-        if kind == "hexapod"
-        else hexapod_layout_and_camera_placement.two_strut_layout_rig_toml
-    )
-    return make(radius, cameras, width, height), f"{cameras} cameras and cubes placed for mutual visibility"
+    options = LayoutOptions(mechanism=kind, radius=radius, cameras=cameras, size=f"{width}x{height}")
+    return options, f"{cameras} cameras and cubes placed for mutual visibility"
 
 
 def _answer(arguments: Namespace, name: str, question: str, default: str | None, read: Callable[[str], T]) -> T:

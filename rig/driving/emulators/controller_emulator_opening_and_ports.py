@@ -5,6 +5,7 @@ import select
 import socket
 import tty
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -13,18 +14,58 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock, SimulatedClock
 from rig.driving.emulators.controller_emulator import Emulator
-from rig.driving.emulators.controller_faults import Faults
+from rig.driving.emulators.controller_faults import Faults, parse_faults
 from rig.driving.emulators.emulated_axis_motion_and_homing import EmulatedMachine, MovingAxes
 from rig.driving.emulators.gcs import GCS
 from rig.driving.emulators.grblhal import GrblHAL
 from rig.driving.emulators.linuxcnc import LinuxCNC
 from rig.driving.emulators.own_strut_protocol import Struts
 from rig.errors import RigError
+from rig.formats.number_parsing_and_rounding import parse_numbers
+from rig.formats.rig_toml import design_file
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod, Planar2
 from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_hexapod, require_struts
 
 ACCELERATION = 0.1  # m/s^2, where the rig.toml states none
+
+
+@dataclass(frozen=True, slots=True)
+class EmulatorOptions:
+    """protocol : None as the rig.toml states; faults : texts KIND[:RATE]; seed : of the faults; start : strut lengths
+    at first, m, as a text separated by commas, or None; speed : factor on the struts' speed
+    Raises RigError for a speed that is not above 0
+    """
+
+    protocol: str | None = None
+    faults: tuple[str, ...] = ()
+    seed: int = 0
+    start: str | None = None
+    speed: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not self.speed > 0:
+            raise RigError(f"--speed must be above 0, not {self.speed:g}")
+
+    def start_lengths(self) -> Floats | None:
+        """(n,) m, None where none are stated. Raises RigError for a text that is no numbers."""
+        if not self.start:
+            return None
+        try:
+            return np.array(parse_numbers(self.start.split(",")))
+        except ValueError:
+            raise RigError(f"--start takes numbers in m separated by commas, not {self.start!r}") from None
+
+
+def load_emulator(path: Path, options: EmulatorOptions, clock: Clock) -> Emulator:
+    """Emulator of the controller of a rig.toml. Raises RigError for a rig without controller or invalid options."""
+    design = design_file.load_design(path)
+    if design.controller is None:
+        raise RigError(f"{path} has no [controller]; an emulator needs its speeds and zeros")
+    if options.protocol:
+        design = replace(design, controller=replace(design.controller, protocol=options.protocol))
+    faults = Faults(sum((parse_faults(text) for text in options.faults), ()), np.random.default_rng(options.seed))
+    return emulator_of_design(design, faults, clock, options.start_lengths(), options.speed)
 
 
 def emulator_of_design(

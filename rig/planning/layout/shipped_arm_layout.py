@@ -4,6 +4,8 @@ The arm is to move about one posture, far from its singular ones, in which hand 
 narrowed to that.
 """
 
+import re
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
@@ -25,8 +27,10 @@ from rig.planning.layout.hexapod_layout_and_camera_placement import (
     camera_ring_lines,
     cube_lines,
     cube_ring_lines,
+    hexapod_layout_rig_toml,
     require_possible_layout,
     single_camera_lines,
+    two_strut_layout_rig_toml,
 )
 
 INSTRUMENT = """
@@ -166,3 +170,75 @@ def _cameras_in_hand(
         turn = (facing * Rotation.from_rotvec([0, 0, 0.4 * i])).as_rotvec()
         lines += cube_lines(f"B{i + 1}", "base", dictionary, len(FACES) * i, 0.17 * far, place, turn)
     return lines
+
+
+@dataclass(frozen=True, slots=True)
+class LayoutOptions:
+    """What a new rig.toml is laid out from: the options of `rig design`.
+
+    mechanism : "hexapod", "planar2", "arm", or None: an arm where `arm` names one, else a hexapod
+    arm : name of a shipped one; seen : None for an instrument, or "cubes" or "hand" as of `arm_layout_rig_toml`
+    radius : m, of a hexapod's circle of base joints, of planar2 half the joints' distance
+    size : WIDTHxHEIGHT of the images, px; limbs : how many measuring limbs stand next to a hexapod's struts
+    Raises RigError for options that do not belong to each other
+    """
+
+    mechanism: str | None = None
+    arm: str | None = None
+    seen: str | None = None
+    radius: float | None = None
+    cameras: int = 3
+    cubes: int = 4
+    size: str = "1280x1024"
+    dictionary: str = "DICT_5X5_100"
+    limbs: int = 0
+    name: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.arm is not None or self.mechanism == "arm":
+            self._require_arm_options()
+            return
+        if self.radius is None:
+            raise RigError("a hexapod or planar2 takes --radius, an arm --arm")
+        if self.seen is not None:
+            raise RigError("--seen applies to an arm; use it with --arm")
+        self.image_size()
+        if self.limbs < 0:
+            raise RigError(f"--limbs takes a number of limbs, not {self.limbs}")
+        if self.limbs and self.mechanism == "planar2":
+            raise RigError(f"--limbs belong to a hexapod's struts; a {self.mechanism} has none")
+
+    def _require_arm_options(self) -> None:
+        if self.arm is None:
+            raise RigError(
+                f"--mechanism arm takes --arm with the name of a shipped one: {', '.join(shipped_arm_names())}"
+            )
+        if self.mechanism in ("hexapod", "planar2") or self.radius is not None:
+            raise RigError(
+                f"--arm brings its own figures; --mechanism {self.mechanism or 'hexapod'} and --radius are for struts"
+            )
+
+    def image_size(self) -> tuple[int, int]:
+        """(width, height) px. Raises RigError for a size that is not like 1280x1024."""
+        size = re.fullmatch(r"(\d+)[xX](\d+)", self.size)
+        if not size:
+            raise RigError(f"--size takes for example 1280x1024, not {self.size!r}")
+        return int(size[1]), int(size[2])
+
+
+def layout_rig_toml(options: LayoutOptions) -> str:
+    """rig.toml text of a new design: of a hexapod, two struts or a shipped arm, with cameras and cubes placed.
+
+    Raises RigError as `hexapod_layout_rig_toml`, `two_strut_layout_rig_toml` and `arm_layout_rig_toml`
+    """
+    if options.arm is not None and options.seen is None:
+        return shipped_arm_rig_toml(options.arm)
+    size, cameras, cubes, dictionary = options.image_size(), options.cameras, options.cubes, options.dictionary
+    if options.arm is not None and options.seen is not None:
+        return arm_layout_rig_toml(options.arm, options.seen, cameras, size, cubes, dictionary)
+    assert options.radius is not None  # LayoutOptions require it of struts
+    kind = options.mechanism or "hexapod"
+    name = options.name or kind
+    if kind == "hexapod":
+        return hexapod_layout_rig_toml(options.radius, cameras, *size, cubes, dictionary, name, options.limbs)
+    return two_strut_layout_rig_toml(options.radius, cameras, *size, cubes, dictionary, name)
