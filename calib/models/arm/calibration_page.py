@@ -1,6 +1,6 @@
 """The page of an arm's calibration: before and after on held-out poses, joint profiles, coverage, parameters, rank."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -118,12 +118,15 @@ def _profiles(calibration: Calibration, samples: Samples) -> str:
     )
 
 
+def _change_cell(change: float, sigma: float) -> str:
+    return f"{change * 1e3:+.4f} ± {2 * sigma * 1e3:.4f}" if sigma else "held"
+
+
 def _arm_parameters(calibration: Calibration) -> str:
     fitted, nominal = calibration.correction.fitted, calibration.correction.nominal
     sigma = np.sqrt(np.diag(calibration.covariance))[6:-6].reshape(-1, 5)
     change = fitted.rows - nominal.rows
-    cell: Callable[[float, float], str] = lambda c, s: f"{c * 1e3:+.4f} ± {2 * s * 1e3:.4f}" if s else "held"  # noqa: E731
-    rows = [(f"row {i + 1}", *(cell(c, s) for c, s in zip(change[i], sigma[i]))) for i in range(len(change))]
+    rows = [(f"row {i + 1}", *(_change_cell(c, s) for c, s in zip(change[i], sigma[i]))) for i in range(len(change))]
     units = [
         f"{name}, {'mm' if unit == 'm' else 'mrad'}"
         for name, unit in zip(
