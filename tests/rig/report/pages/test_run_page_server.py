@@ -16,6 +16,7 @@ from rig.report.pages import run_page_server
 from rig.report.pages.run_page_server import STRANGERS, PageServer
 
 EVENT = {
+    "verdict": {"state": "check", "why": "cameras are not adjusted yet"},
     "phase": "moving to step 3",
     "frame": 2,
     "frames": 9,
