@@ -113,7 +113,7 @@ def certify_additional_pass(
     done, tried = certify_interpolation_method(
         some,
         basis,
-        struts if requested_pass.space != POSE else _posed(lambda of: correction, requested_pass.poses),
+        struts if requested_pass.space != POSE else _pose_space_field(lambda of: correction, requested_pass.poses),
         requested_pass.kind,
         rng,
         said,
@@ -122,7 +122,7 @@ def certify_additional_pass(
         done, more = certify_interpolation_method(
             some,
             basis,
-            _posed(_again(done.correction, correction, requested_pass), requested_pass.poses),
+            _pose_space_field(_again(done.correction, correction, requested_pass), requested_pass.poses),
             requested_pass.kind,
             rng,
             said,
@@ -155,7 +155,9 @@ def _with_covariance(done: Certified, before: Calibration, rng: np.random.Genera
     return replace(done, covariance=scale * before.covariance, strut_covariance=scale * struts)
 
 
-def _posed(base: Callable[[Samples], AnyCorrection], part: SpacePart | None) -> Callable[[Samples], ExtensionBasis]:
+def _pose_space_field(
+    base: Callable[[Samples], AnyCorrection], part: SpacePart | None
+) -> Callable[[Samples], ExtensionBasis]:
     """The stand of a map in pose space on a Correction by some samples."""
 
     def stand(of: Samples) -> ExtensionBasis:

@@ -93,7 +93,7 @@ def remove_instrument_displacement(recording: Recording) -> tuple[Recording, lis
         p = float(scipy.special.chdtrc(6, motion @ np.linalg.solve(covariance[rows, rows], motion)))
         if p * (len(motions) - 1) < ALIKE and _clear(samples.take(number == k + 1), motion, m):
             places.append(Place(k + 1, motion, p))
-    return _taken(recording, places), places
+    return _recording_in_first_base_frame(recording, places), places
 
 
 def _clear(samples: Samples, motion: Floats, m: Struts) -> bool:
@@ -144,7 +144,7 @@ def _back(T: RigidTransform, motions: Floats) -> RigidTransform:
     return exp(motions).inv() * T
 
 
-def _taken(recording: Recording, places: list[Place]) -> Recording:
+def _recording_in_first_base_frame(recording: Recording, places: list[Place]) -> Recording:
     poses = recording.poses
     if not places or poses is None:
         return recording

@@ -61,7 +61,7 @@ def change_verdict_lines(
     first, named = verdict.suspects[0], verdict.named
     since = "since the calibration" if first.since == 0 else f"since {names[first.since]}"
     if within_claim:
-        what = "without a name" if named is None else f"likeliest {_said(named, reference)}"
+        what = "without a name" if named is None else f"likeliest {_suspect_with_size(named, reference)}"
         out.append(
             f"  THE CALIBRATION OMITS AN EFFECT, present from the beginning or since, {what}; its claim "
             "is not refuted by this visit"
@@ -71,15 +71,15 @@ def change_verdict_lines(
         out.append(
             f"  THE CALIBRATION NO LONGER DESCRIBES THE MEASUREMENTS, {since}: an unidentified change"
             + (
-                f" (the nearest explanation, {_said(nearest, reference)}, leaves more than noise)"
+                f" (the nearest explanation, {_suspect_with_size(nearest, reference)}, leaves more than noise)"
                 if nearest is not None
                 else ""
             )
         )
     elif named.kind in ("camera", "target"):
-        out.append(f"  THE MEASURING SYSTEM HAS CHANGED, {since}: {_said(named, reference)}")
+        out.append(f"  THE MEASURING SYSTEM HAS CHANGED, {since}: {_suspect_with_size(named, reference)}")
     else:
-        out.append(f"  THE CALIBRATION IS NO LONGER VALID, {since}: {_said(named, reference)}")
+        out.append(f"  THE CALIBRATION IS NO LONGER VALID, {since}: {_suspect_with_size(named, reference)}")
     kept = [one for k, one in enumerate(verdict.suspects[:SHOWN]) if k == 0 or one.odds >= LEAST]
     out.append("  odds: " + ", ".join(f"{one.name} {one.odds:.3f}" for one in kept))
     out.append(f"  to do: {REMEASURE[_key(named, reference)]}")
@@ -94,7 +94,7 @@ def _key(named: Suspect | None, reference: Reference) -> str:
     return "instrument" if named.place == Place("instrument") else named.kind
 
 
-def _said(one: Suspect, reference: Reference) -> str:
+def _suspect_with_size(one: Suspect, reference: Reference) -> str:
     """A named suspect with its size."""
     if len(one.value) == 6:
         position, rotation = (float(np.linalg.norm(part)) for part in np.split(one.value, 2))

@@ -87,7 +87,7 @@ def choose_visit_configurations(
         configuration_sets.sobol_configurations(mechanism.strut_range, CANDIDATES, FILL, seed),
         lambda c: is_pose_lost(calibration.correction, c),
     )
-    told = _Told(candidates, mechanism.strut_range.mean(axis=1), *_columns(calibration, design, candidates))
+    told = _VisitInformation(candidates, mechanism.strut_range.mean(axis=1), *_columns(calibration, design, candidates))
     order: list[int] = []
     for k in range(count):
         order.append(int(np.argmax(told.worth(order, k))))
@@ -109,7 +109,7 @@ def choose_visit_configurations(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Told:
+class _VisitInformation:
     """What poses at candidates (n, 6) m, visited one after the other from start (6,) m, tell. steady : (n, 6, 14) and
     turned : (n, 6, 6) as `_columns` gives them."""
 

@@ -115,7 +115,7 @@ class InvestigatedRig:
         cubes = dict(build_plan(self.design, f"commands:{plan}").turned)
         todo = turning_instructions(cubes, quarter_turns_of_cubes(self.design))
         if todo:
-            then = f"  then state this in {self.path}, {_said(cubes)}, and give the same command with --resume"
+            then = f"  then state this in {self.path}, {_cube_text(cubes)}, and give the same command with --resume"
             raise Waiting("\n".join(["to do, before the struts move:", *(f"  {text}" for text in todo), then]))
         more = [
             *(["--port", a.port] if a.port else []),
@@ -143,16 +143,16 @@ class InvestigatedRig:
         )
         if told != wanted:
             raise RigError(
-                f"{plan} is for cubes mounted as {_said(wanted) if wanted else 'rig.toml states them'}, "
+                f"{plan} is for cubes mounted as {_cube_text(wanted) if wanted else 'rig.toml states them'}, "
                 f"and {out / 'rig.toml'} says "
-                f"{_said(told) if told else 'that none was removed'}; state there how they were mounted"
+                f"{_cube_text(told) if told else 'that none was removed'}; state there how they were mounted"
             )
 
     def _asked(self, plan: Path, out: Path) -> str:
         """What somebody is asked to do, in words."""
         todo = build_plan(self.design, f"commands:{plan}")
         cubes = [f"  before it begins: {text}" for text in turning_instructions(dict(todo.turned), {})]
-        cubes += [f"  and state this in its rig.toml: {_said(dict(todo.turned))}"] if cubes else []
+        cubes += [f"  and state this in its rig.toml: {_cube_text(dict(todo.turned))}"] if cubes else []
         loads = [
             f"  at t = {t:.0f} s: " + (f"load {mass:.3g} kg" if mass else "take the load off")
             for t, mass in todo.payload[1:]
@@ -168,7 +168,7 @@ class InvestigatedRig:
         )
 
 
-def _said(cubes: dict[str, int]) -> str:
+def _cube_text(cubes: dict[str, int]) -> str:
     """How cubes stand, as rig.toml says it."""
     return "[turned] " + ", ".join(f"{name} = {quarter}" for name, quarter in cubes.items())
 

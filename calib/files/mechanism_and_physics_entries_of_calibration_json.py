@@ -214,7 +214,7 @@ def physics_dict(physics: Physics) -> Json:
     """dict of Physics, as JSON holds it."""
     return {
         "effects": [effect_to_dict(effect) for effect in physics.effects],
-        "parameter_order": [_told(c.effect, c.name, c.index, c.role, physics) for c in physics.coordinates],
+        "parameter_order": [_coordinate_text(c.effect, c.name, c.index, c.role, physics) for c in physics.coordinates],
         "covariance": physics.own.tolist(),
         "cross_covariance": physics.cross.tolist(),
         "gravity": physics.gravity.tolist(),
@@ -225,7 +225,7 @@ def physics_dict(physics: Physics) -> Json:
     }
 
 
-def _told(effect: int, name: str, index: int | None, role: str, physics: Physics) -> str:
+def _coordinate_text(effect: int, name: str, index: int | None, role: str, physics: Physics) -> str:
     """A coordinate in words, for who reads the file."""
     measure = {"inverse": "1 / ", "log": "log of "}.get(role, "")
     at = physics.effects[effect]

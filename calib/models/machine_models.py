@@ -250,7 +250,7 @@ def independent_geometric_parameters(mechanism: Mechanism) -> IndependentParamet
     if isinstance(mechanism, Arm):
         free = identification_and_joint_profiles.independent_arm_parameters(mechanism, "pose")
         size = np.array([PLAUSIBLE[unit] for unit in error_model_and_observations.parameter_units(mechanism)])
-        return _asked(
+        return _selected_freedoms(
             free,
             error_model_and_observations.parameter_names(mechanism),
             error_model_and_observations.parameter_units(mechanism),
@@ -259,7 +259,7 @@ def independent_geometric_parameters(mechanism: Mechanism) -> IndependentParamet
         )
     if isinstance(mechanism, Chain):
         size = chains.parameter_tolerances(mechanism)
-        found = _asked(
+        found = _selected_freedoms(
             size > 0,
             chains.parameter_names(mechanism),
             chains.parameter_units(mechanism),
@@ -278,7 +278,7 @@ def _of_struts(struts: Hexapod | Planar2, values: Floats) -> Floats:
     return pose_parameter_jacobian(mechanisms.kinematics_of(struts).forward(values, struts), struts)
 
 
-def _asked(
+def _selected_freedoms(
     free: Booleans, names: tuple[str, ...], units: tuple[str, ...], size: Floats, jacobian: Callable[[Floats], Floats]
 ) -> IndependentParameters:
     """Freedoms of those of the parameters that are free (p,) bool."""

@@ -139,7 +139,7 @@ class Online:
                 f"{pose.covariance.shape} and {common.shape}"
             )
         try:
-            taken = _taken(self.state, self.held, pose, self.start)
+            taken = _pose_update(self.state, self.held, pose, self.start)
         except RigError:
             taken = _unexpected(self.state, self.held, pose, self.start)
         self.state, self.held = taken.state, taken.held
@@ -167,7 +167,7 @@ class Online:
         return made
 
 
-class _Taken(NamedTuple):
+class _PoseUpdate(NamedTuple):
     """What a pose made of the filter, as in Update; held : poses that wait."""
 
     state: State
@@ -177,7 +177,7 @@ class _Taken(NamedTuple):
     dropped: tuple[int, ...]
 
 
-def _taken(before: State, waiting: tuple[Pose, ...], pose: Pose, start: Start) -> _Taken:
+def _pose_update(before: State, waiting: tuple[Pose, ...], pose: Pose, start: Start) -> _PoseUpdate:
     """What a pose makes of a state with poses that wait."""
     state = before
     for each in (*waiting, pose):
@@ -203,21 +203,21 @@ def _taken(before: State, waiting: tuple[Pose, ...], pose: Pose, start: Start) -
         held = (*waiting, pose)
         if len(held) == WINDOW:  # nothing explains them: the oldest is given up
             dropped, held = (*dropped, held[0].number), held[1:]
-        return _Taken(before, held, innovation, told, dropped)
+        return _PoseUpdate(before, held, innovation, told, dropped)
     if state.first is not None and len(state.first) in AGAIN:
         state = relinearised_state(state, start)
         innovation = state.innovation
-    return _Taken(state, (), innovation, told, dropped)
+    return _PoseUpdate(state, (), innovation, told, dropped)
 
 
-def _unexpected(state: State, waiting: tuple[Pose, ...], pose: Pose, start: Start) -> _Taken:
+def _unexpected(state: State, waiting: tuple[Pose, ...], pose: Pose, start: Start) -> _PoseUpdate:
     """What is made of a pose whose command the geometry as estimated reaches nowhere: it is left out, as one that
     agrees with no other.
 
     Raises RigError where the geometry that the filter started from reaches it nowhere either, or covariance is invalid
     """
     alone = state_with_pose(initial_state(start, len(state.estimate.s)), pose, start)
-    return _Taken(state, waiting, alone.innovation, (), (pose.number,))
+    return _PoseUpdate(state, waiting, alone.innovation, (), (pose.number,))
 
 
 def _examined(state: State, start: Start) -> tuple[State, tuple[Change, ...]]:

@@ -87,7 +87,7 @@ def _inverse_text(tree: Json) -> list[str]:
     for entry in tree["frames"]:
         lines.append(f"frame {entry['frame']}: {entry['state']}; {len(entry['solutions'])} solutions")
         for k, one in enumerate(entry["solutions"], 1):
-            said = "; ".join(_said(one))
+            said = "; ".join(_solution_remarks(one))
             lines.append(f"  {k}: {_joints(one['q'], tree['units'])}{'; ' if said else ''}{said}")
             if "corrected" in one:
                 finished = "none near it" if one["corrected"] is None else _joints(one["corrected"], tree["units"])
@@ -96,7 +96,7 @@ def _inverse_text(tree: Json) -> list[str]:
     return lines
 
 
-def _said(one: Json) -> list[str]:
+def _solution_remarks(one: Json) -> list[str]:
     """Remarks on a solution: its residual pose error, singularities, limits."""
     rest = one.get("rest", [0.0] * 6)
     return (

@@ -38,7 +38,7 @@ def motion_with_hand_still(q: Floats, goal: Floats, arm: Arm, fixed_hand_part: s
     if far[stop] > 2 * null_space_search.TRACE:
         raise RigError(
             "no motion of the elbow alone leads to the posture: it comes no nearer than "
-            f"{_told(path[stop] - goal, arm)}; "
+            f"{_greatest_difference_text(path[stop] - goal, arm)}; "
             "take it on the way"
         )
     rows = path[start : stop + 1] if stop >= start else path[stop : start + 1][::-1]
@@ -73,12 +73,12 @@ def _within(q: Floats, goal: Floats, arm: Arm, fixed_hand_part: str) -> Floats:
     if np.abs(rows[-1] - goal).max() > 2 * null_space_search.TRACE:
         raise RigError(
             f"no motion with the hand's {fixed_hand_part} held leads to the posture: it comes no nearer than "
-            f"{_told(rows[-1] - goal, arm)}; take it on the way"
+            f"{_greatest_difference_text(rows[-1] - goal, arm)}; take it on the way"
         )
     return np.vstack([*rows, goal])
 
 
-def _told(apart: Floats, arm: Arm) -> str:
+def _greatest_difference_text(apart: Floats, arm: Arm) -> str:
     """The greatest of differences (n,) rad, and of slides the greatest in mm, in words."""
     turned, slid = np.abs(apart[~arm.slides]), np.abs(apart[arm.slides])
     words = [f"{np.degrees(turned.max()):.2f} degrees"] if len(turned) else []

@@ -44,7 +44,7 @@ SORTED, AGAIN, FALLS = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Told:
+class _PrintInformation:
     """What images say of prints, all else free. information : (q, q), right : (q,) in units of what is tolerated;
     kind : (q,) which variance each has; cost, dof : of the adjustment without them."""
 
@@ -80,7 +80,7 @@ def adjust_with_estimated_printing_errors(
             break
         used, standing = good, now
         weighed = replace(kept, covariance=weights).take(used)
-        printing = _printing(_told(weighed, fit.adjustment, free))
+        printing = _printing(_print_information(weighed, fit.adjustment, free))
         if printing is None:
             return fit
         a = adjust_bundle(weighed, replace(a.state, markers=a.stated.markers), free, stated=a.stated, printing=printing)
@@ -109,7 +109,7 @@ def _merged(observations: Observations, state: State) -> Observations:
     )
 
 
-def _told(observations: Observations, a: Adjustment, free: tuple[str, ...]) -> _Told:
+def _print_information(observations: Observations, a: Adjustment, free: tuple[str, ...]) -> _PrintInformation:
     """_Told of observations weighed as standing_error has it, linearised at an Adjustment."""
     one = _merged(observations, a.state)
     u, estimate = adjustment_unknowns(one, a.state, a.stated, free, printing=TRIAL)
@@ -128,7 +128,7 @@ def _told(observations: Observations, a: Adjustment, free: tuple[str, ...]) -> _
         - predicted_decrease(blocks, shared, local)
         + float(right @ shared[columns])
     )
-    return _Told(
+    return _PrintInformation(
         inverse - np.eye(len(columns)),
         right,
         np.array(kind * len(u.prints.rows) + [len(KINDS) - 1]),
@@ -137,7 +137,7 @@ def _told(observations: Observations, a: Adjustment, free: tuple[str, ...]) -> _
     )
 
 
-def _printing(told: _Told) -> Printing | None:
+def _printing(told: _PrintInformation) -> Printing | None:
     """Printing with the variances that are there beyond chance, or None where none is."""
     there = np.ones(len(KINDS), bool)
     sigma, best = _likeliest(told, there)
@@ -153,7 +153,7 @@ def _printing(told: _Told) -> Printing | None:
     return None
 
 
-def _likeliest(told: _Told, there: Floats, start: Floats | None = None) -> tuple[Floats, float]:
+def _likeliest(told: _PrintInformation, there: Floats, start: Floats | None = None) -> tuple[Floats, float]:
     """(standard deviations (kinds,) of those that are `there`, minus twice their restricted log likelihood but for a
     constant).
     """
@@ -184,7 +184,7 @@ def _likeliest(told: _Told, there: Floats, start: Floats | None = None) -> tuple
     return sigma, float(likelihood)
 
 
-def _of(told: _Told, sigma: Floats) -> _Told:
+def _of(told: _PrintInformation, sigma: Floats) -> _PrintInformation:
     """_Told of the numbers on prints that are not held at nothing. sigma : (kinds,)"""
     on = np.flatnonzero(sigma[told.kind] > 0)
     return replace(told, information=told.information[np.ix_(on, on)], right=told.right[on], kind=told.kind[on])

@@ -57,7 +57,9 @@ def find_corner_mistakes(recording: Recording, corners: Corners, thorough: bool 
     first = measure_trial(seen)
     found, best = _seen(first, THOROUGH if thorough else SEARCH)
     if best.measured is not None and best.misfit < GROSS:  # else its cameras and poses are no evidence of anything
-        found += ([] if held else _posed(best.measured, recording.design)) + _lens(best.measured, best.seen.design)
+        found += ([] if held else _camera_pose_mistakes(best.measured, recording.design)) + _lens(
+            best.measured, best.seen.design
+        )
         found += (
             []
             if held
@@ -276,7 +278,7 @@ def _tried(first: Trial, most: int) -> tuple[list[tuple[str, str, Trial]], bool]
     return tried, True
 
 
-def _posed(m: Measurement, design: Design) -> list[Mistake]:
+def _camera_pose_mistakes(m: Measurement, design: Design) -> list[Mistake]:
     """Cameras that the base's markers put elsewhere than rig.toml has them."""
     on_base = set(m.observations.camera[~m.observations.on_platform & m.inliers].tolist())
     rows = [i for i, camera in enumerate(design.cameras) if camera.mount == "fixed" and i in on_base]

@@ -118,7 +118,7 @@ def pixel_edge_kinds(cells: Floats) -> Floats:
     return np.append(out.ravel(), np.int8(NONE))
 
 
-def _told() -> Integers:
+def _outlook_code_table() -> Integers:
     """(MEETS + 64, 4) int32 of the codes of outlooks: the kind, what to add to the cell for i and j, and looks."""
     out = np.zeros((MEETS + 64, 4), np.int32)
     out[[NONE, MANY]] = SEVERAL, 0, 0, 0
@@ -130,7 +130,7 @@ def _told() -> Integers:
     return out
 
 
-_TOLD = _told()
+_TOLD = _outlook_code_table()
 _0, _1, _2, _4, _8, _16 = (np.float32(k) for k in (0, 1, 2, 4, 8, 16))  # numbers that keep kernels in single precision
 _MOST, _VIEWS, _NOWHERE, _CLEAR = np.float32(MOST), np.float32(VIEWS), np.float32(NOWHERE), np.float32(CLEAR / REACH)
 

@@ -87,7 +87,7 @@ class CertifiedArm:
     left: HeldErrors | None = None
 
 
-class _Way(NamedTuple):
+class _PredictionMethod(NamedTuple):
     """How held-out poses are predicted: with the identified effects, with joint profiles on top."""
 
     physics: bool
@@ -124,8 +124,8 @@ def certify_arm(
     if not _enough(samples, found, label, parts):
         return CertifiedArm(correction, found, label, None, None, None)
     in_part, asked = samples.measured in UNPLACED, physics is not None
-    ways = [_Way(asked, profiles) for profiles in ((False,) if in_part else (False, True))] + [
-        _Way(False, False)
+    ways = [_PredictionMethod(asked, profiles) for profiles in ((False,) if in_part else (False, True))] + [
+        _PredictionMethod(False, False)
     ] * asked
     good = _counted(found, samples)
     kept, of_kept = samples.take(good), label[good]
@@ -142,14 +142,14 @@ def certify_arm(
     profiled = not in_part and is_significant_gain(loss[0] - loss[1])
     rows = rng.permutation(np.arange(len(samples)) % (parts.max() + 1))
     ((before, after),) = _held_out(
-        (samples, physics), nominal, instrument, (rows, start), [_Way(asked, profiled)], said
+        (samples, physics), nominal, instrument, (rows, start), [_PredictionMethod(asked, profiled)], said
     )
     if profiled:
         correction, found = _profiled(known, correction, found)
     covariance, best = kept.total_covariance(), full if profiled else plain
     held, drawn, bare = (
         compare_errors(*each, covariance, rng, of_kept)
-        for each in (best, (before[good], after[good]), errors[_Way(False, False)])
+        for each in (best, (before[good], after[good]), errors[_PredictionMethod(False, False)])
     )
     agreed, whole = samples.take(found.inliers), len(found.scatter) == 6
     if (
@@ -314,7 +314,7 @@ def _held_out(
     nominal: Arm,
     instrument: Instrument | None,
     plan: tuple[Integers, Arm],
-    ways: list[_Way],
+    ways: list[_PredictionMethod],
     said: Progress,
 ) -> list[tuple[Floats, Floats]]:
     """(before, after), (n, 6) each, of parts held out in turn, in each of the ways asked for."""

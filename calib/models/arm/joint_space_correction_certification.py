@@ -159,7 +159,7 @@ def certify_extended_arm(
         return ExtensionBasis(
             joint_correction_field_samples(some, plain.fitted, by.shared),
             lambda field: replace(plain, extension=field),
-            lambda field, at: _said(field, at, plain.fitted),
+            lambda field, at: _mean_square_field_error(field, at, plain.fitted),
         )
 
     done, tried = certify_interpolation_method(
@@ -205,7 +205,7 @@ def nominal_arm_correction(
     return ArmCorrection(arm, arm, (None,) * len(arm.joints), o.q), found
 
 
-def _said(field: Field, samples: Samples, arm: Arm) -> float:
+def _mean_square_field_error(field: Field, samples: Samples, arm: Arm) -> float:
     """m^2, mean square by which a Field says that positions of samples may be off."""
     J = error_model_and_observations.joint_jacobian(samples.commanded, arm)[:, :3]
     return float((J**2 @ (field.error(samples.commanded) ** 2)[..., None]).sum(axis=1).mean())

@@ -117,7 +117,7 @@ class GrblHAL:
             raise ControllerFault(
                 f"the controller is in hold, accepts nothing ({report[0]}): see why, then rig stop drops what is held"
             )
-        build = yield from _told(b"$I\n", patience=STANDS)
+        build = yield from _answer_lines(b"$I\n", patience=STANDS)
         version = next((line[5:-1].rstrip(":") for line in build if line.startswith("[VER:")), "unknown version")
         for line in build:
             if match := re.fullmatch(r"\[OPT:[^,\]]*,\d+,(\d+).*\]", line):
@@ -131,7 +131,7 @@ class GrblHAL:
                 "names one for each strut "
                 "in their order, and the firmware must be built with that many"
             )
-        settings = yield from _told(b"$$\n", patience=STANDS)
+        settings = yield from _answer_lines(b"$$\n", patience=STANDS)
         self._settings = {
             int(match[1]): float(match[2])
             for line in settings
@@ -142,9 +142,9 @@ class GrblHAL:
                 f"the controller takes {self._turning()} for rotary axes whose feed is that of the others "
                 "($376, $680): set $376=0"
             )
-        ready = yield from _told(READY.encode() + b"\n", locked=True)
+        ready = yield from _answer_lines(READY.encode() + b"\n", locked=True)
         if _scaled((yield from _modes())):
-            yield from _told(b"G50\n", locked=True)
+            yield from _answer_lines(b"G50\n", locked=True)
         self._whole_report = b"\x87" if "[FIRMWARE:grblHAL]" in build else b"?"
         yield from self._learn_homed()
         return f"grblHAL {version}, axes {self._letters}" + (f", {ready[-1]}" if ready[-1] != "ok" else "")
@@ -216,7 +216,7 @@ class GrblHAL:
             yield from pause_dialogue()
         if word != "Idle":
             yield Exchange(b"\x18", lambda lines: bool(_BANNER.match(lines[-1])))
-            yield from _told(READY.encode() + b"\n", locked=True)
+            yield from _answer_lines(READY.encode() + b"\n", locked=True)
         return Verdict(True)
 
     def unlock(self) -> Dialogue[Verdict]:
@@ -290,7 +290,7 @@ class GrblHAL:
         return values
 
 
-def _told(data: bytes, locked: bool = False, patience: float = 0.0) -> Dialogue[tuple[str, ...]]:
+def _answer_lines(data: bytes, locked: bool = False, patience: float = 0.0) -> Dialogue[tuple[str, ...]]:
     """The lines of an answer that ends with ok. Raises ControllerFault for an error.
 
     locked : error:9 will do; patience : s for which it is asked again where the axes still move (error:8), as whoever

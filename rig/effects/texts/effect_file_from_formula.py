@@ -164,7 +164,7 @@ class Written:
             "",
             "@dataclass(frozen=True, slots=True)",
             f"class {title}(Effect):",
-            *_told(model),
+            *_docstring_lines(model),
             "",
             "    place: str",
             *(f"    {p}: float = {_number(v) if p in self.waves.values() else 0.0}" for p, v in self.values.items()),
@@ -255,7 +255,7 @@ def _names(term: Term, number: int) -> tuple[str, ...]:
     return (f"c{number + 1}",) if term.wave is None else (f"sine{number + 1}", f"cosine{number + 1}")
 
 
-def _told(text: str) -> list[str]:
+def _docstring_lines(text: str) -> list[str]:
     """Lines of a class' docstring."""
     lines = textwrap.wrap(f'"""{text}"""', WIDTH, break_on_hyphens=False)
     return [f"    {line}" for line in lines]

@@ -162,7 +162,7 @@ def inverse_steps(T_base_platform: RigidTransform, six_arm: SixJointArm, q: Floa
     q : of rig.model.mechanisms.closed_form_and_numerical_arm_inverse.inverse: of two readings the one near it is
         taken, and what a singular pose leaves free
     """
-    way = _Way(six_arm, np.asarray(q, float), T_base_platform)
+    way = _PathToZero(six_arm, np.asarray(q, float), T_base_platform)
     way.back(0, way.shoulder())
     if six_arm.kind == "spherical":
         way.elbow(way.abc[0])
@@ -208,7 +208,7 @@ def inverse_steps_of_numerical_solution(T_base_platform: RigidTransform, arm: Ar
     return steps
 
 
-class _Way:
+class _PathToZero:
     """The points of one pose on their way back to zero. abc : (3, 3) m; extra : {name: point} that joints still to be
     read move; steps : so far.
     """

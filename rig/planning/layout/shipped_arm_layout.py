@@ -96,7 +96,7 @@ def arm_layout_rig_toml(
     Raises RigError for a name that there is not, a dictionary with too few identities, or figures that make no rig
     """
     text = shipped_arm_rig_toml(name).replace(INSTRUMENT, "")
-    arm = _posed(require_arm(load_shipped_arm(name).mechanism), TURNS[hand_mounted])
+    arm = _arm_with_limits_about_best_posture(require_arm(load_shipped_arm(name).mechanism), TURNS[hand_mounted])
     require_possible_layout(1.0, cameras, cubes if hand_mounted == "cubes" else -(-3 * cubes // 2), dictionary)
     lines = [_narrowed(text, arm).rstrip(), ""]
     T = mechanism.forward(sobol_configurations(arm.limits, 64, 1.0), arm)
@@ -112,7 +112,7 @@ def arm_layout_rig_toml(
     return "\n".join(lines) + "\n"
 
 
-def _posed(arm: Arm, turn: float) -> Arm:
+def _arm_with_limits_about_best_posture(arm: Arm, turn: float) -> Arm:
     """The arm with limits about its best conditioned posture, of those tried."""
     reach = np.where(arm.slides, SLIDES * np.ptp(arm.limits, axis=1), np.minimum(turn, np.ptp(arm.limits, axis=1) / 2))
     inner = np.stack([arm.limits[:, 0] + reach, arm.limits[:, 1] - reach], axis=1)

@@ -21,6 +21,7 @@ from rig.cli.shared.argument_parser import join_negative_numbers, nearest_word
 from rig.cli.shared.output_escaping_and_progress_display import Progress, progress_line
 from rig.compute import installation_inventory
 from rig.effects.catalogue.effect_list import ALL
+from rig.model.design import PROTOCOLS
 from tests.cli import RIG
 from tests.conftest import BENCH
 
@@ -307,3 +308,9 @@ def test_help_of_every_command_opens_no_library():
         "print(sorted({'scipy', 'cv2', 'numba', 'matplotlib', 'pyrender', 'serial', 'shtab'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
+
+
+def test_the_emulators_protocols_are_those_of_rig_toml():
+    from rig.cli import emulate
+
+    assert emulate.PROTOCOLS == PROTOCOLS

@@ -132,7 +132,7 @@ def joint_candidate(specs: tuple[EffectCandidate, ...], arms: Arms) -> JointCand
         extra=first.extra if first.linear else 0,
         joint=joint,
         specs=specs,
-        weights=_kept(lambda node: _weights(_spec(specs, node), node, joint, arms)),
+        weights=_cached_function_of_node(lambda node: _weights(_spec(specs, node), node, joint, arms)),
         prior=lambda node: _prior(_spec(specs, node)),
         form=form,
         vector=len(first.linear) > 2,
@@ -190,7 +190,7 @@ def _retimed(spec: EffectCandidate, node: Node, arms: Arms) -> Floats:
     )
 
 
-def _kept(weights: Callable[[Node], Floats]) -> Callable[[Node], Floats]:
+def _cached_function_of_node(weights: Callable[[Node], Floats]) -> Callable[[Node], Floats]:
     """The function of a node, the last answers kept: histories are long, and asked for in every search."""
     known: dict[tuple[object, ...], Floats] = {}
 
