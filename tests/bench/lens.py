@@ -248,7 +248,7 @@ def _block():
     largest = max(found.moves, key=lambda one: np.linalg.norm(one.by[:3]))
     by = np.linalg.norm(largest.by[:3]) * 1e3
     yield (
-        f"tumbling-block: tags that moved; farthest {largest.name}",
+        f"tumbling-block: tags that moved; farthest {largest.place}",
         f"{sum(m.moved for m in found.moves)} of {len(found.moves)}; {by:.2f} mm",
         "",
     )
