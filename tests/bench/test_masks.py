@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 
 from tests.bench.masks import KINDS, MASKS, counted, figures, main, masks, recordings
 
@@ -39,6 +40,7 @@ def test_refusals_are_no_names_that_agree():
     assert counted(found | {"all": {"names": ["a"]}}) == (1, 1)
 
 
+@pytest.mark.slow
 def test_a_campaign_goes_on_where_it_stood(tmp_path, capsys):
     out = tmp_path / "masks.json"
     words = ["--recordings", "20", "--only", "planar2/none", "--out", str(out)]

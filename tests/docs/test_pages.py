@@ -176,6 +176,7 @@ def site(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_site_builds_with_no_broken_link_and_loads_nothing_from_elsewhere(site):
     pages = list(site.glob("*.html"))
     assert {"index.html", "commands.html", "troubleshooting.html", "api.html", "rig-toml.html"} <= {

@@ -67,6 +67,7 @@ def test_an_effects_strength_grows_with_it_and_shrinks_with_the_noise(case):
     assert strength(1, case.sigma[:1]) < strength(1, case.sigma)
 
 
+@pytest.mark.slow
 def test_a_campaign_of_arms_is_blinded_diagnosed_and_scored(tmp_path, capsys):
     ask = ["blind", "--season", "1", "--mechanism", "arm", "--frames", "90", "--out", str(tmp_path / "campaign")]
     assert command_line.main([*ask, "--hide", "foreign"]) == 1 and "nothing, one, two" in capsys.readouterr().err

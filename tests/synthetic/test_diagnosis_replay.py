@@ -23,6 +23,7 @@ def rms(a, b):
     return np.sqrt(np.mean([(a[k] - b[k]) ** 2 for k in both]))
 
 
+@pytest.mark.slow
 def test_the_machine_as_found_repeats_the_recording(tmp_path, capsys):
     (tmp_path / "rig.toml").write_text(hexapod_layout_rig_toml(0.3))
     for argv in (

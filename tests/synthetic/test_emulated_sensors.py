@@ -98,6 +98,7 @@ def test_measuring_limbs_read_the_pose(design, told, tmp_path):
     assert 15 < read["ambient_temperature_C"] < 25
 
 
+@pytest.mark.slow
 def test_every_picture_is_of_its_own_moment(secret, told, opengl):
     small = tuple(
         replace(c, width=160, height=128, matrix=c.matrix * [[1 / 8], [1 / 8], [1]]) for c in secret.true.cameras

@@ -72,6 +72,7 @@ def two_cubes(tmp_path, capsys):
     return tmp_path / "rig.toml"
 
 
+@pytest.mark.slow
 def test_sheets_of_a_rig_are_on_the_paper_asked_for(two_cubes, tmp_path, capsys):
     assert (
         main(

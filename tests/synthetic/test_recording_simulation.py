@@ -116,6 +116,7 @@ def test_corners_of_a_picture_are_those_of_the_simulation(design, rig_text, tmp_
     assert (np.linalg.norm(errors, axis=1) > 0.5).mean() < 0.01
 
 
+@pytest.mark.slow
 def test_a_picture_in_motion_is_the_mean_of_its_moments(design, tmp_path, opengl):
     rng = np.random.default_rng(3)
     s = recording_simulation.simulate_world(

@@ -79,9 +79,8 @@ LENSES = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", [name if name == "fourteen terms" else pytest.param(name, marks=pytest.mark.slow) for name in LENSES]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LENSES)
 def test_corners_are_where_the_lens_puts_them(design, name, opengl):
     errors, ours = [], []
     for tilt in np.radians([0, 20, 40, 55, 65]):

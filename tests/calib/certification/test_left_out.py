@@ -76,6 +76,7 @@ def test_a_claim_holds_where_physics_is_left_out_and_the_claim_names_it(tmp_path
     assert (np.einsum("ni,nij,nj->n", off[:, :3], np.linalg.inv(C), off[:, :3]) < 7.815).mean() > 0.75
 
 
+@pytest.mark.slow
 def test_ellipsoids_hold_what_all_struts_do_together(tmp_path):
     """Heat and warm-up lengthen all struts equally: with each strut by itself, 95 % ellipsoids of these three hold some
     75 %.

@@ -103,6 +103,7 @@ def test_limbs_that_are_wrong_do_not_pass(measured, spoil):
     assert not found.passed[2] and found.passed[3:].all()
 
 
+@pytest.mark.slow
 def test_struts_are_learnt_from_the_limbs_alone(limbed, measured):
     _, read, done = limbed
     samples, nominal, frames, lengths = measured

@@ -131,6 +131,7 @@ def test_a_wrong_dictionary_is_named_before_anything_is_measured(command, good, 
     )
 
 
+@pytest.mark.slow
 def test_exchanged_faces_are_said_first_and_the_diagnosis_goes_on(good, tmp_path):
     """It sets markers right by where they are seen, and names the swap."""
     folder = tmp_path / "rec"

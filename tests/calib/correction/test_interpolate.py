@@ -56,6 +56,7 @@ def affine(x, seed=0):
     return (x - 0.45) @ rng.normal(size=(x.shape[-1], x.shape[-1])) * 1e-3 + 1e-4
 
 
+@pytest.mark.slow
 @given(axes=st.integers(1, 7), seed=st.integers(0, 1000))
 @settings(max_examples=25, deadline=None, derandomize=True)
 def test_grids_pass_through_their_samples(axes, seed):

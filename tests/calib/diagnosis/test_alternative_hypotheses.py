@@ -93,6 +93,7 @@ def test_a_grids_parameter_costs_what_the_search_over_it_shows():
     assert costs[1] - costs[0] == pytest.approx(2 * np.log(5))
 
 
+@pytest.mark.slow
 def test_a_strong_lag_is_told_from_a_clock_by_fitting_both(tmp_path, design):
     rec = recorded(tmp_path, design, ["servo_lag:rig:time_constant=0.045"], route="moving:40,sobol:30,moving:40")
     (finding,) = diagnosis_report(diagnosis_of(rec, only=["servo_lag", "time_offset"])).findings

@@ -54,7 +54,10 @@ def assert_same(trees):
 
 @pytest.mark.parametrize(
     ("text", "kind"),
-    [("clock_drift:clock:rate=4e-4", "clock_drift"), ("missed_steps:strut2:jump=1.2e-4,time=150", "missed_steps")],
+    [
+        pytest.param("clock_drift:clock:rate=4e-4", "clock_drift", marks=pytest.mark.slow),
+        ("missed_steps:strut2:jump=1.2e-4,time=150", "missed_steps"),
+    ],
 )
 def test_a_verdict_does_not_depend_on_the_origin(tmp_path, design, text, kind):
     recorded(tmp_path / "rec", design, [text], route="moving:8,sobol:36,moving:8")
@@ -63,6 +66,7 @@ def test_a_verdict_does_not_depend_on_the_origin(tmp_path, design, text, kind):
     assert_same(trees)
 
 
+@pytest.mark.slow
 def test_no_page_depends_on_the_origin(tmp_path, design):
     texts = [
         "missed_steps:strut2:jump=1.2e-4,time=150",

@@ -98,6 +98,7 @@ def test_struts_that_scatter_in_few_poses_are_unexplained(tmp_path, design):
     assert report.fits["closures"].heldout_after > 1.5 * report.fits["closures"].noise_floor
 
 
+@pytest.mark.slow
 def test_corners_noisier_than_stated_are_unexplained(tmp_path, design):
     rec = recorded(tmp_path, design, [], route="sobol:30")
     assert diagnosis_report(diagnosis_of(rec, ["edge_bias"])).noise_from == RESIDUALS

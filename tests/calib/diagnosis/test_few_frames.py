@@ -180,6 +180,7 @@ def test_what_its_own_scatter_caps_is_fitted_however_many_numbers_it_has(worth, 
     ]
 
 
+@pytest.mark.slow
 def test_a_strong_effect_in_few_frames_is_not_hidden_by_its_own_scatter(tmp_path, design):
     """A scan takes what nobody admitted yet for the strut's scatter: a backlash ten times the noise would stay
     unknown.

@@ -36,6 +36,7 @@ def places(found):
     return [(f.effect, f.place, f.said) for f in found.findings]
 
 
+@pytest.mark.slow
 def test_what_is_assumed_stays_and_is_said_to_be_so(quiet):
     assert places(diagnosis_report(diagnosis_of(quiet, ["backlash"]))) == []
     told = diagnosis_report(diagnosis_of(quiet, ["creep"], given=StatedTerms((STRUT_2,))))
@@ -99,6 +100,7 @@ def test_masked_frames_are_gone_from_everything(quiet):
         remove_frames(quiet, f"0-{frames[-1]}")
 
 
+@pytest.mark.slow
 def test_the_same_words_on_the_page(loose, tmp_path, capfd):
     call = ["diagnose", str(loose.folder), "--out", str(tmp_path / "first"), "--only", "backlash", "--mask", "3,7-9"]
     assert command_line.main(call) == 0

@@ -61,6 +61,7 @@ def test_all_sides_off_by_a_part_in_two_thousand_are_a_remark_with_their_size(tm
     assert "print scale at markers" in (tmp_path / "page.html").read_text()
 
 
+@pytest.mark.slow
 def test_what_is_beyond_tolerance_is_a_finding_beside_what_is_within(tmp_path, design):
     hidden = ["face_misplacement:8:offset=2e-4/0/0,rotation=0/0/0", "backlash:strut2:gap=6e-5"]
     found = diagnosis_of(
@@ -174,6 +175,7 @@ def test_tolerances_come_in_where_they_explain_more_than_the_best_candidate(tmp_
     assert tolerant.tolerant and not tolerant.tolerances_explain(fit, None)  # once
 
 
+@pytest.mark.slow
 def test_what_has_no_name_beside_tolerances_is_left_and_offered_a_formula(tmp_path, design):
     hidden = ["backlash:strut2:gap=6e-5", printed(design, 5e-6, 2e-4)]
     found = diagnosis_of(recorded(tmp_path, design, hidden, 11, ROUTE, 0.03), only=["print_scale", "face_misplacement"])

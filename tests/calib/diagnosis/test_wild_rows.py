@@ -87,6 +87,7 @@ def test_where_a_tail_is_long_no_row_in_it_is_wild():
     assert np.flatnonzero(isolated_outlier_rows(left, t, q, 7.0)).tolist() == [20]
 
 
+@pytest.mark.slow
 def test_names_do_not_depend_on_which_wild_rows_are_masked(tmp_path, design):
     for number, (text, expected) in enumerate(list(HIDDEN.items())[:2]):
         rng = np.random.default_rng(number)
@@ -235,6 +236,7 @@ def test_what_one_strut_does_alone_is_not_wild():
     assert np.flatnonzero(has_several_deviating_numbers(left, 7.0)).tolist() == [9]
 
 
+@pytest.mark.slow
 def test_a_platform_is_calibrated_with_wild_poses_as_without_them(tmp_path, design):
     """A recording whose fit would not even close from a start that wild poses weigh in."""
     bad, frames = spoilt_poses(

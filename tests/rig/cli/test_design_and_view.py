@@ -113,6 +113,7 @@ def test_nets_are_true_to_scale(tmp_path):
     np.testing.assert_allclose(places["+z"] - places["-y"], [0, -edge], atol=0.3)
 
 
+@pytest.mark.slow
 def test_lens_prints_a_camera_that_a_rig_takes(shared, tmp_path):
     photographs = shared / "photos" / "charuco"
     wanted = [photographs / f"{name}.png" for name in ("01", "03", "05", "10", "11")]

@@ -136,6 +136,7 @@ def test_calibration_says_where_it_comes_from(worked):
     assert tree["held_out"]["after"]["n"] == 60 and (worked[0] / "calibration.html").exists()
 
 
+@pytest.mark.slow
 def test_same_input_same_output(worked, tmp_path):
     base, _ = worked
     run("calibrate", base / "fit", "--out", tmp_path / "again.json")
@@ -145,6 +146,7 @@ def test_same_input_same_output(worked, tmp_path):
     assert first == again
 
 
+@pytest.mark.slow
 def test_verify_reports_held_out_figures(worked):
     base, _ = worked
     tree = json.loads(run("verify", base / "calibration.json", base / "check", "--json").stdout)
@@ -161,6 +163,7 @@ def test_verify_reports_held_out_figures(worked):
     assert "not held out" in same.stderr
 
 
+@pytest.mark.slow
 def test_calibrating_what_was_measured_gives_the_same(worked, tmp_path):
     base, _ = worked
     run("calibrate", base / "measured", "--out", tmp_path / "c.json")
@@ -171,6 +174,7 @@ def test_calibrating_what_was_measured_gives_the_same(worked, tmp_path):
     np.testing.assert_allclose(one, two, atol=3e-6)
 
 
+@pytest.mark.slow
 def test_poses_from_outside_are_calibrated_too(worked, tmp_path):
     base, secret = worked
     folder = tmp_path / "tracker"
@@ -261,6 +265,7 @@ def test_held_cameras_stay(worked, tmp_path):
     assert np.abs(pose_difference(one.cameras[0].pose, two.cameras[0].pose)).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_bars_on_a_terminal_and_none_in_a_pipe(tmp_path):
     assert "%" not in run("measure", BENCH / "check", "--out", tmp_path / "o").stderr
     try:
@@ -284,6 +289,7 @@ def test_bars_on_a_terminal_and_none_in_a_pipe(tmp_path):
     )  # what is over at once shows none
 
 
+@pytest.mark.slow
 def test_measure_names_markers_that_are_exchanged(tmp_path, design, rig_text):
     from rig.effects.catalogue.marker_swap import MarkerSwap
 

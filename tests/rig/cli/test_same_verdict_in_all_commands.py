@@ -73,6 +73,7 @@ def test_a_calibration_names_what_a_diagnosis_of_its_recording_finds(tmp_path, c
     )
 
 
+@pytest.mark.slow
 def test_what_shows_in_the_poses_that_a_fit_left_out_is_within_its_claim(tmp_path, capsys):
     """A joint's clearance that one pose of sixty shows: the fit leaves that pose out, the diagnosis names its cause,
     the claim holds for it.
@@ -99,6 +100,7 @@ def test_what_a_calibration_leaves_unexplained_is_stated_of_all_else_that_is_lea
     assert verdict["state"] == "check" and left and set(left) <= set(verdict["rests_on"])
 
 
+@pytest.mark.slow
 def test_what_spoils_a_recording_is_refused_by_all_that_learn_from_it(tmp_path, capsys):
     truth.record(truth.draw(1, "marker_swap", "strong", "shuffled", count=20), tmp_path / "rec")
     for words in (

@@ -46,6 +46,7 @@ def hexapod(tmp_path_factory, design, rig_text):
     return folder
 
 
+@pytest.mark.slow
 def test_a_hexapods_calibration_is_the_same_to_the_last_byte(hexapod):
     same_for_all(hexapod)
 

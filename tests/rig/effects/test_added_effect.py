@@ -116,7 +116,9 @@ def recorded(house, kind):
     return folder
 
 
-@pytest.mark.parametrize("kind", PLACES)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=pytest.mark.slow) if kind == "hexapod" else kind for kind in PLACES]
+)
 def test_it_is_simulated(house, kind):
     folder = recorded(house, kind)
     truth = json.loads((folder / "truth.json").read_text())

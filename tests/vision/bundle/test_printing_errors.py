@@ -88,6 +88,7 @@ def test_the_common_part_of_the_sides_is_what_the_priors_make_likeliest(design):
     assert jacobian(cost, np.zeros(1))[0, 0] == pytest.approx(0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_poses_own_up_to_how_markers_are_printed(design):
     """With places taken as stated poses would be off by some ten times what they say."""
     chi2, alone, count, told = 0.0, [], 0, []

@@ -31,6 +31,7 @@ def test_noise_free_corners_are_exact(design):
     assert np.abs(np.mean(errors, axis=(0, 1))).max() < 0.001 and abs(np.mean(outward)) < 0.001
 
 
+@pytest.mark.slow
 def test_light_bowed_over_a_marker_moves_no_corner(design):
     """As where a lens loses light towards its rim: grey that planes alone are laid through makes a square too large by
     0.005 px.
@@ -49,6 +50,7 @@ def test_light_bowed_over_a_marker_moves_no_corner(design):
     assert abs(np.mean(outward)) < 0.0005, np.mean(outward)
 
 
+@pytest.mark.slow
 def test_perspective_moves_no_corner(design):
     """Cells of a tilted marker grow towards the camera; an edge's distance guessed from where a pixel lies shifts all
     edges alike.
@@ -107,6 +109,7 @@ def test_edges_bend_with_the_lens(design):
     assert np.abs(straight.corners[0] - expected).max() > 0.03  # what ignoring the lens would cost
 
 
+@pytest.mark.slow
 def test_what_is_left_of_a_covered_marker_is_as_good_as_it_says(design):
     """A rod in front of a corner or a side, out of its blur nothing may count: pixels there fit well enough, and are
     wrong.
@@ -134,6 +137,7 @@ def test_what_is_left_of_a_covered_marker_is_as_good_as_it_says(design):
     assert len(chi2) > 18 and np.mean(chi2) < 11 and np.quantile(off, 0.9) < 0.06
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "gain", [pytest.param(1.35, marks=pytest.mark.slow), 1.6, pytest.param(2.5, marks=pytest.mark.slow)]
 )
@@ -182,6 +186,7 @@ def test_wide_edges_of_small_cells_see_beyond_the_next_cell(design):
     assert len(errors) >= 6 and np.sqrt(np.mean(np.square(errors))) < 0.01
 
 
+@pytest.mark.slow
 def test_what_is_no_noise_is_in_the_covariance(design):
     """Pictures of 8 x 8 rays to the pixel have next to no noise, and edges out of place by more than it."""
     rng, markers, squares = np.random.default_rng(16), sheet(design), []

@@ -1,6 +1,7 @@
 """Edge spread functions: plain ones as they should be, and one that is not plain learnt from the images."""
 
 import numpy as np
+import pytest
 from scipy.ndimage import correlate1d
 from scipy.special import ndtr
 
@@ -29,6 +30,7 @@ def test_a_plain_edge_is_a_gaussian_seen_through_pixels():
     np.testing.assert_allclose(PLAIN_EDGE_SPREAD.tables[3, 0, :, 0], expected, atol=2e-5)
 
 
+@pytest.mark.slow
 def test_what_a_camera_does_to_edges_is_learnt(design):
     """Sharpened images: what is learnt halves what the fits leave, and corners do not get worse for it."""
     rng = np.random.default_rng(0)

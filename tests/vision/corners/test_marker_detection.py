@@ -233,7 +233,9 @@ def test_a_mirrored_image_shows_no_marker(design, flip):
     )
 
 
-@pytest.mark.parametrize("pitch", [1.7, 2.6, 5.3])
+@pytest.mark.parametrize(
+    "pitch", [pytest.param(1.7, marks=pytest.mark.slow), 2.6, pytest.param(5.3, marks=pytest.mark.slow)]
+)
 def test_a_marker_on_a_screen_is_right_or_left_out_with_a_reason(design, pitch):
     """A screen's pixels, of three coloured stripes with dark gaps between them, photographed askew: moire."""
     rng, fine = np.random.default_rng(14), 8

@@ -172,7 +172,7 @@ def expect_places(recording, T):
     return markers_expected_in_image(recording.design.cameras[0], T, marker_map(recording.design))
 
 
-@pytest.mark.parametrize("case", ["two faces exchanged", "another identity"])
+@pytest.mark.parametrize("case", [pytest.param("two faces exchanged", marks=pytest.mark.slow), "another identity"])
 def test_what_is_not_as_stated_is_still_found_and_named(drawn, searches, tmp_path, case):
     recording, T = drawn
     markers = marker_map(recording.design)

@@ -24,6 +24,7 @@ from calib.diagnosis.problems.platform.linearised_corners import (
 from calib.diagnosis.problems.platform.linearised_residuals import (
     CLIP,
     CLOSURES,
+    CORNERS,
     LinearisedModel,
     linearise,
     split_by_frames,
@@ -154,7 +155,9 @@ class _Freedom:
 
 
 def add_term(refinement: Refinement, score: PlatformScore, sensitivities: Sensitivities) -> Refinement:
-    """Add a Score's effect to a Refinement, all that is free moved with it from the start."""
+    """Add a Score's effect to a Refinement, all that is free moved with it from the start. Raises ValueError where no
+    share of the step leaves the other effects within what they allow.
+    """
     model, k = refinement.model, refinement.point
     column, theta = candidate_column(model, score.candidate, score.node, sensitivities), score.coefficients
     own = None if refinement.column is None else _Freedom.of(refinement.coordinates, k.effects, refinement.column)
@@ -177,7 +180,7 @@ def add_term(refinement: Refinement, score: PlatformScore, sensitivities: Sensit
         known = _stepped_effects(k.effects, refinement.coordinates, share * step)
         if known is None:
             continue
-        added = check_effect(score.candidate.effect(score.node, cast(Floats, share * theta)))
+        added = check_effect(score.candidate.effect(score.node, share * theta))
         found = _apply(model, step, parts, [*known, added], share)
         if not len(theta) or _cost_without_relinearisation(model, *found) <= _comparable(model):
             break
@@ -265,7 +268,7 @@ def _try(
     """(OperatingPoint after as much of the step as lowers the cost, by how much), or None."""
     k, before = model.point, _comparable(model)
     for share in SHARES:
-        effects = _stepped_effects(k.effects, coordinates, share * step)
+        effects = _stepped_effects(k.effects, coordinates, cast(Floats, share * step))
         if effects is None:
             continue
         point, nuisances = _apply(model, cast(Floats, step), column, effects, share)
@@ -275,9 +278,7 @@ def _try(
     return None
 
 
-def _stepped_effects(
-    effects: tuple[Effect, ...], coordinates: list[Coordinate], step: Floats | Integers
-) -> list[Effect] | None:
+def _stepped_effects(effects: tuple[Effect, ...], coordinates: list[Coordinate], step: Floats) -> list[Effect] | None:
     """The effects with coordinates changed by a step (c,), in their written form; None where one of them cannot be
     so."""
     out = list(effects)
@@ -294,28 +295,22 @@ def _cost_without_relinearisation(model: LinearisedModel, point: OperatingPoint,
     nuisances are moved by (r,) on the model's basis: cameras, geometry and poses are at their best by the model's
     derivatives, noise and scatter as in the model.
     """
-    c, parts = model.corners, []
-    inner = np.zeros((model.frames, c.local.shape[1], 1))
-    excess = 0.0
+    c, basis = model.corners, model.linear.columns.whole
+    corners, inner, excess = np.zeros(0), np.zeros((model.frames, c.local.shape[1], 1)), 0.0
     if point.seen is not None:
         off = (point.seen.observations.uv - point.pixels())[c.order]
         rho = np.einsum("nij,nj->ni", c.whiten, off).reshape(-1, 1) / c.sigma
         excess = float((2 * c.clip * np.maximum(np.abs(rho) - c.clip, 0)).sum())
         inner, out = split_by_frames(np.clip(rho, -c.clip, c.clip), c.local, c.edges)
-        parts.append(out[:, 0])
-    else:
-        parts.append(np.zeros(0))
-    basis = model.linear.columns.whole
+        corners = out[:, 0]
+    closures = np.zeros(0)
+    if point.axes:
+        closures = (model.closures.W @ point.closures()[..., None] + model.closures.to_rows @ inner).ravel()
     known = model.linear.blocks[CLOSURES].known_rows
-    closures = (
-        (model.closures.W @ point.closures()[..., None] + model.closures.to_rows @ inner).ravel()
-        if point.axes
-        else np.zeros(0)
-    )
     beforehand = model.closure_residual[known] + basis[CLOSURES][known] @ (model.nuisances.at_rest - nuisances)
-    parts.append(np.r_[closures, beforehand])
-    z = sum(part.T @ residual for part, residual in zip(basis, parts))
-    cost = sum(float(residual @ residual) for residual in parts) - float(z @ z) + excess
+    rows = np.concatenate([closures, beforehand])
+    z = basis[CORNERS].T @ corners + basis[CLOSURES].T @ rows
+    cost = float(corners @ corners + rows @ rows - z @ z) + excess
     return cost + _constant(model) + cost_of_priors(point.effects)
 
 
@@ -371,4 +366,4 @@ def _apply(
     if k.seen is None:
         local = np.zeros((model.frames, 6))
     moved = move_operating_point(k, cameras, local)
-    return replace(moved, effects=tuple(effects), finder=tuple(finder), seats=seats), z
+    return replace(moved, effects=tuple(effects), finder=tuple(finder), seats=seats), cast(Floats, z)

@@ -149,7 +149,12 @@ def test_the_file_keeps_everything(plain, tmp_path):
 
 @pytest.mark.parametrize(
     "base, tool, alone",
-    [("free", "free", False), ("rig", "rig", False), ("free", "rig", False), ("free", "free", True)],
+    [
+        ("free", "free", False),
+        pytest.param("rig", "rig", False, marks=pytest.mark.slow),
+        pytest.param("free", "rig", False, marks=pytest.mark.slow),
+        pytest.param("free", "free", True, marks=pytest.mark.slow),
+    ],
 )
 def test_a_recording_through_the_commands(base, tool, alone, tmp_path, capsys):
     """Whatever of the instrument's place is known, and whatever it sees: what is then commanded gives the wanted
@@ -241,6 +246,7 @@ def test_few_poses_are_fitted_or_say_what_it_takes(count):
     assert claim.distinct == count and (claim.ratio is None) == (done.held_out is None) == (count < 8)
 
 
+@pytest.mark.slow
 def test_an_arms_claims_cover_what_is_found_elsewhere():
     inside = []
     for seed in range(6):

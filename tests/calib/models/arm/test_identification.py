@@ -80,7 +80,7 @@ def test_an_unknown_place_is_found(base, tool):
         assert np.abs(pose_difference(ours, theirs)).max() < 2e-4
 
 
-@pytest.mark.parametrize("nominal", [UR10, SEVEN], ids=["UR10", "seven"])
+@pytest.mark.parametrize("nominal", [UR10, pytest.param(SEVEN, marks=pytest.mark.slow)], ids=["UR10", "seven"])
 def test_identification_of_near_parallel_axes_is_as_good_as_it_says(nominal):
     """Every prediction, and every parameter where the truth is one of the model's own figures, lies within the stated
     scatter.
@@ -106,6 +106,7 @@ def test_identification_of_near_parallel_axes_is_as_good_as_it_says(nominal):
     assert np.mean(np.square(scores)) == pytest.approx(1, abs=0.35)
 
 
+@pytest.mark.slow
 def test_parameters_lie_within_three_sigma():
     free = independent_arm_parameters(UR10, "pose")
     z = []

@@ -28,7 +28,15 @@ def drawn(arm, seed, count=30, deviation=None):
     return samples, error_model_and_observations.predicted_target_poses(q[bent][:80], true)
 
 
-@pytest.mark.parametrize(("arm", "seed"), [(UR10, 5), (UR10, 8), (SEVEN, 3), (SEVEN, 5)])
+@pytest.mark.parametrize(
+    ("arm", "seed"),
+    [
+        pytest.param(UR10, 5, marks=pytest.mark.slow),
+        pytest.param(UR10, 8, marks=pytest.mark.slow),
+        (SEVEN, 3),
+        (SEVEN, 5),
+    ],
+)
 def test_the_tracker_elsewhere_changes_no_command(arm, seed):
     samples, wanted = drawn(arm, seed)
     here, _ = calibrate_arm(samples, arm, worlds.TRACKER, False)
