@@ -192,25 +192,30 @@ def _step(
 def _exchanged(
     problem: Problem[Fit, Model, C], fit: Fit, trial: Fit, best: Score[C], scores: list[Score[C]]
 ) -> tuple[Fit, Score[C]]:
-    """(Fit, Score) with the variant of a name and place that is best once fitted, of those that may do better than the
-    scan's `best`: by what factor that explains more than the scan said, others may do so twice over, since a large
-    effect is not linear in its numbers, and what a coarse
-    variant leaves counted as scatter. trial : `fit` with `best`"""
+    """(Fit, Score) with the hypothesis at a place that is best once fitted, of the variants of the name that a scan
+    finds best and of others whose numbers a scan tries on a coarse grid only, so far as they may do better: by what
+    factor `best` explains more once fitted than the scan said, they may do so twice over, since a large effect is not
+    linear in its numbers, and what a coarse variant leaves counted as scatter. trial : `fit` with `best`"""
     size, fitted = problem.size(fit), problem.likelihood_ratio(fit, trial)
-    variants = [
-        s for s in scores if (s.candidate.name, s.candidate.place) == (best.candidate.name, best.candidate.place)
-    ]
-    told = next(s.delta_chi2 * s.dispersion for s in variants if s.candidate is best.candidate)
+    told = next(s.delta_chi2 * s.dispersion for s in scores if s.candidate is best.candidate)
     reach, least = max(fitted / told, 1.0) ** 2, fitted - best.complexity(size)
-    seen = [
-        s for s in variants if s.candidate is not best.candidate and s.freedom > 0
-    ]  # of the others the scan says nothing
-    others = [s for s in seen if reach * s.delta_chi2 * s.dispersion - s.complexity(size) >= least]
+    others = [
+        s
+        for s in scores
+        if s.candidate.place == best.candidate.place
+        and (s.candidate.name == best.candidate.name or s.candidate.extra)
+        and s.candidate is not best.candidate
+        and s.freedom > 0  # of those without, the scan says nothing
+        and reach * s.delta_chi2 * s.dispersion - s.complexity(size) >= least
+    ]
     found, chosen = trial, best
     for s in sorted(others, key=lambda s: -s.evidence(size))[: problem.policy.refitted]:
+        if reach * s.delta_chi2 * s.dispersion - s.complexity(size) < least:
+            continue
         new = problem.add_term(fit, s)
-        if problem.likelihood_ratio(found, new) > s.complexity(size) - chosen.complexity(size):
-            found, chosen = new, s
+        gain = problem.likelihood_ratio(found, new) - (s.complexity(size) - chosen.complexity(size))
+        if gain > 0:
+            found, chosen, least = new, s, least + gain
     return found, chosen
 
 

@@ -40,12 +40,13 @@ class Refraction(Effect):
     action: ClassVar = "Take the window away, or set it square to the camera and state it."
     view: ClassVar = "map"
 
-    def __post_init__(self) -> None:
-        if not np.linalg.norm(self.normal) > 0 or self.normal[2] < np.cos(STEEPEST) * np.linalg.norm(self.normal):
-            raise ValueError(
-                f"a window's normal leads away from the camera, tilted by at most {np.degrees(STEEPEST):.0f} degrees, "
-                f"not along {list(self.normal)}"
-            )
+    def problem(self) -> str | None:
+        if np.linalg.norm(self.normal) > 0 and self.normal[2] >= np.cos(STEEPEST) * np.linalg.norm(self.normal):
+            return None
+        return (
+            f"a window's normal leads away from the camera, tilted by at most {np.degrees(STEEPEST):.0f} degrees, "
+            f"not along {list(self.normal)}"
+        )
 
     def bend(self, camera: Camera, points: Floats) -> Floats:
         if self.thickness <= 0 or not self.at(Place("camera", camera.name)):

@@ -11,7 +11,7 @@ import pytest
 from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.certification.platform_certification import certify_platform
 from calib.diagnosis.engine.cross_validation_and_chance import scan_p_value
-from calib.diagnosis.problems.platform import misplaced_markers_and_frames
+from calib.diagnosis.problems.platform import misplaced_markers_and_frames, simultaneous_refinement
 from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, effect_parameter_directions
 from calib.diagnosis.problems.platform.lack_of_fit import find_lack_of_fit_by_place
@@ -33,6 +33,8 @@ from tests.calib.recordings_with_effects import recorded
 from tests.numerical_derivatives import jacobian
 from tests.vision import tumbling_block
 from vision.targets import marker_map
+
+LINEARISATIONS = 250  # of a whole diagnosis in which one effect is hidden, each a Jacobian of all corners
 
 
 @pytest.fixture(scope="module")
@@ -107,6 +109,27 @@ def test_what_is_hidden_is_found(tmp_path, design, text, name, parameter, value)
     } and fit in tree["fits"].values()
     if kind != "edge_bias":  # which the corner finder's own bias would take up, at a price that only the prior shows
         assert fit["heldout_before"] > 1.2 * fit["heldout_after"]
+
+
+def test_a_tilted_window_is_found_in_few_linearisations(tmp_path, design, monkeypatch):
+    """It moves corners by hundreds of standard deviations, far from what is linear in its numbers, and every variant of
+    a distorted lens takes up most of it."""
+    normal, count = np.array([-0.66446, -0.24184, 0.70711]), []
+
+    def counted(*args):
+        count.append(1)
+        return linearise(*args)
+
+    monkeypatch.setattr(simultaneous_refinement, "linearise", counted)
+    text = f"refraction:cam1:thickness=0.025,normal={'/'.join(map(str, normal))}"
+    found = diagnosis_of(recorded(tmp_path, design, [text]), only=["refraction", "lens_distortion", "camera_bump"])
+    report = json.loads(json.dumps(diagnosis_report(found).tree()))
+    assert [(f["effect"], f["place"]) for f in report["findings"]] == [("refraction", "camera cam1")]
+    numbers = report["findings"][0]["parameters"]
+    low, high = numbers["thickness"]["ci95"]
+    assert abs(numbers["thickness"]["value"] - 0.025) < high - low < 0.01
+    assert np.abs(numbers["normal"]["value"] - normal).max() < 0.05
+    assert len(count) < LINEARISATIONS
 
 
 def test_faces_exchanged_are_named(tmp_path, design):

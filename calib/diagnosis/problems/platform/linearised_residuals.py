@@ -31,6 +31,7 @@ from rig.model.places_and_tolerances import FINDER, SEAT
 CORNERS, CLOSURES = 0, 1  # the blocks
 # standard deviations; a residual counts for no more, so that one wild corner proves nothing and a crowd still does
 CLIP = 5.0
+REACHED = 0.98  # share of the corners
 EXCESS = 3.0  # standard errors by which struts must scatter beyond the poses' noise before it counts as theirs
 PARTS = 4  # of a long table, multiplied side by side; as many on any number of cores, so that sums are rounded alike
 ROUNDS = 3  # of weighing the struts anew by their scatter
@@ -46,6 +47,7 @@ class CornerFrames:
     inner : (F, L, 1 + camera nuisances) the residual's and those nuisances' coordinates in it
     sigma : px, noise of a corner over what its covariance said; excess : what Huber's loss of the clipped corners is
         above their squares
+    clip : standard deviations for which a residual counts at most; reach : which REACHED of the residuals do not exceed
     """
 
     order: Integers
@@ -56,6 +58,8 @@ class CornerFrames:
     inner: Floats
     sigma: float = 1.0
     excess: float = 0.0
+    clip: float = CLIP
+    reach: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +123,7 @@ class LinearisedModel:
         """
         c = self.corners
         V = np.einsum("nij,njk->nik", c.whiten, pixels[c.order]).reshape(2 * len(c.order), -1) / c.sigma
-        inner, out = _split(V, c.local, c.edges)
+        inner, out = split_by_frames(V, c.local, c.edges)
         closures = (
             self.on_closures(np.einsum("fij,fjk->fik", self.closures.to_rows, inner))
             if self.point.axes
@@ -160,14 +164,14 @@ class LinearisedModel:
         )
 
 
-def linearise(point: OperatingPoint) -> LinearisedModel:
+def linearise(point: OperatingPoint, clip: float = CLIP) -> LinearisedModel:
     """LinearisedModel of an OperatingPoint: cameras, lenses and geometry are the nuisances, each frame's pose is free
-    in the image.
+    in the image. clip : standard deviations for which a corner's residual counts at most
     """
     k = point
     if k.seen is not None:
         rows = corner_rows(k)
-        frames, table = _without_poses(k, rows)
+        frames, table = _without_poses(k, rows, clip)
         names: list[tuple[str, str | int]] = list(rows.names)
         priors, camera_columns = list(rows.priors), rows.camera_columns
     else:
@@ -209,20 +213,24 @@ class _Closures:
     to_length: Floats
 
 
-def _without_poses(k: OperatingPoint, rows: CornerRows) -> tuple[CornerFrames, Floats]:
+def _without_poses(k: OperatingPoint, rows: CornerRows, clip: float) -> tuple[CornerFrames, Floats]:
     """(CornerFrames, (2n, 1 + p) residual and nuisances with each frame's own poses taken out, in units of the corners'
     noise).
     """
     table, local, edges = rows.rows, rows.local, rows.edges
     rho = table[:, 0].copy()
-    inner, table = _split(table, local, edges)
+    inner, table = split_by_frames(table, local, edges)
     sigma = _noise(table[:, 0], table[:, 1:], rows.priors, rows.own, local.shape[1] * len(k.t))
     far = np.abs(rho / sigma)
-    excess = float((2 * CLIP * np.maximum(far - CLIP, 0)).sum())
+    excess = float((2 * clip * np.maximum(far - clip, 0)).sum())
+    reach = float(np.quantile(far, REACHED)) if len(far) else 0.0
     table /= sigma
     inner /= sigma
-    inner[..., :1], table[:, :1] = _split(np.clip(rho / sigma, -CLIP, CLIP)[:, None], local, edges)
-    return CornerFrames(rows.order, edges, rows.whiten, local, rows.to_local * sigma, inner, sigma, excess), table
+    inner[..., :1], table[:, :1] = split_by_frames(np.clip(rho / sigma, -clip, clip)[:, None], local, edges)
+    return (
+        CornerFrames(rows.order, edges, rows.whiten, local, rows.to_local * sigma, inner, sigma, excess, clip, reach),
+        table,
+    )
 
 
 def _closures(k: OperatingPoint, frames: CornerFrames) -> _Closures:
@@ -247,7 +255,7 @@ def _no_closures(k: OperatingPoint, frames: CornerFrames, table: Floats) -> _Clo
     return _Closures(np.zeros((F, 0, 0)), np.zeros((F, 0, table.shape[1])), np.zeros((F, 0, frames.to_local.shape[1])))
 
 
-def _split(rows: Floats, local: Floats, edges: Integers) -> tuple[Floats, Floats]:
+def split_by_frames(rows: Floats, local: Floats, edges: Integers) -> tuple[Floats, Floats]:
     """(coordinates in each frame's own basis (F, L, k), what is orthogonal to it (2n, k)) of rows (2n, k), which are
     overwritten.
     """

@@ -21,7 +21,14 @@ from calib.diagnosis.problems.platform.linearised_corners import (
     cube_seat_freedoms,
     repeated_corner_error,
 )
-from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel, linearise
+from calib.diagnosis.problems.platform.linearised_residuals import (
+    CLIP,
+    CLOSURES,
+    CORNERS,
+    LinearisedModel,
+    linearise,
+    split_by_frames,
+)
 from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column
 from calib.identify.least_squares import bounded_least_squares_step
 from calib.models.platform.identification import geometric_parameters, mechanism_with_parameters
@@ -38,7 +45,7 @@ from rig.model.pose import exp
 
 MAX_ITERATIONS = 20  # few need more than eight; a large effect is not linear in its numbers
 SMALL = 0.02  # standard deviations; a step below settles a parameter
-HALVINGS = 8
+SHARES = 1.0, 0.5, 0.2, 0.05  # of a step, tried in turn until one lowers the cost
 ENOUGH = 0.3  # of the cost; an iteration that gains less is the last
 SLACK = 0.05  # of the cost, which rounding and clipped corners make uneven
 
@@ -148,7 +155,9 @@ class _Freedom:
 
 
 def add_term(refinement: Refinement, score: PlatformScore, sensitivities: Sensitivities) -> Refinement:
-    """Add a Score's effect to a Refinement, all that is free moved with it from the start."""
+    """Add a Score's effect to a Refinement, all that is free moved with it from the start. Raises ValueError where no
+    share of the step leaves the other effects within what they allow.
+    """
     model, k = refinement.model, refinement.point
     column, theta = candidate_column(model, score.candidate, score.node, sensitivities), score.coefficients
     own = None if refinement.column is None else _Freedom.of(refinement.coordinates, k.effects, refinement.column)
@@ -166,12 +175,18 @@ def add_term(refinement: Refinement, score: PlatformScore, sensitivities: Sensit
         parts, step = free.column, _step(model, free)[0]
         theta = score.candidate.allowed(step[len(refinement.coordinates) :])
         step = np.r_[step[: len(refinement.coordinates)], theta]
-    effects = list(k.effects)
-    for c, s in zip(refinement.coordinates, step):
-        effects[c.effect] = c.written(effects[c.effect], c.read(effects[c.effect]) + s)
-    effects = [check_effect(effect) for effect in (*effects, score.candidate.effect(score.node, theta))]
-    z = model.nuisances.at_rest - model.linear.project(parts).onto @ step
-    return refine_operating_point(_apply(model, model.nuisances.solve @ z, step, parts, effects), sensitivities)
+    found = None
+    for share in SHARES:  # a large effect is not linear in its numbers: its whole step may lead far beyond it
+        known = _stepped_effects(k.effects, refinement.coordinates, share * step)
+        if known is None:
+            continue
+        added = check_effect(score.candidate.effect(score.node, share * theta))
+        found = _apply(model, step, parts, [*known, added], share)
+        if not len(theta) or _cost_without_relinearisation(model, *found) <= _comparable(model):
+            break
+    if found is None:
+        raise ValueError(f"{score.candidate.name} at {score.candidate.place}: the other effects leave their domain")
+    return refine_operating_point(found[0], sensitivities)
 
 
 def remove_term(refinement: Refinement, number: int) -> OperatingPoint:
@@ -185,10 +200,7 @@ def remove_term(refinement: Refinement, number: int) -> OperatingPoint:
             for c, v in zip(refinement.coordinates, refinement.values)
         ]
     )
-    z = model.nuisances.at_rest - model.linear.project(refinement.column).onto @ step
-    return _apply(
-        model, model.nuisances.solve @ z, step, refinement.column, [e for i, e in enumerate(effects) if i != number]
-    )
+    return _apply(model, step, refinement.column, [e for i, e in enumerate(effects) if i != number])[0]
 
 
 def refine_operating_point(point: OperatingPoint, sensitivities: Sensitivities) -> Refinement:
@@ -204,26 +216,43 @@ def refine_operating_point(point: OperatingPoint, sensitivities: Sensitivities) 
 
 def refine_at_fixed_repeated_error(point: OperatingPoint, sensitivities: Sensitivities) -> Refinement:
     """Refined as by `refine`, with the repeated error of standing corners fixed at the OperatingPoint's."""
-    model = linearise(point)
-    coordinates, column = effect_parameter_directions(model, sensitivities)
-    freedom = partial(_Freedom.of, coordinates)
+    model, far = linearise(point), True
     for _ in range(MAX_ITERATIONS):
+        model = _model_with_fitting_clip(model) if far else model
+        coordinates, column = effect_parameter_directions(model, sensitivities)
+        freedom = partial(_Freedom.of, coordinates)
         step, covariance = (
             (np.zeros(0), np.zeros((0, 0))) if column is None else _step(model, freedom(point.effects, column))
         )
         new = _try(model, coordinates, step, column)
-        if new is None:
+        if new is None and model.corners.clip == CLIP:
             break
-        gained = _comparable(model) - _comparable(new)
-        point, model = new.point, new
-        coordinates, column = effect_parameter_directions(model, sensitivities)
-        freedom = partial(_Freedom.of, coordinates)
+        if new is None:
+            model, far = linearise(point), False
+            continue
+        point, gained = new
+        model = linearise(point, model.corners.clip)
+        if model.corners.clip > CLIP:
+            continue
         if (np.abs(step) < SMALL * np.sqrt(np.diag(covariance))).all() and gained < 1 or gained < ENOUGH:
             break
+    if model.corners.clip > CLIP:
+        model = linearise(point)
+    coordinates, column = effect_parameter_directions(model, sensitivities)
     if column is None:
         return Refinement(point, model, coordinates, np.zeros(0), np.zeros((0, 0)), None)
-    last = freedom(point.effects, column)
+    last = _Freedom.of(coordinates, point.effects, column)
     return Refinement(point, model, coordinates, last.values, _step(model, last)[1], column)
+
+
+def _model_with_fitting_clip(model: LinearisedModel) -> LinearisedModel:
+    """The model with corners clipped where few of them lie, so that a fit far from its end does not creep by a few
+    standard deviations of a corner at a time; at CLIP in the end."""
+    clip, reach = model.corners.clip, model.corners.reach
+    if reach > clip or clip > CLIP and reach < clip / 3:
+        wide = max(reach if reach > 2 * CLIP else CLIP, CLIP)
+        return model if wide == clip else linearise(model.point, wide)
+    return model
 
 
 def _step(model: LinearisedModel, free: _Freedom) -> tuple[Floats, Floats]:
@@ -235,46 +264,80 @@ def _step(model: LinearisedModel, free: _Freedom) -> tuple[Floats, Floats]:
 
 def _try(
     model: LinearisedModel, coordinates: list[Coordinate], step: Floats | Integers, column: Column | None
-) -> LinearisedModel | None:
-    """LinearisedModel after as much of the step as lowers the cost, or None."""
-    k = model.point
-    for halving in range(HALVINGS):
-        share = 0.5**halving
-        effects = list(k.effects)
-        for c, s in zip(coordinates, step):
-            effects[c.effect] = c.written(effects[c.effect], c.read(k.effects[c.effect]) + share * s)
-        z = model.nuisances.at_rest - (model.linear.project(column).onto @ (share * step) if column is not None else 0)
-        after = linearise(
-            _apply(
-                model,
-                model.nuisances.solve @ z,
-                cast(Floats, share * step),
-                column,
-                [check_effect(effect.written()) for effect in effects],
-            )
-        )
-        if _comparable(after) <= _comparable(model) + SLACK:
-            return after
+) -> tuple[OperatingPoint, float] | None:
+    """(OperatingPoint after as much of the step as lowers the cost, by how much), or None."""
+    k, before = model.point, _comparable(model)
+    for share in SHARES:
+        effects = _stepped_effects(k.effects, coordinates, cast(Floats, share * step))
+        if effects is None:
+            continue
+        point, nuisances = _apply(model, cast(Floats, step), column, effects, share)
+        gained = before - _cost_without_relinearisation(model, point, nuisances)
+        if gained >= -SLACK:
+            return point, gained
     return None
+
+
+def _stepped_effects(effects: tuple[Effect, ...], coordinates: list[Coordinate], step: Floats) -> list[Effect] | None:
+    """The effects with coordinates changed by a step (c,), in their written form; None where one of them cannot be
+    so."""
+    out = list(effects)
+    for c, s in zip(coordinates, step):
+        out[c.effect] = c.written(out[c.effect], c.read(effects[c.effect]) + s)
+    try:
+        return [check_effect(effect.written()) for effect in out]
+    except ValueError:  # a combination of numbers, each within its bounds, that the effect does not allow
+        return None
+
+
+def _cost_without_relinearisation(model: LinearisedModel, point: OperatingPoint, nuisances: Floats) -> float:
+    """Minus twice the log likelihood as `_comparable` has it, of an OperatingPoint near a LinearisedModel's whose
+    nuisances are moved by (r,) on the model's basis: cameras, geometry and poses are at their best by the model's
+    derivatives, noise and scatter as in the model.
+    """
+    c, basis = model.corners, model.linear.columns.whole
+    corners, inner, excess = np.zeros(0), np.zeros((model.frames, c.local.shape[1], 1)), 0.0
+    if point.seen is not None:
+        off = (point.seen.observations.uv - point.pixels())[c.order]
+        rho = np.einsum("nij,nj->ni", c.whiten, off).reshape(-1, 1) / c.sigma
+        excess = float((2 * c.clip * np.maximum(np.abs(rho) - c.clip, 0)).sum())
+        inner, out = split_by_frames(np.clip(rho, -c.clip, c.clip), c.local, c.edges)
+        corners = out[:, 0]
+    closures = np.zeros(0)
+    if point.axes:
+        closures = (model.closures.W @ point.closures()[..., None] + model.closures.to_rows @ inner).ravel()
+    known = model.linear.blocks[CLOSURES].known_rows
+    beforehand = model.closure_residual[known] + basis[CLOSURES][known] @ (model.nuisances.at_rest - nuisances)
+    rows = np.concatenate([closures, beforehand])
+    z = basis[CORNERS].T @ corners + basis[CLOSURES].T @ rows
+    cost = float(corners @ corners + rows @ rows - z @ z) + excess
+    return cost + _constant(model) + cost_of_priors(point.effects)
+
+
+def _constant(model: LinearisedModel) -> float:
+    """What noise and scatter make of minus twice the log likelihood."""
+    noise = 2 * len(model.corner_residual) * np.log(model.corners.sigma)
+    return noise - 2 * np.linalg.slogdet(model.closures.W)[1].sum() if model.point.axes else noise
 
 
 def _comparable(model: LinearisedModel) -> float:
     """Minus twice the log likelihood, Huber's for corners, but for a constant: what noise and scatter make of it
     included.
     """
-    cost = model.linear.cost() + model.corners.excess + 2 * len(model.corner_residual) * np.log(model.corners.sigma)
-    cost += cost_of_priors(model.point.effects)
-    return cost - 2 * np.linalg.slogdet(model.closures.W)[1].sum() if model.point.axes else cost
+    return model.linear.cost() + model.corners.excess + _constant(model) + cost_of_priors(model.point.effects)
 
 
 def _apply(
-    model: LinearisedModel, freedoms: Floats, step: Floats, column: Column | None, effects: list[Effect]
-) -> OperatingPoint:
-    """OperatingPoint with nuisances (p,) and each frame's own poses moved to where the fit puts them."""
+    model: LinearisedModel, step: Floats, column: Column | None, effects: list[Effect], share: float = 1.0
+) -> tuple[OperatingPoint, Floats]:
+    """(OperatingPoint with effects, nuisances and each frame's own poses moved by a share of the way to where the fit
+    puts them, (r,) nuisances' moves on the model's basis), where effects take a step along a Column."""
     k, whole = model.point, model.corners.inner
-    inner = whole[..., 0] - whole[..., 1:] @ freedoms[: whole.shape[2] - 1]
+    z = share * (model.nuisances.at_rest - (0 if column is None else model.linear.project(column).onto @ step))
+    freedoms = model.nuisances.solve @ z
+    inner = share * whole[..., 0] - whole[..., 1:] @ freedoms[: whole.shape[2] - 1]
     if column is not None and column.inner is not None:
-        inner = inner - column.inner @ step
+        inner = inner - share * (column.inner @ step)
     local = np.einsum("fij,fj->fi", model.corners.to_local, inner)
     cameras = list(k.design.cameras)
     for i, at in model.nuisances.camera_columns.items():
@@ -302,4 +365,5 @@ def _apply(
         )
     if k.seen is None:
         local = np.zeros((model.frames, 6))
-    return replace(move_operating_point(k, cameras, local), effects=tuple(effects), finder=tuple(finder), seats=seats)
+    moved = move_operating_point(k, cameras, local)
+    return replace(moved, effects=tuple(effects), finder=tuple(finder), seats=seats), cast(Floats, z)
