@@ -111,6 +111,7 @@ def test_what_is_hidden_is_found(tmp_path, design, text, name, parameter, value)
         assert fit["heldout_before"] > 1.2 * fit["heldout_after"]
 
 
+@pytest.mark.slow
 def test_a_tilted_window_is_found_in_few_linearisations(tmp_path, design, monkeypatch):
     """It moves corners by hundreds of standard deviations, far from what is linear in its numbers, and every variant of
     a distorted lens takes up most of it."""

@@ -47,7 +47,8 @@ MAX_ITERATIONS = 20  # few need more than eight; a large effect is not linear in
 SMALL = 0.02  # standard deviations; a step below settles a parameter
 SHARES = 1.0, 0.5, 0.2, 0.05  # of a step, tried in turn until one lowers the cost
 ENOUGH = 0.3  # of the cost; an iteration that gains less is the last
-SLACK = 0.05  # of the cost, which rounding and clipped corners make uneven
+# of the cost: a trial has cameras and poses at their best by derivatives, so that a step of these alone shows no gain
+SLACK = ENOUGH
 
 
 @dataclass(frozen=True, slots=True, eq=False)
