@@ -4,11 +4,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Generic
 
+import numpy as np
+
 from calib.diagnosis.engine.candidate_score import Alternative, Score, score_raised_to_likelihood_ratio
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import column_cosine
 from calib.diagnosis.engine.problem_interface import AliasedNodes, Fit, Model, Problem, Progress
 from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import C, SelectionPolicy
+from rig.model.places_and_tolerances import Place
 
 RESTARTS = 2  # times the most terms that there may be, after which terms are confirmed as they stand
 
@@ -161,7 +164,9 @@ def confirm_terms(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress 
         if not held and _outdone(
             problem, model, fit, own
         ):  # only now: what has no name may be likelier than one name, and not than the next
-            fit, findings = problem.remove_term(fit, number), []
+            member = _member_that_explains(problem, model, fit, number)
+            fit = problem.remove_term(fit, number) if member is None else problem.in_place(member, number)
+            findings = []
             continue
         findings.append(Finding(number, own, [a for a in ranked if is_indistinguishable(a, policy)]))
     return fit, sorted(findings, key=lambda f: -f.score.delta_chi2)
@@ -175,18 +180,32 @@ def _outdone(problem: Problem[Fit, Model, C], model: Model, fit: Fit, score: Sco
     if score.candidate.vector:
         return False
     size, place, alike = problem.linear(model).size, score.candidate.site, problem.policy.alike
-
-    def there(at: Model) -> list[LackOfFit]:
-        return [
-            u
-            for u in problem.lack_of_fit(at)
-            if u.dispersion and (problem.policy.smooth_anywhere or problem.within(u, place))
-        ]
-
-    likelier = [u.shortest(size) for u in there(model) if u.evidence(size) > score.evidence(size) + alike]
+    before = _smooth_functions(problem, model, place)
+    likelier = [u.shortest(size) for u in before if u.evidence(size) > score.evidence(size) + alike]
     if not likelier:
         return False
-    return any(score.complexity(size) > cost + alike for _, cost in likelier) or bool(there(problem.residual(fit)))
+    far_from_usual = any(score.complexity(size) > cost + alike for _, cost in likelier)
+    return far_from_usual or bool(_smooth_functions(problem, problem.residual(fit), place))
+
+
+def _smooth_functions(problem: Problem[Fit, Model, C], model: Model, place: Place) -> list[LackOfFit]:
+    """Smooth functions without a name that a model shows at a place, or anywhere where the policy asks that."""
+    anywhere = problem.policy.smooth_anywhere
+    return [u for u in problem.lack_of_fit(model) if u.dispersion and (anywhere or problem.within(u, place))]
+
+
+def _member_that_explains(problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int) -> Fit | None:
+    """The Fit with another member of a term's law in its place, the last of the terms, that leaves no smooth function
+    there; None where none does: a law is a family, and a machine need not follow its first formula. model : without it
+    """
+    term, size, bare = problem.terms(fit)[number], problem.linear(model).size, problem.remove_term(fit, number)
+    others = [c for c in problem.candidates if (c.name, c.place) == (term.name, term.place) and c is not term]
+    for score in sorted(problem.search(model, others, -np.inf, None), key=lambda s: -s.evidence(size)):
+        if is_significant(score, len(problem.candidates), size, problem.policy):
+            new = problem.add_term(bare, score)
+            if not _smooth_functions(problem, problem.residual(new), term.site):
+                return new
+    return None
 
 
 def is_finding_significant(

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import next_fast_len
+from scipy.optimize import nnls
 from scipy.sparse import csr_array
 
 from rig.array_and_json_types import Booleans, Floats
@@ -111,6 +112,24 @@ def solve_normal_equations(normal: Normal) -> Solved:
     delta = (z**2 * inverse).sum(axis=1)
     coefficients = np.einsum("kij,kj->ki", vectors, z * inverse) / scale
     return Solved(delta, list(coefficients), kept.sum(axis=1), np.clip(values, 0, 1).max(axis=1))
+
+
+def solve_nonnegative(normal: Normal) -> Solved:
+    """Solved normal equations with no coefficient below zero: as many numbers are determined as are above it.
+
+    Given which are above zero, what they explain is distributed as if no others had been there (Kudo, Biometrika 50,
+    1963, 403-418). Source of the solution: Lawson and Hanson, Solving Least Squares Problems, 1974, ch. 23
+    """
+    b, G, raw = normal
+    scale = np.sqrt(np.maximum(raw, 1e-300))
+    values, vectors = np.linalg.eigh(G / scale[:, :, None] / scale[:, None, :])
+    root = np.sqrt(np.where(values > SWALLOWED, values, 0.0))
+    right = np.einsum("kji,kj->ki", vectors, b / scale) / np.where(root > 0, root, np.inf)
+    rows = root[:, :, None] * np.swapaxes(vectors, 1, 2)
+    found = [nnls(A, y)[0] for A, y in zip(rows, right)]
+    delta = np.array([2 * x @ A.T @ y - np.sum((A @ x) ** 2) for x, A, y in zip(found, rows, right)])
+    rank = np.array([np.count_nonzero(x) for x in found])
+    return Solved(delta, [x / s for x, s in zip(found, scale)], rank, np.clip(values, 0, 1).max(axis=1))
 
 
 def solve_with_prior(normal: Normal, prior: Floats | float) -> Solved:

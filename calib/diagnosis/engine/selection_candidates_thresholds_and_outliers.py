@@ -63,6 +63,11 @@ class Candidate:
         """Its place as a Place."""
         return Place.parse(self.place)
 
+    @property
+    def nonnegative(self) -> bool:
+        """Whether it has several coefficients, none of them below zero."""
+        return self.bounds is not None and len(self.bounds[0]) > 1 and bool((self.bounds[0] == 0).all())
+
     def allowed(self, coefficients: Floats) -> Floats:
         """Coefficients (q,) within the bounds, those beyond at them."""
         return coefficients if self.bounds is None or not len(coefficients) else np.clip(coefficients, *self.bounds)
@@ -142,7 +147,7 @@ class SelectionPolicy:
     alpha: float = 1e-3
     delta_bic: float = 10.0
     hidden: float = 1.0
-    most: int = 6
+    most: int = 12
     tried: int = 3
     companions: float = float("inf")
     forward_gain: float | None = 0.5

@@ -29,6 +29,7 @@ from calib.diagnosis.engine.problem_interface import (
 )
 from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import C
 
+SEVERAL = 3  # axes that show a name, from which it is asked whether all together explain more than any other
 DIGITS = 3  # of a node's values, by which hypotheses are told apart
 
 
@@ -121,10 +122,11 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None)
     refused: list[C] = []
     while len(problem.terms(fit)) < policy.most:
         model, size, admitted = problem.residual(fit), problem.size(fit), len(problem.terms(fit))
+        model_size = problem.linear(model).size
         label = f"searching beside {admitted} effects" if admitted else "searching"
         scores = problem.search(model, _admissible(problem, fit), policy.delta_bic, labelled_progress(progress, label))
         fresh = [s for s in scores if _hypothesis_key(s) not in taken and not any(s.candidate is c for c in refused)]
-        promising = [s for s in fresh if is_significant(s, count, problem.linear(model).size, policy)] or _hidden(
+        promising = [s for s in fresh if is_significant(s, count, model_size, policy)] or _hidden(
             problem, fit, model, fresh
         )
         if _tolerances_explain(problem, fit, promising[0] if promising else None):
@@ -133,11 +135,13 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None)
             return fit
         if admitted and _smooth_beyond(problem, model, promising[0]):
             break
+        promising = _with_likelier_name_of_several_places(promising, model_size)
         step = _step(problem, fit, promising, scores, refused)
         if step is None:
             break
         fit, score = step
         taken.add(_hypothesis_key(score))
+        fit = _same_name_elsewhere(problem, fit, score, promising, taken)
         fit = _companions(problem, fit, score, promising, taken, size)
         fit = remove_redundant_terms(problem, _refined(problem, fit))
     return None if _tolerances_explain(problem, fit, None) else fit
@@ -217,6 +221,56 @@ def _exchanged(
         if gain > 0:
             found, chosen, least = new, s, least + gain
     return found, chosen
+
+
+def _best_at_axes(promising: list[Score[C]], name: str, size: int) -> list[Score[C]]:
+    """The likeliest Score of a name at each axis, the most convincing first."""
+    best: dict[str, Score[C]] = {}
+    for s in promising:
+        if s.candidate.name == name and s.candidate.site.is_axis:
+            known = best.get(s.candidate.place)
+            if known is None or s.evidence(size) > known.evidence(size):
+                best[s.candidate.place] = s
+    return sorted(best.values(), key=lambda s: -s.raw_delta_bic(size))
+
+
+def _with_likelier_name_of_several_places(promising: list[Score[C]], size: int) -> list[Score[C]]:
+    """The promising Scores, first those of a name that explains more at several axes than the first does by itself:
+    axes that are built alike fail alike, and what one hypothesis explains of all is less than what each does of its
+    own."""
+    groups = [_best_at_axes(promising, name, size) for name in dict.fromkeys(s.candidate.name for s in promising)]
+    several = [group for group in groups if len(group) >= SEVERAL]
+    best = max(several, key=lambda group: sum(s.raw_delta_bic(size) for s in group), default=[])
+    if sum(s.raw_delta_bic(size) for s in best) <= promising[0].raw_delta_bic(size):
+        return promising
+    return best + [s for s in promising if not any(s is other for other in best)]
+
+
+def _same_name_elsewhere(
+    problem: Problem[Fit, Model, C],
+    fit: Fit,
+    admitted: Score[C],
+    promising: list[Score[C]],
+    taken: set[tuple[object, ...]],
+) -> Fit:
+    """The Fit with a name that was admitted at one of several axes admitted at the others too, each where it convinces
+    beside those before it."""
+    policy, size = problem.policy, problem.size(fit)
+    group = _best_at_axes(promising, admitted.candidate.name, size)
+    if len(group) < SEVERAL or not admitted.candidate.site.is_axis or isinstance(problem, Companions):
+        return fit
+    for score in group:
+        place = score.candidate.place
+        if place == admitted.candidate.place or len(problem.terms(fit)) >= policy.most:
+            continue
+        model = problem.residual(fit)
+        variants = [c for c in _admissible(problem, fit) if (c.name, c.place) == (score.candidate.name, place)]
+        scores = problem.search(model, variants, -np.inf, None)
+        best = max(scores, key=lambda s: s.evidence(size), default=None)
+        if best is not None and is_significant(best, len(problem.candidates), problem.linear(model).size, policy):
+            taken.add(_hypothesis_key(best))
+            fit = problem.add_term(fit, best)
+    return fit
 
 
 def _companions(

@@ -6,26 +6,31 @@ from typing import ClassVar
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
+from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Candidate, Effect
 from rig.effects.framework.effect_parameters_and_covariates import Context, Covariate, Parameter, temperature_covariate
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.model.places_and_tolerances import Place
 
 AMBIENT = "ambient_temperature_C"
+LAGS = 8  # that a search tries
 
 
 @dataclass(frozen=True, slots=True)
 class ThermalExpansion(Effect):
     """Share coefficient * (T - 20 C) by which a strut is longer, or the link behind a joint; T its own channel, for a
-    link else the room's.
+    link else the room's, which the metal follows by a first-order lag (0 s: at once).
     """
 
     place: str
     coefficient: float = 0.0
+    lag: float = 0.0
     name: ClassVar = "thermal_expansion"
     stage: ClassVar = "struts"
     places: ClassVar = ("axis", "rig")
-    parameters: ClassVar = (Parameter("coefficient", "1/K", (-1e-4, 1e-4), (9e-6, 2.4e-5)),)
+    parameters: ClassVar = (
+        Parameter("coefficient", "1/K", (-1e-4, 1e-4), (9e-6, 2.4e-5)),
+        Parameter("lag", "s", (0, 1e5), (60, 3600), role="form"),
+    )
     experiment: ClassVar = "heat the {axis}s, or log their temperatures: without a log it is a warm-up"
     action: ClassVar = "Let the machine reach its temperature, or correct lengths by the logged temperatures."
 
@@ -43,18 +48,29 @@ class ThermalExpansion(Effect):
     def _grown(self, motion: Motion) -> tuple[Floats, Floats]:
         share = np.zeros(motion.lengths.shape)
         for i in np.flatnonzero(self.axes(motion.places)):
-            share[:, i] = self.coefficient * (motion.channel(*_channels(motion.places[i])) - REFERENCE_TEMPERATURE)
+            warm = motion.lagged_channel(self.lag, *_channels(motion.places[i]))
+            share[:, i] = self.coefficient * (warm - REFERENCE_TEMPERATURE)
         return motion.kind.axis_deviation_and_sway_by_growth(motion.T, motion.lengths, motion.mechanism, share)
 
     def covariate(self, motion: Motion) -> Covariate:
         warm = [
-            motion.channel(*_channels(place)) if self.at(place) else np.zeros(len(motion.t)) for place in motion.places
+            motion.lagged_channel(self.lag, *_channels(place)) if self.at(place) else np.zeros(len(motion.t))
+            for place in motion.places
         ]
         return temperature_covariate(np.stack(warm, axis=1), f"the {motion.kind.AXIS}")
 
     @classmethod
     def follows(cls, place: str, context: Context) -> tuple[tuple[str, ...], ...]:
         return tuple(_channels(at) for at in context.moved().places if place in (at, "rig"))
+
+    @classmethod
+    def candidates(cls, place: str, context: Context) -> list[Candidate]:
+        lag = cls.parameters[1]
+        late = [{lag.name: value} for value in np.geomspace(*lag.usual, LAGS).tolist()]
+        return [
+            *super(ThermalExpansion, cls).candidates(place, context),
+            Candidate(cls, place, late, cls.linear(place), "late", extra=1),
+        ]
 
     @classmethod
     def sites(cls, context: Context) -> tuple[str, ...]:

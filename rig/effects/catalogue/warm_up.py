@@ -6,25 +6,34 @@ from typing import ClassVar
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_parameters_and_covariates import Covariate, Parameter, time_covariate
 from rig.effects.framework.machine_motion_and_play import Motion
+from rig.effects.framework.several_member_effects import SeveralMembers, shares_parameter
+
+SPREAD = 3.0  # times as long as the first, the second time constant
 
 
 @dataclass(frozen=True, slots=True)
-class WarmUp(Effect):
-    """Deviation amplitude * (1 - exp(-t / time_constant)), t from the first command on."""
+class WarmUp(SeveralMembers):
+    """Deviation amplitude * (1 - exp(-t / time_constant)), t from the first command on; or shares of the amplitude with
+    time_constant and 3 times that, one of them negative where one body is heated through another.
+    """
 
     place: str
     amplitude: float = 0.0
     time_constant: float = 1800.0
+    shares: tuple[float, ...] = ()
     name: ClassVar = "warm_up"
     stage: ClassVar = "struts"
     places: ClassVar = ("axis", "rig")
     parameters: ClassVar = (
         Parameter("amplitude", "m", (-2e-3, 2e-3), (5e-6, 1.2e-4), joint=((-0.2, 0.2), (1e-5, 1e-3))),
         Parameter("time_constant", "s", (60, 1e5), (600, 7200), role="log"),
+        shares_parameter(-5, 6),
     )
+    whole: ClassVar = "amplitude"
+    scale: ClassVar = "time_constant"
+    counts: ClassVar = (2,)
     sudden: ClassVar = True
     experiment: ClassVar = (
         "the same poses from a cold start to hours later, with fixed cubes in view: a camera's drift moves those too"
@@ -33,9 +42,10 @@ class WarmUp(Effect):
         "Let the machine warm up before use, and log the {axis}s' temperatures so that it can be corrected."
     )
 
-    def deviation(self, motion: Motion) -> Floats:
+    def member(self, motion: Motion, scale: float, number: int, count: int) -> Floats:
         elapsed = motion.t - motion.path.began
-        return self.axes(motion.places) * self.amplitude * (1 - np.exp(-elapsed / self.time_constant))[:, None]
+        grown = 1 - np.exp(-elapsed / (scale * SPREAD**number))
+        return np.broadcast_to(grown[:, None], motion.lengths.shape)
 
     def covariate(self, motion: Motion) -> Covariate:
         return time_covariate(motion)

@@ -210,9 +210,10 @@ class Effect:
 
     def fitted(self, parameter: Parameter) -> tuple[int | None, ...]:
         """Which numbers of a parameter a fit may move: (None,) for a single one, indices of a vector, () for none."""
-        if parameter.role in ("moment", "choice"):
-            return ()
         value = getattr(self, parameter.name)
+        standard = parameter.role == "form" and value == getattr(type(self)(self.place), parameter.name)
+        if parameter.role in ("moment", "choice") or standard:
+            return ()
         return tuple(range(len(value))) if isinstance(value, tuple) else (None,)
 
     def written(self) -> Self:
@@ -323,7 +324,7 @@ class Effect:
         for p in cls.parameters_at(place):
             default = getattr(cls(place), p.name)
             if (
-                p.role == "choice"
+                p.role in ("choice", "form")
                 or p.size == 0
                 or (p.role == "moment" and np.isinf(default) and rng.random() >= SELDOM)
             ):

@@ -175,6 +175,6 @@ def cost_of_priors(effects: tuple[Effect, ...]) -> float:
             np.sum((np.asarray(getattr(e, p.name)) * prior_precision(p, 0)) ** 2)
             for e in effects
             for p in e.parameters
-            if p.role == "linear" and isinstance(getattr(e, p.name), tuple) and len(getattr(e, p.name))
+            if p.role in ("linear", "form") and isinstance(getattr(e, p.name), tuple) and len(getattr(e, p.name))
         )
     )

@@ -39,7 +39,8 @@ class Parameter:
     role : how the effect depends on it, for those who search: "linear", "inverse" (its reciprocal enters linearly),
     "size" (nothing at zero, but not linear), "phase" (of a sinusoid that a linear parameter scales), "log" or "even" (a
     node's parameter, to be searched over `usual` on a scale of that kind), "moment" (a time, s from the recording's
-    start), "frequency", "direction" (of which only the direction counts), "choice" (given or chosen, never fitted)
+    start), "frequency", "direction" (of which only the direction counts), "form" (which member of a law's
+    family it is; its default is the standard law, of which it is not fitted), "choice" (given or chosen, never fitted)
     """
 
     name: str

@@ -217,6 +217,17 @@ class Motion:
             raise RigError(f"the model {reason}")
         return self.sensors.at(self.t, *names)
 
+    def lagged_channel(self, lag: float, *names: str) -> Floats:
+        """(n,) `channel` at the exposures, followed by a first-order lag (s, 0 for none) from where its log begins."""
+        now = self.channel(*names)
+        if lag <= 0 or self.sensors is None:
+            return now
+        log = next(self.sensors.channels[name] for name in names if name in self.sensors.channels)
+        edges = [0, *np.searchsorted(self.sensors.t, self.sensors.starts).tolist(), len(log)]
+        parts = [first_order_lag(self.sensors.t[a:b], log[a:b, None], lag)[:, 0] for a, b in zip(edges[:-1], edges[1:])]
+        late = np.concatenate(parts) - log
+        return now + np.interp(self.t, self.sensors.t, late)
+
     def no_channel(self, *names: str) -> str | None:
         """Why none of these sensor channels can be had, or None."""
         wanted = f"needs a sensor channel {' or '.join(map(repr, names))}"
@@ -314,4 +325,27 @@ def _walk(lengths: Floats, half: float) -> Floats:
         for i in range(lengths.shape[1]):
             at[i] = min(max(at[i], lengths[k, i] - half), lengths[k, i] + half)
             out[k, i] = at[i]
+    return out
+
+
+def lagged_path(path: Path, time_constant: float) -> Floats:
+    """Path lagged by a first-order lag of a time constant, (m, axes) m or rad at its knots."""
+    return path.walked(lambda t, lengths: first_order_lag(t, lengths, time_constant))
+
+
+def first_order_lag(t: Floats, x: Floats, time_constant: float) -> Floats:
+    """First-order lag (m, axes) of x (m, axes), linear between knots t (m,); it starts at rest, y = x."""
+    return _lag(np.ascontiguousarray(t, dtype=float), np.ascontiguousarray(x, dtype=float), float(time_constant))
+
+
+@njit(cache=True)
+def _lag(t: Floats, x: Floats, time_constant: float) -> Floats:
+    out = np.empty_like(x)
+    out[0] = x[0]
+    for k in range(1, len(t)):
+        dt = t[k] - t[k - 1]
+        fade = np.exp(-dt / time_constant)
+        for i in range(x.shape[1]):
+            behind = (x[k, i] - x[k - 1, i]) / dt * time_constant if dt > 0 else 0.0
+            out[k, i] = x[k, i] - behind + (out[k - 1, i] - x[k - 1, i] + behind) * fade
     return out

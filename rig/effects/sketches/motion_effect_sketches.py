@@ -146,7 +146,7 @@ def _size(p: Parameter, span: float, drawn: float | tuple[float, ...], factor: f
     }
     if p.role in middle:
         return drawn if np.isinf(drawn) else float(middle[p.role])
-    if p.role == "choice" or np.isinf(drawn):
+    if p.role in ("choice", "form") or np.isinf(drawn):
         return drawn
     return low / factor if p.role == "inverse" else high * factor
 

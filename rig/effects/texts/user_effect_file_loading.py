@@ -28,7 +28,7 @@ from rig.errors import FileError, RigError
 from rig.model.places_and_tolerances import AXES
 
 KINDS = ("axis", *AXES, "rig", "clock", "camera", "cameras", "marker", "markers", "target")  # of place
-ROLES = ("linear", "inverse", "size", "phase", "log", "even", "moment", "direction", "choice")  # of a parameter
+ROLES = ("linear", "inverse", "size", "phase", "log", "even", "moment", "direction", "form", "choice")  # of a parameter
 ARRAYS = ("times", "deviation", "sway", "mount", "focal", "late")  # hooks whose answer has a shape
 HOOKS = (*ARRAYS, "needs", "follow", "attach", "camera", "bend", "print_", "covariate")
 RESERVED = frozenset(name for name in dir(Effect) if not name.startswith("__"))  # names that no parameter may have

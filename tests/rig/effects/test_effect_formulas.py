@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.effects.catalogue.servo_lag import first_order_lag
-from rig.effects.framework.machine_motion_and_play import play_operator
+from rig.effects.framework.machine_motion_and_play import first_order_lag, play_operator
 from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.errors import RigError
 from rig.model import motion_simulation

@@ -23,7 +23,7 @@ from rig.model.places_and_tolerances import Place
 
 SIZED = ("linear", "inverse", "size")  # roles of the numbers that tell how large an effect is
 ROUNDED = 1e-12  # share by which a sinusoid stays below its amplitude's bound, so that rounding does not take it beyond
-SEARCHED = ("log", "even", "moment", "choice")  # roles of parameters that mean nothing without the effect
+SEARCHED = ("log", "even", "moment", "form", "choice")  # roles of parameters that mean nothing without the effect
 
 
 class Reach(Enum):

@@ -210,9 +210,11 @@ def _along_axes(
     motion: Motion,
     least: float,
 ) -> PlatformScore:
-    solver: Callable[[inner.Normal], Solved] = (
-        inner.solve_normal_equations if candidate.spec.linear else inner.chi2_reduction_at_unit_coefficient
-    )
+    solver: Callable[[inner.Normal], Solved] = inner.solve_normal_equations
+    if not candidate.spec.linear:
+        solver = inner.chi2_reduction_at_unit_coefficient
+    elif candidate.nonnegative:
+        solver = inner.solve_nonnegative
     normals = []
     for start in range(0, len(candidate.grid), CHUNK):
         weights = np.stack(

@@ -1,0 +1,101 @@
+"""Effects whose real machines show sums of several members of one law, each with a share of the whole size."""
+
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from rig.array_and_json_types import Floats
+from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.effect_parameters_and_covariates import (
+    COUNT,
+    Context,
+    Linear,
+    Node,
+    Parameter,
+    derivative_step,
+    parameter_grid,
+)
+from rig.effects.framework.machine_motion_and_play import Motion
+
+LEAST = 1e-9  # of the sum of the members' sizes: below, what they are shares of is nothing
+
+
+class SeveralMembers(Effect):
+    """Deviation: size * sum(shares * members), the shares' sum being one; without shares those of the standard law.
+
+    whole : name of the parameter that is the size; scale : name of the parameter that the members spread from
+    counts : numbers of members with which a search tries the sum
+    """
+
+    __slots__ = ()
+    whole: ClassVar[str] = ""
+    scale: ClassVar[str] = ""
+    counts: ClassVar[tuple[int, ...]] = ()
+    if TYPE_CHECKING:  # a field of every such effect
+        shares: tuple[float, ...]
+
+    def member(self, motion: Motion, scale: float, number: int, count: int) -> Floats:
+        """(n, axes) m or rad that one of so many members does per unit of the size. scale : of the whole law"""
+        raise NotImplementedError
+
+    def standard_shares(self) -> tuple[float, ...]:
+        """The shares of the standard law."""
+        return (1.0,)
+
+    def deviation(self, motion: Motion) -> Floats:
+        shares = self.shares or self.standard_shares()
+        scale, count = getattr(self, self.scale), len(shares)
+
+        def summed() -> Floats:
+            members = [share * self._member_once(motion, scale, k, count) for k, share in enumerate(shares) if share]
+            return np.sum(members, axis=0) if members else np.zeros(motion.lengths.shape)
+
+        total = motion.once((self.name, scale, shares), summed)
+        return self.axes(motion.places) * getattr(self, self.whole) * total
+
+    def _member_once(self, motion: Motion, scale: float, number: int, count: int) -> Floats:
+        return motion.once((self.name, scale, number, count), lambda: self.member(motion, scale, number, count))
+
+    def kept(self) -> tuple[dict[tuple[str, int | None], float], ...]:
+        return ({("shares", k): 1.0 for k in range(len(self.shares))},) if self.shares else ()
+
+    @classmethod
+    def candidates(cls, place: str, context: Context) -> list[Candidate]:
+        size, scale = (next(p for p in cls.parameters_at(place) if p.name == name) for name in (cls.whole, cls.scale))
+        return super().candidates(place, context) + [
+            Candidate(
+                cls,
+                place,
+                [{scale.name: value, COUNT: count} for value in parameter_grid(scale, context.t)],
+                [Linear(size.name, k, derivative_step(size)) for k in range(count)],
+                f"{count} members",
+                extra=1,
+            )
+            for count in cls.counts
+        ]
+
+    @classmethod
+    def linear(cls, place: str) -> list[Linear]:
+        return [column for column in super().linear(place) if column.name != "shares"]
+
+    @classmethod
+    def composed(cls, candidate: Candidate, node: Node, coefficients: Floats) -> Effect:
+        if COUNT not in node:
+            return super().composed(candidate, node, coefficients)
+        whole = float(np.sum(coefficients))
+        empty = abs(whole) <= LEAST * float(np.abs(coefficients).max(initial=0.0))
+        shares = np.full(len(coefficients), 1 / len(coefficients)) if empty else np.asarray(coefficients) / whole
+        return cls(candidate.place, **{cls.whole: whole, cls.scale: node[cls.scale], "shares": tuple(shares.tolist())})
+
+    @classmethod
+    def columns(cls, candidate: Candidate, node: Node, motion: Motion) -> Floats:
+        if COUNT not in node:
+            return super().columns(candidate, node, motion)
+        effect, count = cls(candidate.place), node[COUNT]
+        members = [effect._member_once(motion, node[cls.scale], k, count) for k in range(count)]
+        return effect.axes(motion.places)[:, None] * np.stack(members, axis=-1)
+
+
+def shares_parameter(low: float, high: float) -> Parameter:
+    """Parameter of the members' shares, each within low and high."""
+    return Parameter("shares", "", (low, high), (0.1, 1.0), 0, role="form")
