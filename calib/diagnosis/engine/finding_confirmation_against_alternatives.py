@@ -149,6 +149,10 @@ def confirm_terms(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress 
         if not held and not is_significant(own, count, size, policy):  # beside all others it is none
             fit, findings = problem.remove_term(fit, number), []
             continue
+        member = None if held else _likelier_member(problem, model, fit, number, scanned)
+        if member is not None:
+            fit, findings = problem.in_place(member, number), []
+            continue
         found = find_alternatives(
             problem, model, scanned, labelled_progress(progress, f"alternatives of {own.candidate.name}")
         )  # like against like
@@ -164,7 +168,7 @@ def confirm_terms(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress 
         if not held and _outdone(
             problem, model, fit, own
         ):  # only now: what has no name may be likelier than one name, and not than the next
-            member = _member_that_explains(problem, model, fit, number)
+            member = member_that_explains(problem, model, fit, number)
             fit = problem.remove_term(fit, number) if member is None else problem.in_place(member, number)
             findings = []
             continue
@@ -194,16 +198,42 @@ def _smooth_functions(problem: Problem[Fit, Model, C], model: Model, place: Plac
     return [u for u in problem.lack_of_fit(model) if u.dispersion and (anywhere or problem.within(u, place))]
 
 
-def _member_that_explains(problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int) -> Fit | None:
+def _other_members(problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int) -> list[Score[C]]:
+    """Scores of the other members of a term's law at its place, on a model without it, the likeliest first."""
+    term, size = problem.terms(fit)[number], problem.linear(model).size
+    others = [c for c in problem.candidates if (c.name, c.place) == (term.name, term.place) and c is not term]
+    return sorted(problem.search(model, others, -np.inf, None), key=lambda s: -s.evidence(size)) if others else []
+
+
+def _likelier_member(
+    problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int, scanned: Score[C]
+) -> Fit | None:
+    """The Fit with another member of a term's law in its place, the last of the terms, where that is likelier once all
+    is fitted by what an alternative must lead by; None where none is. model : without the term, scanned as this Score
+    """
+    policy, size = problem.policy, problem.linear(model).size
+    if not np.isfinite(policy.takes_over):
+        return None
+    for score in _other_members(problem, model, fit, number)[: policy.refitted]:
+        if score.evidence(size) < scanned.evidence(size) - policy.alike:
+            break
+        new = problem.add_term(problem.remove_term(fit, number), score)
+        cost = score.complexity(size) - scanned.complexity(size)
+        if problem.likelihood_ratio(fit, new) > cost + policy.takes_over:
+            return new
+    return None
+
+
+def member_that_explains(problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int) -> Fit | None:
     """The Fit with another member of a term's law in its place, the last of the terms, that leaves no smooth function
     there; None where none does: a law is a family, and a machine need not follow its first formula. model : without it
     """
-    term, size, bare = problem.terms(fit)[number], problem.linear(model).size, problem.remove_term(fit, number)
-    others = [c for c in problem.candidates if (c.name, c.place) == (term.name, term.place) and c is not term]
-    for score in sorted(problem.search(model, others, -np.inf, None), key=lambda s: -s.evidence(size)):
+    site, size = problem.terms(fit)[number].site, problem.linear(model).size
+    for score in _other_members(problem, model, fit, number):
         if is_significant(score, len(problem.candidates), size, problem.policy):
-            new = problem.add_term(bare, score)
-            if not _smooth_functions(problem, problem.residual(new), term.site):
+            new = problem.add_term(problem.remove_term(fit, number), score)
+            left = problem.lack_of_fit(problem.residual(new))
+            if not any(u.dispersion and problem.within(u, site) for u in left):
                 return new
     return None
 

@@ -43,6 +43,8 @@ class Candidate:
     usual : what rigs show of its numbers, None where nobody says
     bounds : (low (q,), high (q,)) of its coefficients, None for none
     vector : whether its size is many numbers, of which nobody says what is usual
+    free_form : whether it is any function of what it depends on, by so many numbers: what such functions still leave
+        refutes the numbers, not the name
     searched : whether a parameter that means nothing without the effect is sought over the grid, so that the search
         over it tells its cost
     """
@@ -57,6 +59,7 @@ class Candidate:
     bounds: tuple[Floats, Floats] | None = None
     searched: bool = False
     vector: bool = False
+    free_form: bool = False
 
     @property
     def site(self) -> Place:
@@ -132,6 +135,8 @@ class SelectionPolicy:
         explains
     near : of a finding's delta chi-square; an alternative whose sensitivities are nearly the same lies no farther
         behind
+    form_left : of what a name of free form explains; so much may be left at its place by smooth functions for the name
+        to stand
     alternative_alpha : chance above which an alternative explains nothing by itself; what searching for it costs is in
         its odds already
     refitted : alternatives that are fitted with all that is free in a finding's place; 0 where the score is exact
@@ -156,6 +161,7 @@ class SelectionPolicy:
     cosine: float = 0.99
     akin: float = 0.0
     near: float = 0.03
+    form_left: float = 0.25
     alternative_alpha: float = 1e-2
     refitted: int = 4
     takes_over: float = 1.0

@@ -13,6 +13,7 @@ from calib.diagnosis.engine.finding_confirmation_against_alternatives import (
     is_significant,
     labelled_progress,
     may_become_significant_when_fitted,
+    member_that_explains,
 )
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.problem_interface import (
@@ -144,6 +145,9 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None)
         fit = _same_name_elsewhere(problem, fit, score, promising, taken)
         fit = _companions(problem, fit, score, promising, taken, size)
         fit = remove_redundant_terms(problem, _refined(problem, fit))
+        site = score.candidate.name, score.candidate.place
+        if all((c.name, c.place) != site for c in problem.terms(fit)):  # it would be admitted and removed for ever
+            refused += [c for c in problem.candidates if (c.name, c.place) == site]
     return None if _tolerances_explain(problem, fit, None) else fit
 
 
@@ -188,7 +192,9 @@ def _step(
     for best in promising[: problem.policy.tried]:
         trial = problem.add_term(fit, best)
         if least is None or problem.cross_validations(trial, [len(problem.terms(fit))])[0].gain > least:
-            return _exchanged(problem, fit, trial, best, scores)
+            return _exchanged(
+                problem, fit, trial, best, [s for s in scores if not any(s.candidate is c for c in refused)]
+            )
         refused.append(best.candidate)
     return None
 
@@ -347,38 +353,54 @@ def remove_findings_insignificant_with_smooth_functions(
     """
     if not isinstance(problem, SmoothCover):
         return selection
-    fit, gone, after = selection.fit, [], problem.residual(selection.fit)
+    fit, gone, after, findings = selection.fit, [], problem.residual(selection.fit), []
     for f in selection.findings:
-        if problem.given.holds(f.score.candidate):
-            continue
-        place = f.score.candidate.site
-        doubts = [
-            u
-            for u in problem.lack_of_fit(after, place)
-            if not any((u.place, u.depends_on) == (v.place, v.depends_on) for v in unexplained)
-        ]
-        if unexplained and not _stays(problem, f, fit, unexplained, selection.asked):
-            gone.append(f.number)
-        elif doubts and not _stays(problem, f, fit, unexplained + doubts, selection.asked):
-            gone += [f.number] * any(
-                problem.within(u, place) for u in problem.lack_of_fit(problem.without_term(fit, f.number))
-            )
+        if not problem.given.holds(f.score.candidate) and _is_insignificant(
+            problem, f, fit, after, unexplained, selection.asked
+        ):
+            without = problem.without_term(fit, f.number)
+            member = member_that_explains(problem, without, fit, f.number)
+            if member is None:
+                gone.append(f.number)
+                continue
+            fit = problem.in_place(member, f.number)
+            f = replace(f, score=problem.rescored(without, fit, f.number))
+        findings.append(f)
     for number in sorted(gone, reverse=True):
         fit = problem.remove_term(fit, number)
-    kept = [f for f in selection.findings if f.number not in gone]
-    return replace(
-        selection, fit=fit, findings=[replace(f, number=f.number - sum(g < f.number for g in gone)) for f in kept]
-    )
+    findings = [replace(f, number=f.number - sum(g < f.number for g in gone)) for f in findings]
+    return replace(selection, fit=fit, findings=findings)
+
+
+def _is_insignificant(
+    problem: Problem[Fit, Model, C],
+    finding: Finding[C],
+    fit: Fit,
+    after: Model,
+    unexplained: list[LackOfFit],
+    asked: int,
+) -> bool:
+    """Whether a Finding of a Fit is insignificant with smooth functions of what the unexplained residuals, or what is
+    left at its own place, depend on. after : the residuals with all findings"""
+    assert isinstance(problem, SmoothCover)
+    place, known = finding.score.candidate.site, {(u.place, u.depends_on) for u in unexplained}
+    if unexplained and not _stays(problem, finding, fit, unexplained, asked):
+        return True
+    doubts = [u for u in problem.lack_of_fit(after, place) if (u.place, u.depends_on) not in known]
+    if not doubts or _stays(problem, finding, fit, unexplained + doubts, asked):
+        return False
+    return any(problem.within(u, place) for u in problem.lack_of_fit(problem.without_term(fit, finding.number)))
 
 
 def _stays(problem: Problem[Fit, Model, C], finding: Finding[C], fit: Fit, left: list[LackOfFit], count: int) -> bool:
     """Whether a Finding of a Fit explains more than what is left at its place, and stands beside smooth functions of
-    what all that is left depends on, of so many candidates asked."""
+    what all that is left depends on, of so many candidates asked; one of free form stands where little is left."""
     assert isinstance(problem, SmoothCover)
-    model = problem.covered(fit, finding.number, left)
-    larger = any(
-        u.delta_chi2 > finding.score.delta_chi2
-        for u in left
-        if u.depends_on and problem.within(u, finding.score.candidate.site)
-    )
-    return not larger and is_finding_significant(problem, finding, model, fit, count)
+    score = finding.score
+    here = [u.delta_chi2 for u in left if u.depends_on and problem.within(u, score.candidate.site)]
+    most = max(here, default=0.0)
+    if most > score.delta_chi2:
+        return False
+    if score.candidate.free_form and most < problem.policy.form_left * score.delta_chi2:
+        return True
+    return is_finding_significant(problem, finding, problem.covered(fit, finding.number, left), fit, count)

@@ -1,6 +1,6 @@
 """Effects whose real machines show sums of several members of one law, each with a share of the whole size."""
 
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
@@ -31,6 +31,7 @@ class SeveralMembers(Effect):
     whole: ClassVar[str] = ""
     scale: ClassVar[str] = ""
     counts: ClassVar[tuple[int, ...]] = ()
+    once: ClassVar[bool] = True
     if TYPE_CHECKING:  # a field of every such effect
         shares: tuple[float, ...]
 
@@ -58,6 +59,17 @@ class SeveralMembers(Effect):
 
     def kept(self) -> tuple[dict[tuple[str, int | None], float], ...]:
         return ({("shares", k): 1.0 for k in range(len(self.shares))},) if self.shares else ()
+
+    def written(self) -> Self:
+        total = float(np.sum(self.shares))
+        if not self.shares or abs(total) <= LEAST:
+            return self
+        size = total * getattr(self, self.whole)
+        low, high = next(p.bounds for p in self.parameters_at(self.place) if p.name == self.whole)
+        shares = tuple((np.asarray(self.shares) / total).tolist())
+        return type(self)(
+            self.place, **{**self.values(), self.whole: float(np.clip(size, low, high)), "shares": shares}
+        )
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
@@ -98,4 +110,4 @@ class SeveralMembers(Effect):
 
 def shares_parameter(low: float, high: float) -> Parameter:
     """Parameter of the members' shares, each within low and high."""
-    return Parameter("shares", "", (low, high), (0.1, 1.0), 0, role="form")
+    return Parameter("shares", "", (low, high), (0.1, 0.5), 0, role="form")

@@ -53,7 +53,7 @@ def of(kind):
 
 
 def test_a_problem_has_the_capabilities_that_mean_something_for_it():
-    assert of(PlatformProblem) == {"Tolerances", "SmoothCover"}
+    assert of(PlatformProblem) == {"AdmissionRules", "Tolerances", "SmoothCover"}
     assert of(ArmProblem) == {"AdmissionRules", "AliasedNodes", "Companions", "TermRefinement", "TermSimplification"}
     assert all(hasattr(kind, name) or name in kind.__slots__ for kind in (PlatformProblem, ArmProblem) for name in CORE)
 
@@ -116,7 +116,7 @@ def test_thermometers_errors_leave_an_arms_sizes_open():
     channel = "ambient_temperature_C"
     sensors = Sensors(t, {channel: 20 + 10 * np.sin(t / np.ptp(t) * 3)})
     warm = _under(arms, sensors)
-    (candidate,) = [c for c in joint_candidates(warm, RequestedEffects(("thermal_expansion",)))[0] if c.place == "rig"]
+    candidate, _ = [c for c in joint_candidates(warm, RequestedEffects(("thermal_expansion",)))[0] if c.place == "rig"]
     term = Term.at(candidate, candidate.grid[0])
     size = 1e-5 * np.ones(term.weights.shape[2])
     shown = warm.directions(candidate.joint) @ (term.weights @ size)[..., None]
@@ -125,7 +125,7 @@ def test_thermometers_errors_leave_an_arms_sizes_open():
     error = 0.02 * np.cos(t / np.ptp(t) * 5)[:, None]
     off = term_errors_by_temperature_logs(fit, 0, {channel: error})
     other = _under(warm, Sensors(t, {channel: sensors.channels[channel] + error[:, 0]}))
-    (moved,) = [c for c in joint_candidates(other, RequestedEffects(("thermal_expansion",)))[0] if c.place == "rig"]
+    moved, _ = [c for c in joint_candidates(other, RequestedEffects(("thermal_expansion",)))[0] if c.place == "rig"]
     change = (fit_poses(other, [Term.at(moved, moved.grid[0])]).theta - fit.theta)[fit.slices[0]]
     assert off.shape == (len(size), 1) and np.abs(off).max() > 0
     np.testing.assert_allclose(np.abs(off[:, 0]), np.abs(change), rtol=0.1)

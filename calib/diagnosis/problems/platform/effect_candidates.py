@@ -18,7 +18,7 @@ from calib.diagnosis.problems.requested_effects import EffectSites, RequestedEff
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate as EffectCandidate
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_parameters_and_covariates import QUADRATURE, Context
+from rig.effects.framework.effect_parameters_and_covariates import COUNT, QUADRATURE, Context
 from rig.model.places_and_tolerances import Place
 
 SIZED = ("linear", "inverse", "size")  # roles of the numbers that tell how large an effect is
@@ -154,6 +154,7 @@ def platform_candidate(spec: EffectCandidate) -> PlatformCandidate:
         searched=any(p.role in SEARCHED and p.name in node for p in parameters),
         bounds=coefficient_bounds(spec),
         vector=any(column.entry is not None for column in spec.linear),
+        free_form=COUNT in node and not affects_images_only(spec.kind),
         spec=spec,
     )
 

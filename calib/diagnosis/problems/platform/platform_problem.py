@@ -87,6 +87,10 @@ class PlatformProblem:
     def terms(self, fit: PlatformFit) -> list[PlatformCandidate]:
         return list(fit.terms)
 
+    def admissible(self, fit: PlatformFit) -> list[PlatformCandidate]:
+        once = {(c.name, c.place) for c in fit.terms if c.kind.once}
+        return [c for c in self.candidates if (c.name, c.place) not in once]
+
     def size(self, fit: PlatformFit) -> int:
         return fit.refined.model.size
 
