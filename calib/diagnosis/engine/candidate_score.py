@@ -9,7 +9,8 @@ import numpy as np
 from calib.diagnosis.engine.cross_validation_and_chance import residual_dispersion, scan_p_value
 from calib.diagnosis.engine.frame_inner_products import FrameProducts, Solved, normal_equations_by_direction_weights
 from calib.diagnosis.engine.linear_model import LinearModel
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import C, Node, Role, UsualRange
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import C, Candidate, Node, Role, UsualRange
+from calib.identify.least_squares import bounded_least_squares_step
 from rig.array_and_json_types import Floats
 
 BEYOND = 0.3  # standard deviation of the logarithm of a parameter above what rigs show
@@ -147,8 +148,9 @@ def score_at_node(
         allowed != coefficients
     ).any():  # what the data want is forbidden: it counts for as much as it explains at the bound
         normal = normal_equations_by_direction_weights(products, weights[None])
-        coefficients = allowed
-        deltas = np.minimum(deltas, 2 * normal.b[0] @ allowed - allowed @ normal.G[0] @ allowed)
+        coefficients = _best_within_bounds(candidate, normal.b[0], normal.G[0]) if len(allowed) > 1 else allowed
+        explained = 2 * normal.b[0] @ coefficients - coefficients @ normal.G[0] @ coefficients
+        deltas = np.minimum(deltas, explained)
     found = residual_dispersion(
         model, products, weights, coefficients if len(coefficients) else np.ones(1), correlated_frames
     )
@@ -168,6 +170,17 @@ def score_at_node(
         float(solved.seen[solved_index]),
         curve,
     )
+
+
+def _best_within_bounds(candidate: Candidate, b: Floats, G: Floats) -> Floats:
+    """(q,) coefficients within a candidate's bounds that explain most, of normal equations G x = b; where nuisances
+    take a direction up nearly whole, what noise would make of it is held by the bounds, as by a prior of their size."""
+    if candidate.bounds is None:
+        return candidate.allowed(np.asarray(np.linalg.lstsq(G, b, rcond=None)[0], float))
+    low, high = candidate.bounds
+    ridge = np.diag((2 / (high - low)) ** 2)
+    ends, none = np.stack([low, high], axis=1), np.zeros((0, len(b)))
+    return candidate.allowed(bounded_least_squares_step(b, G + ridge, np.zeros(len(b)), ends, none)[0])
 
 
 def _cost(usual: UsualRange, value: float, sharp: float) -> float:

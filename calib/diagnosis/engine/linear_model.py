@@ -170,7 +170,13 @@ class LinearModel:
         if self.half is not None:
             raise ValueError("only a model whose nuisances' basis is explicit can take in more")
         found = self.project(column)
-        half = orthonormal_combinations(found.gram)
+        own = np.diag(found.gram)
+        seen = own > RANK * (own + (found.onto**2).sum(axis=0))  # of the others rounding alone is left
+        half = np.zeros((len(own), 0))
+        if seen.any():
+            part = orthonormal_combinations(found.gram[np.ix_(seen, seen)])
+            half = np.zeros((len(own), part.shape[1]))
+            half[seen] = part
         lost, z = found.onto @ half, half.T @ found.right
         more = [
             (0 if part is None else part @ half) - basis @ lost for basis, part in zip(self.columns.whole, column.parts)

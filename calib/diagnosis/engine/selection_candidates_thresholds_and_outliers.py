@@ -137,6 +137,8 @@ class SelectionPolicy:
         behind
     form_left : of what a name of free form explains; so much may be left at its place by smooth functions for the name
         to stand
+    cover_left : of what a name explains by itself, from which it stands beside smooth functions although the scatter
+        that it makes hides it from a scan
     alternative_alpha : chance above which an alternative explains nothing by itself; what searching for it costs is in
         its odds already
     refitted : alternatives that are fitted with all that is free in a finding's place; 0 where the score is exact
@@ -162,6 +164,7 @@ class SelectionPolicy:
     akin: float = 0.0
     near: float = 0.03
     form_left: float = 0.25
+    cover_left: float = 0.5
     alternative_alpha: float = 1e-2
     refitted: int = 4
     takes_over: float = 1.0

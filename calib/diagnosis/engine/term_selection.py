@@ -9,7 +9,6 @@ from calib.diagnosis.engine.candidate_score import Score, score_raised_to_likeli
 from calib.diagnosis.engine.finding_confirmation_against_alternatives import (
     Finding,
     confirm_terms,
-    is_finding_significant,
     is_significant,
     labelled_progress,
     may_become_significant_when_fitted,
@@ -394,7 +393,8 @@ def _is_insignificant(
 
 def _stays(problem: Problem[Fit, Model, C], finding: Finding[C], fit: Fit, left: list[LackOfFit], count: int) -> bool:
     """Whether a Finding of a Fit explains more than what is left at its place, and stands beside smooth functions of
-    what all that is left depends on, of so many candidates asked; one of free form stands where little is left."""
+    what all that is left depends on, of so many candidates asked; one of free form stands where little is left, and
+    one that its own scatter hides where those functions take little of it."""
     assert isinstance(problem, SmoothCover)
     score = finding.score
     here = [u.delta_chi2 for u in left if u.depends_on and problem.within(u, score.candidate.site)]
@@ -403,4 +403,11 @@ def _stays(problem: Problem[Fit, Model, C], finding: Finding[C], fit: Fit, left:
         return False
     if score.candidate.free_form and most < problem.policy.form_left * score.delta_chi2:
         return True
-    return is_finding_significant(problem, finding, problem.covered(fit, finding.number, left), fit, count)
+    model, policy = problem.covered(fit, finding.number, left), problem.policy
+    covered = problem.rescored(model, fit, finding.number)
+    if is_significant(covered, count, problem.linear(model).size, policy):
+        return True
+    bare = problem.without_term(fit, finding.number)
+    alone = problem.rescored(bare, fit, finding.number)
+    hidden = not is_significant(alone, count, problem.linear(bare).size, policy)  # by the scatter that it makes itself
+    return hidden and covered.delta_chi2 > policy.cover_left * alone.delta_chi2

@@ -80,7 +80,10 @@ class Refinement:
         """(statistic, parameters): how far effect number `effect` stands from nothing, in squared standard deviations,
         its shape held:
         a shape that its size leaves open says nothing against it."""
-        own = [i for i, c in enumerate(self.coordinates) if c.effect == effect]
+        seen = np.diag(self.covariance) > 0  # what moves nothing has no covariance, and says nothing
+        own = [i for i, c in enumerate(self.coordinates) if c.effect == effect and seen[i]]
+        if not own:
+            return 0.0, 1
         size = np.array([self.coordinates[i].role in SIZED for i in own])
         theta, block = self.values[own][size], self.covariance[np.ix_(own, own)]
         scale = np.sqrt(np.diag(block))

@@ -21,6 +21,7 @@ FREQUENCIES = 8  # bins of the coarse spectrum for each cycle that the highest f
 ALIAS = 0.25  # of the spectral window's height from which a frequency mirrors a slow one
 SLOWEST = 20  # cycles in the recording, below which it is a drift
 OVERSAMPLED = 4  # frequencies looked at for each that the recording's length can tell apart
+LEAST = 1e-12  # of the largest square of a direction, by which all are scaled at least
 PEAKS = 6  # frequencies that are looked at closely
 TICK = 1e-4  # s, to which exposures' times are compared
 ROUNDS = 30  # of one factor after the other; each brings them nearer
@@ -91,7 +92,10 @@ def best_frequency(model: LinearisedModel, candidate: PlatformCandidate, product
 
 def rank_one_least_squares(b: Floats, G: Floats) -> tuple[float, Floats]:
     """(drop, coefficients (12,)) of rank-one least squares with normal equations G (12, 12) x = b (12,)."""
-    scale = np.sqrt(np.maximum(np.diag(G), 1e-300))
+    own = np.diag(G)
+    scale = np.sqrt(
+        np.maximum(own, LEAST * max(own.max(), 0.0)) + 1e-300
+    )  # a direction that nuisances take whole moves nothing
     whole = np.linalg.pinv(G / scale[:, None] / scale, rcond=1e-9, hermitian=True) @ (b / scale) / scale
     weight = np.maximum(scale.reshape(2, 6).max(axis=0), 1e-300)
     phase = np.linalg.svd(whole.reshape(2, 6) * weight, full_matrices=False)[0][:, 0]
