@@ -45,13 +45,13 @@ CALLS = {
     "doctor": "rig.compute.installation_inventory:installation_inventory",
     "effects": "rig.effects.texts.effect_file_from_formula:new_effect",
     "catalogue": "rig.api:effect_catalogue",
-    "completion": "rig.cli.shared.argument_parser:completion_script",
+    "completion": "rig.cli.shared.argument_parser_and_common_options:completion_script",
     "print": "synthetic.print_sheets:write_sheets",
     "check-print": "vision.printed_marker_size:measure_print",
     **dict.fromkeys(("design", "new"), "rig.planning.layout.shipped_arm_layout:layout_rig_toml"),
     "import": "rig.api:import_recording",
     "emulate": "rig.driving.emulators.controller_emulator_opening_and_ports:load_emulator",
-    "index": "rig.report.pages.page_templates_and_page_index:write_index_page",
+    "index": "rig.report.pages.page_templates_and_elements:write_index_page",
 }  # module:function that does a command's work
 NO_CALL = {"view"}
 STATEMENTS = 35  # of a command's `run` at the most: arguments, one call, print and write
@@ -84,6 +84,7 @@ NOT_COMPUTING = (
     "MOVES",
     "_file",
     ": TorqueBounds",
+    ": require_arm",
     ": Strength",
     ": effect_description",
     ": effect_table",

@@ -14,7 +14,7 @@ from rig.model.pose import pose_to_vector, rms_uncertainty
 from rig.recording import recording_tables
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Poses
-from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.pages.page_templates_and_elements import result_html
 from rig.report.verdict_and_refutations_of_results import AGREES, Evidence, MissingEvidence, Verdict, judge_evidence
 from vision.bundle.adjustment_validation_and_determinacy import DeterminedUnknowns, HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places, adjusted_markers

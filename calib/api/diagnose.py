@@ -23,15 +23,14 @@ from calib.diagnosis.report.report_data_and_verdict import Report, diagnosis_ver
 from calib.diagnosis.report.report_of_diagnosis_and_diagnosis_folder import diagnosis_report, write_diagnosis_folder
 from calib.experiment.experiment_questions_and_information import Question
 from calib.files import calibration_provenance_and_used_frames
-from calib.samples.recording_samples import Sampled, sample_recording
+from calib.samples.pose_samples import Sampled, sample_recording
 from rig.effects.texts.effect_text_and_dict import Kinds, parse_effect_and_place, require_known_effect
 from rig.effects.texts.user_effect_file_loading import Plugin, catalogue_with_files
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_and_svg_elements import result_html
-from rig.report.pages.page_templates_and_page_index import Link
+from rig.report.pages.page_templates_and_elements import Link, result_html
 from rig.report.verdict_and_refutations_of_results import State, Verdict
 from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice, recorded_or_sampled_corners
 

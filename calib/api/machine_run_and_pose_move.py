@@ -39,7 +39,7 @@ from rig.formats.output_files import write_bytes
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.design_comparison_and_cube_remounting import quarter_turns_of_cubes, turning_instructions
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_hexapod, require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod, require_struts
 from rig.model.pose import pose_to_vector
 from rig.planning.plan import build_plan
 from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice

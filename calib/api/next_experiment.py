@@ -28,7 +28,7 @@ from rig.model.design_comparison_and_cube_remounting import (
 from rig.planning import plan_construction_and_table
 from rig.planning.plan import build_plan
 from rig.planning.plan_construction_and_table import Plan
-from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.pages.page_templates_and_elements import result_html
 
 LONGEST = 6000.0  # min
 

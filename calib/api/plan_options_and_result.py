@@ -15,11 +15,10 @@ from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_plates
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_plates
 from rig.recording.recording_folder import Sensors
 from rig.recording.recording_tables import write_configurations, write_table
-from rig.report.pages.html_and_svg_elements import result_html
-from rig.report.pages.page_templates_and_page_index import Link
+from rig.report.pages.page_templates_and_elements import Link, result_html
 from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
 
 SEED = 0

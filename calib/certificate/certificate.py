@@ -40,12 +40,12 @@ from calib.certification.uncertainty_budget import rms_length_uncertainty, therm
 from calib.files import calibration_provenance_and_used_frames
 from calib.models.machine_models import corrected_pose_covariance
 from calib.samples.confounded_conditions import confounds_of_recordings
-from calib.samples.recording_samples import Sampled
+from calib.samples.pose_samples import Sampled
 from rig.array_and_json_types import Floats, Json
 from rig.errors import NotEnoughData
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, hashes_of_frames
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.pages.page_templates_and_elements import result_html
 from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
 
 

@@ -43,7 +43,7 @@ from calib.models.platform.parameter_accuracy import estimate_tolerance_of_state
 from calib.samples.pose_samples import Samples, inverse_covariance
 from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts
 
 Progress = Callable[[str, int, int], None]  # called with (label, done, of) as work goes on
 

@@ -29,7 +29,7 @@ from calib.models.platform.parameter_accuracy import Tolerance, expand_parameter
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.model import mechanisms
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts
 from rig.model.pose import pose_difference
 from rig.planning.configuration_sets import FILL, sobol_configurations
 

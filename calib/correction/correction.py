@@ -34,7 +34,7 @@ from rig.effects.framework.effect_parameters_and_covariates import PLOT_UNITS
 from rig.errors import NotConverged, RigError, Unreachable
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts, require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts, require_struts
 
 ITERATIONS = 100
 TOLERANCE = 1e-12  # m

@@ -18,7 +18,7 @@ from rig.array_and_json_types import Floats, Json
 from rig.errors import NotConverged, RigError
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts
 from rig.model.pose import pose_to_entry
 from rig.planning.configuration_sets import FILL, sobol_configurations
 

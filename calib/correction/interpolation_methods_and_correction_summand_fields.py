@@ -39,7 +39,7 @@ from rig.errors import RigError
 from rig.formats.checked_entries import Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.model import mechanisms
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts
 from rig.planning.configuration_sets import FILL, sobol_configurations
 
 SHAPES = {  # of the arrays: a axes, m outputs, the other letters any number, the same wherever they stand

@@ -28,8 +28,7 @@ from calib.diagnosis.report.report_data_and_verdict import Report, doubts_of_rep
 from calib.diagnosis.report.report_of_diagnosis_and_diagnosis_folder import diagnosis_report
 from calib.files import calibration_file
 from calib.files.calibration_provenance_and_used_frames import SEED
-from calib.samples.pose_samples import Samples
-from calib.samples.recording_samples import Sampled
+from calib.samples.pose_samples import Sampled, Samples
 from rig.array_and_json_types import Floats, Json
 from rig.errors import NotEnoughData
 from rig.recording.frame_selection_and_content_hashes import Marks, frames_with_known_hashes

@@ -17,8 +17,8 @@ from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_plates
 from rig.model.mechanisms import hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_plates
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Recording, Sensors
 from vision.corner_observations import observations_from_corners

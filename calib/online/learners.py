@@ -21,7 +21,7 @@ from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import LARGEST_RIG
 from rig.formats.output_files import write_text
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_plates
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_plates
 
 NO_SCATTER = np.zeros(6)
 

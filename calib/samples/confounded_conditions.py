@@ -20,7 +20,7 @@ from rig.array_and_json_types import Floats, Json
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Chain, Free
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts
 from rig.recording.recording_folder import PAYLOAD, Recording
 
 DIRECTION, TIME, LOAD = "direction of approach", "time", "load"

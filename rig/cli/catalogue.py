@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import input_file_options
-from rig.cli.shared.command_options import add_overwrite_option, file_or_stdout
+from rig.cli.shared.argument_parser_and_common_options import add_overwrite_option, file_or_stdout
 from rig.formats.output_files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:

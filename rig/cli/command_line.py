@@ -13,7 +13,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, redi
 from pathlib import Path
 from typing import NoReturn, TextIO, TypeVar, cast
 
-from rig.cli.shared.argument_parser import Parser, add_common_options, join_negative_numbers
+from rig.cli.shared.argument_parser_and_common_options import Parser, add_common_options, join_negative_numbers
 from rig.errors import RigError
 from rig.formats.output_files import STANDARD_OUTPUT, CommandOutputs
 
@@ -179,11 +179,11 @@ def _run(arguments: argparse.Namespace) -> int:
             with _reader_may_leave(name, outputs), _words(arguments), _compiling(), _workers(arguments):
                 status = arguments.run(arguments) or 0
         if outputs.pages:
-            from rig.report.pages.page_templates_and_page_index import refresh_indices
+            from rig.report.pages.page_templates_and_elements import refresh_indices
 
             refresh_indices(outputs.pages)
         if asked and arguments.result is not None:
-            from rig.cli.shared.command_options import print_json
+            from rig.cli.shared.argument_parser_and_common_options import print_json
 
             print_json(arguments.result)
         return _flushed(name, status)
@@ -239,7 +239,7 @@ def _workers(arguments: argparse.Namespace) -> AbstractContextManager[None]:
     """Within it those work for a command who were asked for."""
     if "workers" not in arguments:
         return nullcontext()
-    from rig.cli.shared.command_options import use_requested_workers
+    from rig.cli.shared.argument_parser_and_common_options import use_requested_workers
 
     return use_requested_workers(arguments)
 

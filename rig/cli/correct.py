@@ -8,7 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import input_file_options
-from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option, file_or_stdout
+from rig.cli.shared.argument_parser_and_common_options import (
+    add_json_result_option,
+    add_overwrite_option,
+    file_or_stdout,
+)
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_numbers
 
@@ -137,10 +141,12 @@ def _start(text: str) -> Floats | None:
 def _write_read_poses(arguments: Namespace, calibration: Calibration, out: Path) -> None:
     """Write the poses that a measuring machine's readings stand for."""
     from calib.api.measuring_limb_acceptance_and_platform_poses import poses_of_readings
-    from rig.formats import csv_and_parquet_tables
+    from rig.formats import csv_and_parquet_tables_and_time_origin
 
     axes = calibration.correction.nominal.axes
-    found = poses_of_readings(calibration, csv_and_parquet_tables.read_csv_table(arguments.forward, ("frame", *axes)))
+    found = poses_of_readings(
+        calibration, csv_and_parquet_tables_and_time_origin.read_csv_table(arguments.forward, ("frame", *axes))
+    )
     found.write(out)
     print(f"{len(found.poses.frame)} poses written to {arguments.out}: {found}")
     if found.physics:

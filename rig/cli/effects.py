@@ -6,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from rig.cli.shared import input_file_options
-from rig.cli.shared.command_options import add_json_option, add_overwrite_option, print_json
+from rig.cli.shared.argument_parser_and_common_options import add_json_option, add_overwrite_option, print_json
 from rig.errors import RigError
 
 
@@ -40,7 +40,7 @@ def run(arguments: Namespace) -> None:
         raise RigError("--from, --place and --out apply to a new effect: name it with --new")
     from shutil import get_terminal_size
 
-    from rig.cli.shared.argument_parser import suggestion_text
+    from rig.cli.shared.argument_parser_and_common_options import suggestion_text
     from rig.effects.catalogue.effect_list import effect_description, effect_description_dict, effect_table
 
     width = get_terminal_size((160, 24)).columns

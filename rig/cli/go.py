@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import input_file_options
-from rig.cli.shared.command_options import (
+from rig.cli.shared.argument_parser_and_common_options import (
     add_json_result_option,
     add_port_options,
     add_speed_option,

@@ -6,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.command_options import (
+from rig.cli.shared.argument_parser_and_common_options import (
     add_json_result_option,
     add_page_option,
     page_links,

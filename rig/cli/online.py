@@ -7,7 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import input_file_options
-from rig.cli.shared.command_options import add_json_result_option, add_page_option, page_links, page_path
+from rig.cli.shared.argument_parser_and_common_options import (
+    add_json_result_option,
+    add_page_option,
+    page_links,
+    page_path,
+)
 from rig.cli.shared.input_file_options import (
     add_anyway_option,
     add_limb_options,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import input_file_options
-from rig.cli.shared.command_options import (
+from rig.cli.shared.argument_parser_and_common_options import (
     add_json_option,
     add_page_option,
     page_links,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared.command_options import add_overwrite_option, file_or_stdout, page_links
+from rig.cli.shared.argument_parser_and_common_options import add_overwrite_option, file_or_stdout, page_links
 from rig.cli.shared.input_file_options import add_recording_argument, read_recording
 from rig.cli.shared.output_escaping_and_progress_display import Progress
 from rig.errors import RigError

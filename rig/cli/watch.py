@@ -6,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from rig.cli.shared import input_file_options
-from rig.cli.shared.command_options import (
+from rig.cli.shared.argument_parser_and_common_options import (
     SEED,
     add_json_option,
     add_overwrite_option,

@@ -10,11 +10,10 @@ import numpy as np
 from rig.array_and_json_types import Floats, Integers, Pixels
 from rig.errors import FileError
 from rig.formats import local_and_remote_input_files
-from rig.formats.csv_and_parquet_tables import Table
+from rig.formats.csv_and_parquet_tables_and_time_origin import Table, TimeOrigin
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.model.design import Camera, Design
 from rig.recording.image_file_check import MOST_PIXELS, image_file_problem, image_path_problem, open_image_file_problem
-from rig.recording.time_origin import TimeOrigin
 
 SIMULTANEOUS = 1e-3  # s; exposures of one frame that differ by more were not exposed together
 LARGEST_IMAGE_FILE = 1 << 31  # bytes

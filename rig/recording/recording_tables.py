@@ -10,15 +10,14 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import FileError
-from rig.formats import csv_and_parquet_tables, local_and_remote_input_files
+from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote_input_files
 from rig.formats.checked_entries import LARGEST_RIG
-from rig.formats.csv_and_parquet_tables import Table
+from rig.formats.csv_and_parquet_tables_and_time_origin import Table, TimeOrigin
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_bytes, write_text
 from rig.model.design import Design, Instrument
 from rig.model.pose import TRIANGLE, angle_sigmas, covariance_from_triangle, pose, pose_to_vector, roll_pitch_yaw
 from rig.recording.exposures_and_images import Exposures
-from rig.recording.time_origin import TimeOrigin
 
 POSE_COLUMNS = ("x", "y", "z", "rx", "ry", "rz")
 DISTANCE = "distance"  # column of a drawn wire's length, m
@@ -56,7 +55,7 @@ def load_corners(path: Path, design: Design, exposures: Exposures) -> Corners | 
     """
     if not local_and_remote_input_files.exists(path):
         return None
-    rows = csv_and_parquet_tables.read_csv_table(path, CORNER_COLUMNS, ("sigma", *CORNER_COVARIANCE))
+    rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, CORNER_COLUMNS, ("sigma", *CORNER_COVARIANCE))
     frame, marker, corner, camera = rows.whole("frame"), rows.whole("marker"), rows.whole("corner"), rows.text("camera")
     uv = rows.matrix(("u", "v"))
     cameras = {c.name for c in design.cameras}
@@ -133,7 +132,7 @@ def load_poses(
     machine has no freedom
     Raises FileError with line and column.
     """
-    rows = csv_and_parquet_tables.read_csv_table(
+    rows = csv_and_parquet_tables_and_time_origin.read_csv_table(
         path, ("frame", *POSE_COLUMNS[: 3 if positions_only else 6]), COVARIANCE_COLUMNS
     )
     frame = _frames(rows, known_frames)
@@ -154,7 +153,7 @@ def load_instrument_poses(path: Path, known_frames: set[int], instrument: Instru
     if kind == "pose":
         return load_poses(path, known_frames, instrument is not None and instrument.rotation_sigma is None)
     columns = POSE_COLUMNS[3:] if kind == "orientation" else (DISTANCE,)
-    rows = csv_and_parquet_tables.read_csv_table(path, ("frame", *columns))
+    rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame", *columns))
     frame, values = _frames(rows, known_frames), rows.matrix(columns)
     nothing = np.zeros((len(rows), 3))
     if kind == "orientation":

@@ -23,7 +23,7 @@ from calib.models.platform.optimal_configurations import CRITERIA, choose_d_opti
 from calib.models.platform.parameter_accuracy import PLAUSIBLE, parameter_combinations
 from calib.online.information_filter import Online
 from calib.online.learners import Drifting, FirstOrder, Forgetting
-from calib.samples.recording_samples import sample_recording
+from calib.samples.pose_samples import sample_recording
 from rig.formats.exporters import geometry_and_camera_files
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod

@@ -16,17 +16,17 @@ from pathlib import Path
 from types import FunctionType, ModuleType
 
 WATCHED = (
-    "rig.formats.csv_and_parquet_tables",
+    "rig.formats.csv_and_parquet_tables_and_time_origin",
     "rig.formats.checked_entries",
     "rig.formats.json_toml_and_yaml_loading",
     "rig.formats.local_and_remote_input_files",
-    "rig.recording.time_origin",
+    "rig.formats.csv_and_parquet_tables_and_time_origin",
     "rig.recording.image_file_check",
     "rig.recording.exposures_and_images",
     "rig.recording.recording_tables",
     "rig.recording.recording_folder",
     "rig.formats.rig_toml.design_file",
-    "rig.formats.toml_positions",
+    "rig.formats.json_toml_and_yaml_loading",
     "rig.formats.json_toml_and_yaml_loading",
     "rig.formats.number_parsing_and_rounding",
     "rig.formats.output_files.atomic_file_and_manifest",

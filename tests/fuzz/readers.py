@@ -21,7 +21,7 @@ from rig.effects.texts.effect_text_and_dict import (
     require_known_effect,
 )
 from rig.errors import RigError
-from rig.formats import csv_and_parquet_tables, importers
+from rig.formats import csv_and_parquet_tables_and_time_origin, importers
 from rig.formats.importers import image_file_frames as frames
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.rig_toml import design_file
@@ -71,7 +71,7 @@ def _files(folder, design, held):
         return ((folder / name).read_bytes(),)
 
     def frames(path):
-        rows = csv_and_parquet_tables.read_csv_table(path, ("frame", "t", "camera", "image"))
+        rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame", "t", "camera", "image"))
         return load_exposures(folder, design, rows, recording_folder._origin(rows))
 
     def commands(path):

@@ -12,9 +12,14 @@ from rig.model.design import Marker
 from rig.model.places_and_tolerances import Place
 from rig.model.pose import log
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
-from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, solve_step
+from vision.bundle.normal_equations_and_corner_jacobians import (
+    linearise,
+    normal_equations,
+    predicted_decrease,
+    solve_step,
+)
 from vision.bundle.unknown_priors import adjustment_unknowns
-from vision.bundle.unknowns_and_estimate import offset_from_stated
+from vision.bundle.unknowns_estimate_and_printing_errors import offset_from_stated
 from vision.corner_observations import Observations, whitener_of_observations
 from vision.pose.pose_refinement_and_ambiguity import (
     MOST,

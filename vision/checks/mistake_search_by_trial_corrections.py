@@ -17,9 +17,8 @@ from vision.checks import camera_mistakes_in_rig_toml as cameras
 from vision.checks import corner_convention_trials as order
 from vision.checks import target_mistakes_in_rig_toml as targets
 from vision.checks.corner_convention_trials import LOST, SampledRecording, Trial, measure_trial, sample_frames
-from vision.hand_cameras_stages_and_remounted_cubes import has_hand_cameras, recording_seen_from_hand
 from vision.lenses.lens_calibration import alternative_initial_lenses, are_lenses_plausible
-from vision.recording_adjustment import Measurement
+from vision.recording_adjustment import Measurement, has_hand_cameras, recording_seen_from_hand
 
 FINE = 0.3  # px; a misfit below it is noise and what calibration takes up
 GROSS = 2.0  # px; a misfit beyond it is no matter of sizes and lenses alone

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, fields, is_dataclass
 
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate
 from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import StatedTerms
-from calib.diagnosis.problems.evidence_interface import Value
-from calib.diagnosis.problems.remainder_covariates_and_formulas import Suggestion
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import Value
+from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import Suggestion
 from rig.effects.texts.effect_file_from_formula import Written
 from rig.effects.texts.user_effect_file_loading import Plugin
 from rig.recording.recording_folder import RecordingPart

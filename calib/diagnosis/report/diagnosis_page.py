@@ -10,15 +10,17 @@ from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
 from calib.diagnosis.report.report_data_and_verdict import Report, diagnosis_verdict
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_and_svg_elements import (
+from rig.report.pages.image_plane_and_3d_views import view_scripts
+from rig.report.pages.page_templates_and_elements import (
+    Link,
+    Page,
     folding_section_html,
     heading_html,
     note_html,
     paragraph_html,
     table_html,
+    write_page,
 )
-from rig.report.pages.image_plane_and_3d_views import view_scripts
-from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
 from rig.report.pages.plots import panel_row_html
 from vision.frame_and_effect_pictures import effect_sketch
 

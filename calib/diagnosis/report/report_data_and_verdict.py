@@ -7,7 +7,7 @@ from pathlib import Path
 
 from calib.certification.calibration_evidence import ALONE, OfCalibrations, confound_sentences
 from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import Crowd, LeftOut
-from calib.diagnosis.problems.evidence_interface import ASSUMED_NOISE, RESIDUALS, STATED
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import ASSUMED_NOISE, RESIDUALS, STATED
 from calib.diagnosis.report import report_sentences
 from calib.diagnosis.report.diagnosis_json_entries import (
     SCHEMA,
@@ -34,7 +34,7 @@ from calib.diagnosis.report.report_sentences import (
 from calib.samples.confounded_conditions import Confounds
 from rig.array_and_json_types import Json
 from rig.formats.output_files import write_text
-from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.pages.page_templates_and_elements import result_html
 from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
 
 ROWS = "Examine the excluded rows below: record those configurations again"

@@ -8,7 +8,12 @@ from typing import Any
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit, first_of_each_place
-from calib.diagnosis.problems.evidence_interface import MeasuredFinding, Misfit, ScatterSize, Value
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
+    MeasuredFinding,
+    Misfit,
+    ScatterSize,
+    Value,
+)
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report import residual_figures_and_contributions
 from calib.diagnosis.report.diagnosis_json_entries import (

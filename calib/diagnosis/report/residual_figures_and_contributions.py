@@ -7,7 +7,7 @@ import numpy as np
 from calib.diagnosis.engine.problem_interface import Fit
 from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import C
 from calib.diagnosis.engine.term_selection import Selection
-from calib.diagnosis.problems.evidence_interface import (
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     HeldOutPoses,
     NestedSelection,
     PoseContributions,
@@ -20,7 +20,7 @@ from calib.diagnosis.recording_diagnosis import Diagnosis
 from rig.array_and_json_types import Floats, Json
 from rig.model import mechanisms
 from rig.recording.recording_tables import write_table
-from rig.report.pages.html_and_svg_elements import note_html, svg_figure, svg_text, svg_tooltip, table_html
+from rig.report.pages.page_templates_and_elements import note_html, svg_figure, svg_text, svg_tooltip, table_html
 from rig.report.pages.plots import COLOURS, Series, panel_row_html, plot_panel_svg
 
 WORST = 24  # poses that are drawn

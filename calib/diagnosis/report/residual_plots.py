@@ -5,10 +5,10 @@ from typing import cast
 import numpy as np
 
 from calib.diagnosis.problems.platform.effect_candidates import affects_images_only
-from calib.diagnosis.problems.platform.held_out_validation import residual_change_column
 from calib.diagnosis.problems.platform.lack_of_fit import closure_residuals, closures_in_metres
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
+from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import residual_change_column
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.report.residual_figures_and_contributions import AFTER, BEFORE, residual_scatter_figure
 from rig.array_and_json_types import Floats, Integers

@@ -17,15 +17,17 @@ from calib.workspace.workspace_page import workspace_section_html
 from rig.effects.framework.effect_parameters_and_covariates import PLOT_UNITS
 from rig.model import mechanisms
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_and_svg_elements import (
+from rig.report.pages.image_plane_and_3d_views import view_scripts
+from rig.report.pages.page_templates_and_elements import (
+    Link,
+    Page,
     folding_section_html,
     heading_html,
     note_html,
     paragraph_html,
     table_html,
+    write_page,
 )
-from rig.report.pages.image_plane_and_3d_views import view_scripts
-from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 
 

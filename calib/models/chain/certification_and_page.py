@@ -44,15 +44,17 @@ from rig.model.mechanisms import mechanism_chain as mechanism
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.planning.configuration_sets import FILL, sobol_configurations
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_and_svg_elements import (
+from rig.report.pages.image_plane_and_3d_views import view_scripts
+from rig.report.pages.page_templates_and_elements import (
+    Link,
+    Page,
     folding_section_html,
     heading_html,
     note_html,
     paragraph_html,
     table_html,
+    write_page,
 )
-from rig.report.pages.image_plane_and_3d_views import view_scripts
-from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
 
 
 @dataclass(frozen=True, slots=True, eq=False)

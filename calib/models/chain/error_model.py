@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.identify.least_squares import Linear
-from calib.identify.robust_fit import excess_scatter
+from calib.identify.least_squares_and_robust_fit import Linear, excess_scatter
 from calib.models.arm import error_model_and_observations as arms
 from calib.models.arm.error_model_and_observations import PLAUSIBLE
 from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters as independent

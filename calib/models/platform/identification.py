@@ -15,16 +15,15 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from calib.identify.least_squares import Fit, Linear, fit_least_squares
-from calib.identify.robust_fit import MOST, robust_fit
+from calib.identify.least_squares_and_robust_fit import MOST, Fit, Linear, fit_least_squares, robust_fit
 from calib.models.platform import closed_loop_equations
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Hexapod, Planar2
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
 from rig.model.mechanisms import hexapod, two_strut_plane
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts
 
 PRIOR = 5e-3  # m; how far a joint or a zero may be from where its owner states it: ten times what rigs show
 ROUNDS = 8  # of weighing struts and poses anew; one that still wavers then remains unchanged

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
-from calib.diagnosis.problems.evidence_interface import Value, bounded_value
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import Value, bounded_value
 from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_columns
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.findings_attributable_to_tolerances import (

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from rig.errors import FileError
+from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.recording import recording_folder as recording
 from rig.recording import recording_tables
-from rig.recording.time_origin import TimeOrigin
 from tests.shifted_clock import ORIGINS, counted_from
 
 

@@ -11,10 +11,9 @@ from calib.diagnosis.engine.finding_confirmation_against_alternatives import Fin
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, Projection, join_columns
 from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import C
-from calib.diagnosis.problems.evidence_interface import Remark, Tolerable, Value
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import Remark, Tolerable, Value
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, effect_context
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
-from calib.diagnosis.problems.platform.held_out_validation import residual_change_column
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_residuals import CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.marker_and_thermometer_tolerance_columns import (
@@ -26,6 +25,7 @@ from calib.diagnosis.problems.platform.marker_and_thermometer_tolerance_columns 
     significant_tolerances,
     tolerance_model,
 )
+from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import residual_change_column
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
 from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement

@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 
 from calib.diagnosis.engine.cross_validation_and_chance import scan_p_value
-from calib.diagnosis.engine.frame_inner_products import FrameProducts, solve_normal_equations
+from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import FrameProducts, solve_normal_equations
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import (
     ALPHA,
     LIKELY,
@@ -41,7 +41,7 @@ from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions 
     image_warp_pixel_derivatives,
     smooth_strut_functions,
 )
-from calib.diagnosis.problems.remainder_covariates_and_formulas import (
+from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
     motion_functions,
     separate_weights,
     time_and_sensor_functions,

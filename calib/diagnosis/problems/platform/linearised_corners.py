@@ -10,7 +10,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.model.design import Design
 from rig.model.places_and_tolerances import FINDER, SEAT, Place
 from vision import lens
-from vision.bundle.corner_jacobians import (
+from vision.bundle.normal_equations_and_corner_jacobians import (
     corner_jacobians,
     iterate_camera_jacobians,
     rotate_jacobian,

@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 from scipy.sparse import csr_array
 
-from calib.diagnosis.engine.frame_inner_products import (
+from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import (
     Normal,
     chi2_reduction_at_unit_coefficient,
     solve_normal_equations,
@@ -17,13 +17,13 @@ from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions import SLOW
-from calib.diagnosis.problems.remainder_covariates_and_formulas import time_cosines
+from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import time_cosines
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.effect_parameters_and_covariates import Linear
 from rig.model import mechanisms
 from rig.model.places_and_tolerances import PLACES, SIDES, STEEL, THERMOMETER, Place, Tolerance
-from vision.bundle.printing_errors import KINDS, NAMES
+from vision.bundle.unknowns_estimate_and_printing_errors import KINDS, NAMES
 
 ALPHA = 1e-3  # chance, over all, that tolerances are taken to be at work where they are not
 STEP = 1e-4  # of a side, a metre or a radian, for derivatives

@@ -23,7 +23,7 @@ from calib.diagnosis.problems.platform.linearised_corners import (
 )
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel, linearise
 from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column
-from calib.identify.least_squares import bounded_least_squares_step
+from calib.identify.least_squares_and_robust_fit import bounded_least_squares_step
 from calib.models.platform.identification import geometric_parameters, mechanism_with_parameters
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect

@@ -9,7 +9,7 @@ from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel, linearise
 from calib.diagnosis.problems.platform.scores_of_all_candidates import camera_mount_pixel_derivatives
-from calib.diagnosis.problems.remainder_covariates_and_formulas import (
+from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
     axis_speeds,
     scaled_powers,
     scaled_to_plus_minus_one,

@@ -19,7 +19,7 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import Oper
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem, PlatformSelection
 from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions import SLOW
-from calib.diagnosis.problems.remainder_covariates_and_formulas import time_cosines
+from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import time_cosines
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
 from rig.effects.framework.effect import Candidate as EffectCandidate
