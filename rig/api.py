@@ -60,7 +60,8 @@ def save(recording: Recording, folder: Path | str, overwrite: bool = False) -> N
     overwrite : whether to write over what this function did not make
     Raises RigError for several recordings joined to one, and where the folder holds something else
     """
-    from rig.recording.recording_tables import copy_frames_commands_and_sensors, write_corners, write_poses, write_table
+    from rig.recording.recording_folder import copy_frames_commands_and_sensors
+    from rig.recording.recording_tables import write_corners, write_poses, write_table
 
     if recording.parts:
         raise RigError(f"{recording.name}: several recordings as one have no folder; save each separately")

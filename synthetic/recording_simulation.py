@@ -13,8 +13,8 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Booleans, Floats
 from rig.formats.output_files import write_text
 from rig.model import motion_simulation
-from rig.model.design import Camera, Design, Instrument, MeasuringLimbs
-from rig.model.design_comparison_and_cube_remounting import quarter_turns_of_cubes, rig_toml_with_turns
+from rig.model.design import Camera, Design, Instrument, MeasuringLimbs, quarter_turns_of_cubes
+from rig.model.design_comparison_and_cube_remounting import rig_toml_with_turns
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
 from rig.model.pose import exp, pose_to_vector, transform_points
 from rig.planning.plan import sensors_with_payload

@@ -26,7 +26,7 @@ from rig.formats.output_files import write_bytes
 from rig.model import mechanisms
 from rig.model.pose import rms_uncertainty
 from rig.recording import recording_tables
-from rig.recording.recording_folder import Recording
+from rig.recording.recording_folder import Recording, copy_frames_commands_and_sensors
 from rig.recording.recording_tables import Poses, write_poses
 from rig.report.pages.page_templates_and_elements import Link, result_html
 from rig.report.verdict_and_refutations_of_results import Verdict
@@ -209,9 +209,7 @@ class MeasuredLimbPoses:
         poses = Poses(found.frames, found.T_base_platform, found.covariance)
         recording_tables.write_poses(folder / "poses.csv", poses)
         recording_tables.write_poses_as_roll_pitch_yaw(folder / "rpy.csv", poses)
-        recording_tables.copy_frames_commands_and_sensors(
-            recording.folder, folder, recording.exposures, recording.origin
-        )
+        copy_frames_commands_and_sensors(recording.folder, folder, recording.exposures, recording.origin)
 
 
 def measure_poses_by_limbs(

@@ -6,10 +6,9 @@ from functools import partial
 from pathlib import Path
 
 from calib.certification.calibration_data_type_and_claim_sentences import Calibration
-from calib.certification.calibration_evidence import confound_sentences
 from calib.models.platform.optimal_configurations import ConfigurationExclusion
 from calib.report.recording_and_plan_pages import write_plan_page
-from calib.samples.confounded_conditions import Confounds
+from calib.samples.confounded_conditions import Confounds, confound_sentences
 from calib.workspace.workspace_map_and_lost_poses import is_pose_lost
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError

@@ -27,7 +27,7 @@ from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import (
     linearise_planned_poses,
 )
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
-from calib.diagnosis.problems.platform.temperature_alternatives_of_findings import WARM
+from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of_findings import WARM
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.experiment.experiment_questions_and_information import (
     PerFrame,

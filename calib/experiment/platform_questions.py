@@ -22,7 +22,7 @@ from calib.diagnosis.problems.platform.linearised_residuals import LinearisedMod
 from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import residual_change_column
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
-from calib.diagnosis.problems.platform.temperature_alternatives_of_findings import WARM
+from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of_findings import WARM
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.experiment.experiment_questions_and_information import (
     Hypothesis,

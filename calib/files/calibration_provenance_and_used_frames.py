@@ -21,12 +21,12 @@ from calib.samples.pose_samples import Sampled
 from rig.array_and_json_types import Floats, Json
 from rig.formats import local_and_remote_input_files
 from rig.formats.local_and_remote_input_files import read_bytes
-from rig.recording.exposures_and_images import LARGEST_IMAGE_FILE
 from rig.recording.frame_selection_and_content_hashes import (
     content_hashes_of_frames,
     frames_with_known_hashes,
     hashes_of_frames,
 )
+from rig.recording.image_file_check_and_reading import LARGEST_IMAGE_FILE
 from rig.recording.recording_folder import Recording
 
 PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "rig")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.report.pose_figures_and_effect_displacements import pose_coverage_figures
+from calib.report.pose_and_effect_figures import pose_coverage_figures
 from rig.array_and_json_types import Floats
 from rig.model.places_and_tolerances import Place
 from rig.model.pose import pose_to_vector
@@ -25,7 +25,7 @@ from rig.report.pages.page_templates_and_elements import (
     write_page,
 )
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
-from vision import frame_and_effect_pictures
+from vision import frame_pictures
 from vision.bundle.adjustment_validation_and_determinacy import HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places
 from vision.bundle.unknowns_estimate_and_printing_errors import UnknownName
@@ -38,7 +38,7 @@ ENLARGED = 200.0
 
 def _frame_pictures_html(recording: Recording, measurement: Measurement, frame: int) -> list[str]:
     """HTML of the images of a frame; nothing where the recording has corners alone."""
-    images = frame_and_effect_pictures.frame_jpegs(recording, frame)
+    images = frame_pictures.frame_jpegs(recording, frame)
     if not images:
         return []
     figures = [

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_evidence import ALONE, OfCalibrations, confound_sentences
+from calib.certification.calibration_evidence import ALONE, OfCalibrations
 from calib.certification.measuring_limb_calibration_and_slips import AXES, MOVES, Agreement
-from calib.samples.confounded_conditions import Confounds
+from calib.samples.confounded_conditions import Confounds, confound_sentences
 from rig.array_and_json_types import Floats, Integers
 from rig.report.pages.page_templates_and_elements import (
     Link,

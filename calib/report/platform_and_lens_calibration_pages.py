@@ -12,11 +12,7 @@ from calib.correction.correction import Correction
 from calib.correction.interpolation.gaussian_process import Radial
 from calib.models.platform.identification import Identified
 from calib.models.platform.parameter_accuracy import parameter_combinations
-from calib.report.pose_figures_and_effect_displacements import (
-    correction_error_figures,
-    pose_coverage_figures,
-    rig_scene,
-)
+from calib.report.pose_and_effect_figures import correction_error_figures, pose_coverage_figures, rig_scene
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
 from rig.array_and_json_types import Json

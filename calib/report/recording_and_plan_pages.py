@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from calib.report.pose_figures_and_effect_displacements import effect_displacements, pose_coverage_figures, rig_scene
+from calib.report.pose_and_effect_figures import effect_displacements, pose_coverage_figures, rig_scene
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError

@@ -21,11 +21,7 @@ from calib.certification.claim_verification import Verification
 from calib.certification.held_out_errors import Figures, HeldOut
 from calib.drift.change_evidence import ALARM
 from calib.drift.change_evidence import Verdict as Changes
-from calib.report.pose_figures_and_effect_displacements import (
-    correction_error_figures,
-    pose_coverage_figures,
-    rig_scene,
-)
+from calib.report.pose_and_effect_figures import correction_error_figures, pose_coverage_figures, rig_scene
 from calib.samples.confounded_conditions import Confounds
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers

@@ -227,3 +227,8 @@ def _numbered(places: list[str]) -> str:
         else:
             runs.append([number, number])
     return f"{words[0][0]}s " + ", ".join(f"{a}" if a == b else f"{a}-{b}" for a, b in runs)
+
+
+def confound_sentences(confounds: Confounds | None) -> tuple[str, ...]:
+    """Sentence on the confounds of a recording's design, as a list; empty where there are none."""
+    return (confounds.line().split("; record the same")[0],) if confounds is not None and confounds.serious else ()

@@ -84,7 +84,7 @@ def main(argv: list[str] | None = None) -> int:
 
     Raises SystemExit where help was asked for or the usage is wrong
     """
-    from rig.cli.shared.output_escaping_and_progress_display import escaped_output
+    from rig.cli.shared.input_options_and_output_display import escaped_output
 
     with escaped_output():
         return _main(join_negative_numbers(sys.argv[1:] if argv is None else argv))
@@ -212,7 +212,7 @@ def _reader_may_leave(name: str, outputs: CommandOutputs) -> Iterator[None]:
     """Within it a command that writes files finishes them though the reader of its standard output is gone, which is
     then reported.
     """
-    from rig.cli.shared.output_escaping_and_progress_display import StandardOutput
+    from rig.cli.shared.input_options_and_output_display import StandardOutput
 
     out = StandardOutput(sys.stdout or io.StringIO(), lambda: outputs.in_use)
     with redirect_stdout(cast(TextIO, out)):
@@ -229,7 +229,7 @@ def _reader_may_leave(name: str, outputs: CommandOutputs) -> Iterator[None]:
 
 def _compiling() -> AbstractContextManager[None]:
     """Context in which compilation, which takes time, is announced once."""
-    from rig.cli.shared.output_escaping_and_progress_display import print_compilation_notice
+    from rig.cli.shared.input_options_and_output_display import print_compilation_notice
     from rig.compute.numba_kernels_and_lazy_exports import announce_compilation
 
     return announce_compilation(print_compilation_notice)
@@ -264,7 +264,7 @@ def _for_programs(arguments: argparse.Namespace) -> bool:
 def _words(arguments: argparse.Namespace) -> Iterator[None]:
     """Within it what a command prints goes where its user wants words: nowhere with --quiet, unless it is the result
     that was asked for; to the error output where the result is printed as JSON once the command is done."""
-    from rig.cli.shared.output_escaping_and_progress_display import Progress
+    from rig.cli.shared.input_options_and_output_display import Progress
 
     out, quiet = getattr(arguments, "out", ""), getattr(arguments, "quiet", False)
     aside = _for_programs(arguments)
@@ -333,7 +333,7 @@ def _flushed(name: str, status: S) -> S | int:
         message = ""
     except OSError as error:
         message = f"{name}: standard output cannot be written: {error.strerror}"
-    from rig.cli.shared.output_escaping_and_progress_display import discard_output
+    from rig.cli.shared.input_options_and_output_display import discard_output
 
     discard_output(sys.stdout)
     if name and message:

@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_file_options
+from rig.cli.shared import input_options_and_output_display
 from rig.cli.shared.argument_parser_and_common_options import (
     add_json_result_option,
     add_overwrite_option,
@@ -75,7 +75,7 @@ def arguments(parser: ArgumentParser) -> None:
         action="store_true",
         help="command X + KSF(X), the method's first step, not the exact fixed point",
     )
-    input_file_options.add_effects_option(parser)
+    input_options_and_output_display.add_effects_option(parser)
     add_overwrite_option(parser)
     add_json_result_option(parser)
 
@@ -93,11 +93,11 @@ def run(arguments: Namespace) -> None:
             "--uncorrected, --single-step, --skip-unreachable and --sensors apply to commands for wanted "
             "poses, not to --forward"
         )
-    calibration = input_file_options.calibration_of_arguments(arguments)
+    calibration = input_options_and_output_display.calibration_of_arguments(arguments)
     out = arguments.outputs.file(arguments.out)
     if arguments.forward:
         return _write_read_poses(arguments, calibration, out)
-    input_file_options.read_refutations(arguments.calibration)
+    input_options_and_output_display.read_refutations(arguments.calibration)
     wanted = load_wanted_poses(arguments.poses)
     result = correct(calibration, wanted, _options(arguments, wanted))
     result.write(out)

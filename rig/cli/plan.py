@@ -16,7 +16,7 @@ from rig.cli.shared.argument_parser_and_common_options import (
     page_path,
     parse_length,
 )
-from rig.cli.shared.output_escaping_and_progress_display import Progress
+from rig.cli.shared.input_options_and_output_display import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 

@@ -6,8 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from rig.cli.shared.argument_parser_and_common_options import add_overwrite_option, file_or_stdout, page_links
-from rig.cli.shared.input_file_options import add_recording_argument, read_recording
-from rig.cli.shared.output_escaping_and_progress_display import Progress
+from rig.cli.shared.input_options_and_output_display import Progress, add_recording_argument, read_recording
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
@@ -70,7 +69,7 @@ def _frame(arguments: Namespace) -> None:
 
     recording = read_recording(arguments)
 
-    from vision.frame_and_effect_pictures import draw_frame, picture_file_suffix, save_pictures_side_by_side
+    from vision.frame_pictures import draw_frame, picture_file_suffix, save_pictures_side_by_side
 
     shown = arguments.out or Path(f"{recording.folder.resolve().name}-frame-{arguments.frame}.png")
     picture_file_suffix(shown)

@@ -333,3 +333,8 @@ class Design:
                 "rig.toml has no [controller], so there is nothing to drive: state its protocol and port there"
             )
         return self.controller
+
+
+def quarter_turns_of_cubes(design: Design) -> dict[str, int]:
+    """{cube: quarter turns} of a design's remounted cubes; of several recordings, the last."""
+    return {target.name.partition("@")[0]: target.turned for target in design.targets if target.turned is not None}

@@ -13,12 +13,21 @@ from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote_input_files
 from rig.formats.checked_entries import name_problem
 from rig.formats.csv_and_parquet_tables_and_time_origin import Table, TimeOrigin, parse_exact_decimal
-from rig.formats.output_files import require_complete_folder
+from rig.formats.local_and_remote_input_files import read_bytes
+from rig.formats.output_files import require_complete_folder, write_bytes, write_text
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import target_bodies
-from rig.recording.exposures_and_images import Exposures, UnreadableImage, load_exposures
-from rig.recording.recording_tables import Corners, Poses, load_corners, load_instrument_poses, load_poses
+from rig.recording.image_file_check_and_reading import UnreadableImage
+from rig.recording.recording_tables import (
+    Corners,
+    Exposures,
+    Poses,
+    load_corners,
+    load_exposures,
+    load_instrument_poses,
+    load_poses,
+)
 from rig.report.pages.page_templates_and_elements import result_html
 
 LIMB = re.compile(r"m[1-9]\d*")  # a channel of a measuring limb, m, read only where there are rows about an exposure
@@ -338,3 +347,19 @@ def _covers(rows: Table, t: Floats, exposures: Exposures, origin: TimeOrigin) ->
                 row,
                 "t",
             )
+
+
+def copy_frames_commands_and_sensors(source: Path, target: Path, exposures: Exposures, origin: TimeOrigin) -> None:
+    """Copy frames.csv (without image names), commands.csv and sensors.csv from one folder to another.
+
+    origin : TimeOrigin that the folder's times are told by
+    """
+    lines = ["frame,t,camera,image"]
+    lines += [
+        f"{frame},{origin.text(t)},{camera},"
+        for frame, t, camera in zip(exposures.frame, exposures.t, exposures.camera)
+    ]
+    write_text(Path(target) / "frames.csv", "\n".join(lines) + "\n")
+    for name in ("commands.csv", "sensors.csv"):
+        if local_and_remote_input_files.exists(Path(source) / name):
+            write_bytes(Path(target) / name, read_bytes(Path(source) / name))

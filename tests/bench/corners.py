@@ -19,7 +19,7 @@ from rig.model.design import Marker, Sensor, Target
 from rig.model.pose import pose, pose_difference
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
-from rig.recording.exposures_and_images import read_image
+from rig.recording.image_file_check_and_reading import read_image
 from tests.bench import corner_bound
 from tests.cli import RIG
 from tests.conftest import SHARED

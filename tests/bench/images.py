@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.diagnosis.effect_signal import platform_effect_signal_to_noise
-from calib.diagnosis.report.report_of_diagnosis_and_diagnosis_folder import diagnosis_report, write_diagnosis_folder
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report, write_diagnosis_folder
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder

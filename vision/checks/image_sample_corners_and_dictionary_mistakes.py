@@ -11,7 +11,7 @@ from rig.checks import Mistake
 from rig.errors import FileError
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
-from vision.checks.corner_convention_trials import FRAMES
+from vision.checks.corner_and_lens_convention_trials import FRAMES
 from vision.corners.marker_detection import Detection, detect_markers
 from vision.corners.whole_image_marker_reader import opencv_detector
 from vision.reading.parallel_image_map_and_marker_rendering import map_images_in_threads

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats, Pixels
 from rig.model.design import Camera, Target
-from vision.checks.corner_convention_trials import SampledRecording, Trial
+from vision.checks.corner_and_lens_convention_trials import SampledRecording, Trial
 from vision.targets import SQUARE, marker_map
 
 Candidate = tuple[str, str, SampledRecording]

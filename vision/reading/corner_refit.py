@@ -11,7 +11,7 @@ import numpy as np
 
 from rig.compute.parallel_map_and_dask_cluster import path_on_workers
 from rig.model.design import Camera
-from rig.recording.exposures_and_images import read_image
+from rig.recording.image_file_check_and_reading import read_image
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
 from vision.corners import local_lens

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
-from calib.report.pose_figures_and_effect_displacements import closed_outline
+from calib.report.pose_and_effect_figures import closed_outline
 from rig.array_and_json_types import Floats
 from rig.model import mechanisms
 from rig.model.design import Camera

@@ -36,7 +36,7 @@ from calib.models.arm.joint_effects_fit_and_held_out_scatter import unexplained_
 from calib.models.chain import error_model
 from calib.models.chain.identification import Identified, identify_chain
 from calib.report.platform_and_lens_calibration_pages import evidence_html, provenance_html, view_3d_html
-from calib.report.pose_figures_and_effect_displacements import correction_error_figures, pose_coverage_figures
+from calib.report.pose_and_effect_figures import correction_error_figures, pose_coverage_figures
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.model.mechanism_geometry_classes import Chain

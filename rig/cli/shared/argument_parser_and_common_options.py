@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn, TypeVar
 
-from rig.cli.shared.output_escaping_and_progress_display import Progress
+from rig.cli.shared.input_options_and_output_display import Progress
 from rig.compute import parallel_map_and_dask_cluster
 from rig.compute.worker_processes import limit_workers, terminate_child_processes, worker_count
 from rig.errors import MissingLibrary, RigError

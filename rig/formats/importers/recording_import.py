@@ -33,7 +33,7 @@ from rig.formats.local_and_remote_input_files import read_bytes, read_text
 from rig.formats.output_files import write_bytes
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design
-from rig.recording.image_file_check import image_file_problem
+from rig.recording.image_file_check_and_reading import image_file_problem
 from rig.recording.recording_tables import Poses, write_poses, write_table
 
 LARGEST_IMAGE_FILE = 1 << 31  # bytes

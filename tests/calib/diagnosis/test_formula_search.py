@@ -23,7 +23,7 @@ from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from calib.diagnosis.problems.platform.unlisted_strut_effects import suggest_strut_formulas
 from calib.diagnosis.report.diagnosis_json_entries import FitEntry, suggested_formula_entries
 from calib.diagnosis.report.diagnosis_page import _suggestions
-from calib.diagnosis.report.report_data_and_verdict import Report, recommended_actions, write_diagnosis_json
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import Report, recommended_actions, write_diagnosis_json
 from rig.cli.command_line import main
 from rig.effects.framework.formula_quantities import quantities_of_motion
 from rig.effects.texts.effect_file_from_formula import Term, Written

@@ -25,7 +25,7 @@ from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats impo
     repeated_pairs,
 )
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
-from calib.diagnosis.report.report_of_diagnosis_and_diagnosis_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from rig.effects.catalogue.effect_list import ALL
 from rig.recording.recording_folder import Sensors
 from tests.calib.diagnose_recording import page_text

@@ -19,7 +19,7 @@ from calib.diagnosis.problems.platform.lack_of_fit import find_lack_of_fit_by_pl
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.linearised_residuals import CORNERS, linearise
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
-from calib.diagnosis.report.report_of_diagnosis_and_diagnosis_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from calib.samples.pose_samples import sample_recording
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.texts.effect_text_and_dict import parse_effect

@@ -22,7 +22,7 @@ from calib.diagnosis.problems.platform.scores_of_all_candidates import (
     corner_products,
     score_candidates,
 )
-from calib.diagnosis.report.report_of_diagnosis_and_diagnosis_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from rig.effects.catalogue import effect_list
 from rig.model.places_and_tolerances import PLACES, SIDES, Place
 from synthetic import blind_image_settings

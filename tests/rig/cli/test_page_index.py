@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from calib.report.pose_figures_and_effect_displacements import FACTORS, effect_displacements, scaled_effect
+from calib.report.pose_and_effect_figures import FACTORS, effect_displacements, scaled_effect
 from rig.cli.command_line import main
 from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.planning import plan

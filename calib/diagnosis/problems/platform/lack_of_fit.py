@@ -24,7 +24,7 @@ from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import (
 )
 from calib.diagnosis.problems.platform.effect_candidates import effect_context, lacks_temperature_log
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
-from calib.diagnosis.problems.platform.linearised_corners import MEDIAN
+from calib.diagnosis.problems.platform.linearised_corners import MEDIAN, edge_pixels
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.scores_of_all_candidates import (
     axis_products,
@@ -37,7 +37,6 @@ from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions 
     camera_mount_and_focal_pixel_derivatives,
     camera_time_functions,
     corner_shift_pixel_derivatives,
-    edge_pixels,
     image_warp_pixel_derivatives,
     smooth_strut_functions,
 )

@@ -234,3 +234,33 @@ def significant_tolerances(model: LinearisedModel, tolerance_effects: ToleranceM
         if p < ALPHA:
             out.append(SignificantTolerance(site, own, np.sqrt(np.diag(block)), p))
     return sorted(out, key=lambda s: s.p_value)
+
+
+MOST = 2.0  # of what is tolerated, that a kind of it is taken to vary by
+
+
+ROUNDS, SETTLED = 100, 1e-3  # of the fixed point; the part of what is tolerated by which it may still change
+
+
+def tolerance_sigmas_from_residuals(projection: Projection, tolerances: ToleranceModel) -> Floats:
+    """Tolerance sigmas (q,) estimated from residuals, kind by kind, at the most MOST times the stated ones
+
+    Source: MacKay, Bayesian interpolation, Neural Computation 4, 1992, sec. 4
+    """
+    share = np.ones(tolerances.kinds.max() + 1)
+    for _ in range(ROUNDS):
+        sigma = tolerances.sigma * share[tolerances.kinds]
+        on = np.flatnonzero(sigma)
+        width = sigma[on]
+        inverse = np.linalg.inv(np.eye(len(on)) + width[:, None] * projection.gram[np.ix_(on, on)] * width)
+        sizes, known = share[tolerances.kinds[on]] * (inverse @ (width * projection.right[on])), 1 - np.diag(inverse)
+        new = share.copy()
+        for kind in np.unique(tolerances.kinds[on]):
+            own = tolerances.kinds[on] == kind
+            if kind != TOGETHER:
+                new[kind] = min(np.sqrt((sizes[own] ** 2).sum() / max(known[own].sum(), 1e-9)), MOST)
+        new[new < SETTLED] = 0.0
+        if np.abs(new - share).max() < SETTLED:
+            break
+        share = new
+    return tolerances.sigma * share[tolerances.kinds]

@@ -27,10 +27,6 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     require_assumed_effects_testable,
 )
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, platform_candidates
-from calib.diagnosis.problems.platform.findings_attributable_to_tolerances import (
-    separate_tolerable_findings,
-    widen_intervals_by_temperature_logs_and_tolerances,
-)
 from calib.diagnosis.problems.platform.lack_of_fit import closure_residuals, excess_scatter, ranked_covariates
 from calib.diagnosis.problems.platform.linearisation_operating_point import (
     OperatingPoint,
@@ -47,7 +43,11 @@ from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation
     find_marker_swaps,
 )
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
-from calib.diagnosis.problems.platform.temperature_alternatives_of_findings import add_temperature_alternatives
+from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of_findings import (
+    add_temperature_alternatives,
+    separate_tolerable_findings,
+    widen_intervals_by_temperature_logs_and_tolerances,
+)
 from calib.diagnosis.problems.platform.unlisted_strut_effects import suggest_strut_formulas
 from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
     Repeats,

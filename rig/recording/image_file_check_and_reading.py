@@ -1,14 +1,19 @@
-"""Check of an image file before decoding: format, size, completeness, location."""
+"""Check of an image file before decoding: format, size, completeness, location; and its reading."""
 
 import os
 import re
 import struct
+from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
+
+from rig.array_and_json_types import Pixels
 from rig.errors import FileError
 from rig.formats import local_and_remote_input_files
-from rig.formats.local_and_remote_input_files import open_regular_file
+from rig.formats.local_and_remote_input_files import open_regular_file, read_bytes
 from rig.model.design import Camera
 
 PNG, JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
@@ -131,3 +136,58 @@ def image_path_problem(folder: Path, name: str) -> str | None:
     except (OSError, RuntimeError) as error:  # a ring of links
         return f"cannot be followed: {error}"
     return "lies outside the recording, whose images are in its folder" if away else None
+
+
+LARGEST_IMAGE_FILE = 1 << 31  # bytes
+LISTED = 20  # images that a message names
+
+
+@dataclass(frozen=True, slots=True)
+class UnreadableImage:
+    """An image that cannot be used: of which frame and camera, its path, and why."""
+
+    frame: int
+    camera: str
+    path: Path
+    problem: str
+
+
+def unusable_images_error(unusable: list[UnreadableImage]) -> FileError:
+    """Error that names the unusable images, LISTED of them at most."""
+    more = [f"  {b.path}: {b.problem}" for b in unusable[1:LISTED]] + (
+        [f"  and {len(unusable) - LISTED} more"] if len(unusable) > LISTED else []
+    )
+    first = unusable[0].problem + (
+        f"; {len(unusable)} images cannot be used (--skip-unreadable excludes them):" if more else ""
+    )
+    return FileError(unusable[0].path, "\n".join([first, *more]))
+
+
+def undecodable_image_problem(path: Path) -> str | None:
+    """Why an image cannot be decoded, or None."""
+    try:
+        read_image(path)
+    except FileError as error:
+        return str(error).split(": ", 1)[1]
+    return None
+
+
+def read_image(path: Path, max_pixels: int = MOST_PIXELS) -> Pixels:
+    """Read an image (rows, columns) or (rows, columns, 3), `max_pixels` at most.
+    max_pixels : px that it may have.
+
+    Raises FileError for one that cannot be decoded
+    """
+    import cv2
+
+    data = read_bytes(path, LARGEST_IMAGE_FILE, "no such image")
+    problem = open_image_file_problem(BytesIO(data), max_pixels=max_pixels)
+    if problem:
+        raise FileError(path, problem)
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise FileError(path, f"cannot be decoded as an image: {error.err}") from None
+    if image is None:
+        raise FileError(path, "cannot be decoded as an image")
+    return image

@@ -1,6 +1,6 @@
-"""Trials of other corner conventions, and the trial measurement of sampled frames that scores every trial."""
+"""Trials of other corner and lens conventions, and the trial measurement of sampled frames that scores every trial."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TypedDict, Unpack
 
@@ -10,6 +10,7 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Camera, Design, Target
 from rig.recording.recording_tables import Corners
+from vision import lens
 from vision.corner_observations import observations_from_corners
 from vision.recording_adjustment import Measurement, measure_observations
 from vision.recording_measurement import unsolved_frames_with_enough_markers
@@ -203,3 +204,136 @@ def _of(seen: SampledRecording, parts: list[tuple[str, Floats]]) -> Iterator[Can
                 "Corners 0..3 run clockwise from the marker's own top left",
                 seen.with_corners(corner=np.where(rows, np.argsort(order)[c.corner], c.corner)),
             )
+
+
+ALIKE = (0.015, 0.01, 1.0)  # of the focal length, of the width, px: within which two lenses are one
+
+
+def alternative_lens_trials(sample: SampledRecording) -> Iterator[Candidate]:
+    """Trials with alternative lenses: matrix and distortion in another order, sign or image size."""
+    cameras = sample.design.cameras
+    for what, do, other in _LENSES:
+        mended = [other(camera) for camera in cameras]
+        if all(_same(a, b) for a, b in zip(mended, cameras)):
+            continue
+        said = f"rig.toml: {what} of all cameras" if len(cameras) > 1 else f"rig.toml: camera {cameras[0].name}: {what}"
+        yield said, do, sample.with_cameras(tuple(mended))
+        for i, camera in enumerate(cameras if len(cameras) > 1 else ()):
+            if not _same(mended[i], camera):
+                yield (
+                    f"rig.toml: camera {camera.name}: {what}",
+                    do,
+                    sample.with_cameras((*cameras[:i], mended[i], *cameras[i + 1 :])),
+                )
+
+
+def alternative_distortion_conventions(camera: Camera) -> Iterator[tuple[str, str, Camera]]:
+    """Alternative conventions of a distortion, sign or order: (what, what to do, Camera)."""
+    for what, do, other in _LENSES:
+        if "distortion" in what and not _same(other(camera), camera):
+            yield what, do, other(camera)
+
+
+def distortion_difference(a: Camera, b: Camera) -> float:
+    """Difference of two cameras' distortions, px RMS over the image of a."""
+    x, y = np.meshgrid(
+        np.linspace(-0.45, 0.45, 9) * a.width / a.matrix[0, 0], np.linspace(-0.45, 0.45, 9) * a.height / a.matrix[1, 1]
+    )
+    points = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1)
+    gap = lens.project(points, a.matrix, a.distortion) - lens.project(points, a.matrix, b.distortion)
+    return float(np.sqrt((gap**2).sum(axis=1).mean()))
+
+
+def find_matching_lens_convention(sample: SampledRecording, adjusted: tuple[Camera, ...]) -> Candidate | None:
+    """The convention of the stated lenses that matches the adjusted ones, or None.
+
+    adjusted : the Cameras of Seen, adjusted from lenses of which nothing is known
+    """
+    found = [
+        one
+        for one in alternative_lens_trials(sample)
+        if all(is_same_lens(a, b) for a, b in zip(one[2].design.cameras, adjusted))
+    ]
+    return found[0] if found and not all(is_same_lens(a, b) for a, b in zip(sample.design.cameras, adjusted)) else None
+
+
+def is_same_lens(a: Camera, b: Camera) -> bool:
+    """Whether two cameras have the same lens within the drift of a calibrated lens."""
+    gap = np.abs(a.matrix[:2] - b.matrix[:2])
+    return bool(
+        gap[[0, 1], [0, 1]].max() < ALIKE[0] * a.matrix[0, 0]
+        and gap[:, 2].max() < ALIKE[1] * a.width
+        and distortion_difference(a, b) < ALIKE[2]
+    )
+
+
+def _same(a: Camera, b: Camera) -> bool:
+    return np.array_equal(a.matrix, b.matrix) and np.array_equal(a.distortion, b.distortion) and a.pose is b.pose
+
+
+def _matrix(fx: float, fy: float, cx: float, cy: float) -> Floats:
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+
+
+def _parts(c: Camera) -> tuple[float, float, float, float]:
+    return c.matrix[0, 0], c.matrix[1, 1], c.matrix[0, 2], c.matrix[1, 2]
+
+
+def _with_matrix(order: tuple[int, int, int, int]) -> Callable[[Camera], Camera]:
+    def other(c: Camera) -> Camera:
+        parts = _parts(c)
+        if min(parts) <= 0:
+            return c
+        return replace(c, matrix=_matrix(*(parts[k] for k in order)))
+
+    return other
+
+
+def _scaled(factor: float) -> Callable[[Camera], Camera]:
+    return lambda c: replace(
+        c,
+        matrix=_matrix(
+            c.matrix[0, 0] * factor,
+            c.matrix[1, 1] * factor,
+            (c.matrix[0, 2] + 0.5) * factor - 0.5,
+            (c.matrix[1, 2] + 0.5) * factor - 0.5,
+        ),
+    )
+
+
+def scale_focal_length(factor: float) -> Callable[[Camera], Camera]:
+    """Function that scales the focal length of a camera."""
+    return lambda c: replace(
+        c, matrix=_matrix(c.matrix[0, 0] * factor, c.matrix[1, 1] * factor, c.matrix[0, 2], c.matrix[1, 2])
+    )
+
+
+def _terms(change: Callable[[Floats], Floats]) -> Callable[[Camera], Camera]:
+    def other(c: Camera) -> Camera:
+        d = np.zeros(max(5, len(c.distortion)))
+        d[: len(c.distortion)] = c.distortion
+        return replace(c, distortion=change(d)) if len(d) == 5 else c
+
+    return other
+
+
+_ORDER = "Write matrix = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
+
+
+_LENS = "Write k1, k2, p1, p2, k3 as OpenCV has them"
+
+
+_LENSES = (
+    ("fx, fy and cx, cy are exchanged in the matrix", _ORDER, _with_matrix((2, 3, 0, 1))),
+    ("the matrix has fx, cx, fy, cy in another order", _ORDER, _with_matrix((0, 2, 1, 3))),
+    ("cx and cy are exchanged in the matrix", _ORDER, _with_matrix((0, 1, 3, 2))),
+    ("the matrix is of images of half the size", "Scale the matrix with the images", _scaled(2.0)),
+    ("the matrix is of images of twice the size", "Scale the matrix with the images", _scaled(0.5)),
+    ("the focal length is half of what it should be", "State it in pixels", scale_focal_length(2.0)),
+    ("the focal length is twice what it should be", "State it in pixels", scale_focal_length(0.5)),
+    ("the sign of the distortion is reversed", _LENS, _terms(lambda d: -d)),
+    ("distortion is in another order (k1 k2 k3 p1 p2)", _LENS, _terms(lambda d: d[[0, 1, 3, 4, 2]])),
+    ("distortion is in another order (k1 p1 k2 p2 k3)", _LENS, _terms(lambda d: d[[0, 2, 1, 3, 4]])),
+    ("distortion is in another order (p1 p2 k1 k2 k3)", _LENS, _terms(lambda d: d[[2, 3, 0, 1, 4]])),
+    ("k1 and k2 of the distortion are exchanged", _LENS, _terms(lambda d: d[[1, 0, 2, 3, 4]])),
+)

@@ -1,14 +1,26 @@
-"""Data of a diagnosis report, with its summary, doubts and actions, and the verdict on the recording's model."""
+"""Report of a Diagnosis: its data, summary, doubts and actions; the verdict on the recording's model; and the diagnosis
+folder: diagnosis.json, and files to simulate by.
+"""
 
 import json
 from collections.abc import Collection
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 
-from calib.certification.calibration_evidence import ALONE, OfCalibrations, confound_sentences
+from calib.certification.calibration_evidence import ALONE, OfCalibrations
 from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import Crowd, LeftOut
-from calib.diagnosis.problems.evidence_interface_and_requested_effects import ASSUMED_NOISE, RESIDUALS, STATED
-from calib.diagnosis.report import report_sentences
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
+    ASSUMED_NOISE,
+    RESIDUALS,
+    STATED,
+    NestedSelection,
+    RegionValidation,
+    RepeatedCommands,
+    ScatterSize,
+    WeighedPoses,
+)
+from calib.diagnosis.recording_diagnosis import Diagnosis
+from calib.diagnosis.report import report_sentences, residual_figures_and_contributions
 from calib.diagnosis.report.diagnosis_json_entries import (
     SCHEMA,
     UNKNOWN,
@@ -21,7 +33,17 @@ from calib.diagnosis.report.diagnosis_json_entries import (
     RemarkEntry,
     SuggestionEntry,
     Unexplained,
+    covariate_entries,
+    effect_file_entries,
+    finding_entry,
+    fit_entry,
     json_tree,
+    largest_unexplained,
+    measured_finding_entry,
+    recording_entries,
+    remark_entries,
+    suggested_formula_entries,
+    unnamed_finding_entries,
 )
 from calib.diagnosis.report.report_sentences import (
     as_sentence,
@@ -31,9 +53,17 @@ from calib.diagnosis.report.report_sentences import (
     stated_beforehand_text,
     value_text,
 )
-from calib.samples.confounded_conditions import Confounds
+from calib.diagnosis.report.residual_figures_and_contributions import (
+    errors_at_and_beyond_fitted_angles,
+    position_error_statistics,
+)
+from calib.samples.confounded_conditions import Confounds, confound_sentences
 from rig.array_and_json_types import Json
+from rig.formats import local_and_remote_input_files, machine_json
+from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.output_files import write_text
+from rig.model import mechanisms
+from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_elements import result_html
 from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
 
@@ -247,3 +277,115 @@ def recommended_actions(report: Report) -> list[str]:
             "and diagnose again"
         ]
     return ["Nothing: calibrate from this recording, `rig calibrate REC --out calibration.json`"]
+
+
+def diagnosis_report(diagnosis: Diagnosis) -> Report:
+    """Report of a Diagnosis."""
+    found = [measured_finding_entry(one) for one in diagnosis.measured_findings]
+    found += [finding_entry(diagnosis, f, proof) for f, proof in zip(diagnosis.findings, diagnosis.cross_validations)]
+    fits = {name: fit_entry(fit) for name, fit in diagnosis.misfits.items()}
+    noise = asdict(diagnosis.noise)
+    noise_from = noise.pop("source")
+    return Report(
+        diagnosis.recording,
+        diagnosis.origin.shown(0.0),
+        noise,
+        (*found, *unnamed_finding_entries(diagnosis.left)),
+        largest_unexplained(diagnosis),
+        fits,
+        fits[diagnosis.shown_in],
+        tuple(NotAskedEntry(s.effect, s.reason) for s in diagnosis.not_asked),
+        tuple(remark_entries(diagnosis)),
+        covariate_entries(diagnosis.covariates),
+        diagnosis.options.said,
+        recording_entries(diagnosis.parts),
+        effect_file_entries(diagnosis.options.own),
+        suggested_formula_entries(diagnosis.suggestions),
+        more=held_out_entries(diagnosis),
+        confounds=diagnosis.confounds,
+        noise_from=noise_from,
+        left_out=diagnosis.outliers.left_out,
+        crowd=diagnosis.outliers.crowd,
+        asked=diagnosis.selection.asked,
+    )
+
+
+def write_diagnosis_folder(folder: Path, diagnosis: Diagnosis, recording: Recording, report: Report) -> None:
+    """Write the folder of a diagnosis: diagnosis.json and, where a machine was commanded, what to simulate it by:
+    machine.json, the recording's own rig.toml, commands, frames and sensors, and what each finding does to each pose
+    where that is known.
+    report : Report of d"""
+    write_diagnosis_json(folder, report)
+    if diagnosis.design is None:
+        return
+    tree = machine_json.machine_dict(diagnosis.design, diagnosis.machine_effects)
+    write_text(folder / "machine.json", json.dumps(tree) + "\n")
+    copy_recording(folder, recording)
+    residual_figures_and_contributions.write_contributions(folder / "contributions.csv", diagnosis)
+
+
+def copy_recording(folder: Path, recording: Recording) -> None:
+    """Copy a recording's own rig.toml, commands, frames and sensors into a folder; of several, the first one's."""
+    recording = recording.apart[0].recording
+    for name in ("rig.toml", "commands.csv", "frames.csv", "sensors.csv"):
+        if local_and_remote_input_files.exists(recording.folder / name):
+            write_text(folder / name, read_text(recording.folder / name))
+
+
+def held_out_entries(diagnosis: Diagnosis) -> Json:
+    """Entries of diagnosis.json {key: tree} on held-out data: time stretches, travel regions and repeats."""
+    out: Json = {}
+    if isinstance(diagnosis.evidence, ScatterSize):
+        out["scatter_beyond_stated_m"] = diagnosis.evidence.scatter_beyond_stated(diagnosis.selection)[0]
+    if isinstance(diagnosis.evidence, NestedSelection):
+        out["held_out"] = [
+            {
+                "stretches": h.stretches,
+                "before": position_error_statistics(h.before),
+                "after": position_error_statistics(h.after),
+                **errors_at_and_beyond_fitted_angles(h),
+                "chosen": [list(n) for n in h.names],
+            }
+            for h in diagnosis.held
+        ]
+    if isinstance(diagnosis.evidence, RegionValidation):
+        out["held_out_by_region"] = held_out_region_gains(diagnosis)
+    if isinstance(diagnosis.evidence, RepeatedCommands):
+        out["repeats"] = repeatability_entry(diagnosis)
+    if isinstance(diagnosis.evidence, WeighedPoses):
+        out["set_aside"] = diagnosis.evidence.frames_set_aside(diagnosis.selection)
+    return out
+
+
+def repeatability_entry(diagnosis: Diagnosis) -> Json | None:
+    """Entry on how well poses repeat; None where too few commands were repeated."""
+    again = diagnosis.repeats
+    if again is None:
+        return None
+    return {
+        "pairs": again.pairs,
+        "mean_m": again.mean,
+        "rms_m": again.rms,
+        "mean_rad": again.mean_rad,
+        "remainder_that_repeats": again.recurring_share,
+    }
+
+
+def held_out_region_gains(diagnosis: Diagnosis) -> list[Json]:
+    """Gains by each finding where whole regions of an axis' travel are held out: misfit before and after,
+    m, and standard errors.
+    """
+    if diagnosis.design is None:
+        return []
+    places = mechanisms.axis_place_texts(diagnosis.design.mechanism)
+    return [
+        {
+            "joint": j + 1,
+            "place": places[j],
+            "findings": [
+                {"heldout_before": v.before, "heldout_after": v.after, "gain_sigma": v.gain, "unit": v.unit}
+                for v in row
+            ],
+        }
+        for j, row in enumerate(diagnosis.regions)
+    ]
