@@ -9,8 +9,7 @@ import scipy
 from scipy.spatial.transform import RigidTransform
 
 from rig.checks import Mistake, command_and_pose_disagreements, sort_mistakes
-from rig.model.chebyshev_warp_and_printed_edge_shift import move_edges_inward
-from rig.model.design import Camera, Design
+from rig.model.design import Camera, Design, move_edges_inward
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
 from vision.checks import camera_mistakes_in_rig_toml as cameras

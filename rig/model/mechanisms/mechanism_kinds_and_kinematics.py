@@ -4,6 +4,7 @@ and units; singularity of a hexapod's geometry, and its cardan twist.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -285,3 +286,58 @@ def travel_unit(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> str:
 def axis_units(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> tuple[str, ...]:
     """Unit of each axis of a mechanism, "m" or "rad"; none for a free body."""
     return tuple(AXIS_UNITS[word] for word in mechanism.axis_words)
+
+
+NAMES = {
+    "hexapod": (
+        *(f"{plate} joint {i + 1} {axis}" for plate in ("base", "platform") for i in range(6) for axis in "xyz"),
+        *(f"zero of strut {i + 1}" for i in range(6)),
+    ),
+    "planar2": (
+        *(f"base joint {i + 1} {axis}" for i in range(2) for axis in "xy"),
+        "zero of strut 1",
+        "zero of strut 2",
+    ),
+}
+
+
+S = TypeVar("S", Hexapod, Planar2, Hexapod | Planar2)
+
+
+def geometric_parameters(mechanism: Struts) -> Floats:
+    """Geometric parameters (p,) m: joints and zeros in the order of NAMES."""
+    platform = mechanism.platform_joints.ravel() if isinstance(mechanism, Hexapod) else np.zeros(0)
+    return np.concatenate([mechanism.base_joints.ravel(), platform, mechanism.strut_zeros])
+
+
+def mechanism_with_parameters(mechanism: S, p: Floats) -> S:
+    """The mechanism with parameters p (p,) m."""
+    if isinstance(mechanism, Hexapod):
+        return replace(
+            mechanism, base_joints=p[:18].reshape(6, 3), platform_joints=p[18:36].reshape(6, 3), strut_zeros=p[36:]
+        )
+    return replace(mechanism, base_joints=p[:4].reshape(2, 2), strut_zeros=p[4:])
+
+
+def strut_length_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> Floats:
+    """Strut length Jacobian (..., axes, 6), m/m and m/rad, by the poses' tangents on the right."""
+    if isinstance(mechanism, Hexapod):
+        return hexapod.jacobian(T_base_platform, mechanism)
+    return two_strut_plane.jacobian(T_base_platform, mechanism)
+
+
+def loop_closure_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> Floats:
+    """Loop closure Jacobian (..., axes, p): change of zero - length with the parameters, at poses (...)."""
+    if isinstance(mechanism, Planar2):
+        return two_strut_plane.two_strut_loop_jacobian(T_base_platform, mechanism)
+    matrix = T_base_platform.as_matrix()
+    R = matrix[..., :3, :3]
+    struts = mechanism.platform_joints @ np.swapaxes(R, -1, -2) + matrix[..., None, :3, 3] - mechanism.base_joints
+    u = struts / np.linalg.norm(struts, axis=-1, keepdims=True)
+    D = np.zeros((*u.shape[:-2], 6, 42))
+    turned = u @ R
+    for i in range(6):
+        D[..., i, 3 * i : 3 * i + 3] = u[..., i, :]
+        D[..., i, 18 + 3 * i : 21 + 3 * i] = -turned[..., i, :]
+        D[..., i, 36 + i] = 1
+    return D

@@ -16,13 +16,13 @@ from calib.files import calibration_file
 from calib.models.arm.correction import ArmCorrection
 from calib.models.chain import error_model as chains
 from calib.models.machine_models import corrected_pose_covariance
-from calib.models.platform.identification import geometric_parameters
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.layout import hexapod_layout_and_camera_placement, shipped_arm_layout
 from rig.recording import recording_folder

@@ -45,11 +45,11 @@ from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats impo
     separate_weights,
     time_and_sensor_functions,
 )
-from calib.models.platform.identification import geometric_parameters
 from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import Effect
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.model.places_and_tolerances import Place
 
 MEDIAN_SPREAD = (

@@ -41,10 +41,10 @@ from calib.identify.least_squares_and_robust_fit import (
     robust_fit,
     time_block_folds,
 )
-from calib.models.platform.identification import loop_closure_jacobian, strut_length_jacobian
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.model import mechanisms
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import loop_closure_jacobian, strut_length_jacobian
 from rig.model.places_and_tolerances import Place
 from rig.recording.recording_folder import PAYLOAD
 from vision.corner_observations import observations_of_frames

@@ -48,7 +48,7 @@ from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of
     separate_tolerable_findings,
     widen_intervals_by_temperature_logs_and_tolerances,
 )
-from calib.diagnosis.problems.platform.unlisted_strut_effects import suggest_strut_formulas
+from calib.diagnosis.problems.platform.unlisted_strut_effects import FORMULA_PLACES, suggest_strut_formulas
 from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
     Repeats,
     Suggestion,
@@ -115,6 +115,8 @@ class PlatformEvidence:
     def suggestions(
         self, selection: PlatformSelection, left: list[LackOfFit], progress: Progress | None
     ) -> list[Suggestion]:
+        if not any(one.place.kind in FORMULA_PLACES for one in left):
+            return []
         return suggest_strut_formulas(_problem(selection), selection.fit, left, progress)
 
     def with_widened_intervals(self, selection: PlatformSelection) -> PlatformSelection:

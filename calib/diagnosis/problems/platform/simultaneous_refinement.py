@@ -24,7 +24,6 @@ from calib.diagnosis.problems.platform.linearised_corners import (
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel, linearise
 from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column
 from calib.identify.least_squares_and_robust_fit import bounded_least_squares_step
-from calib.models.platform.identification import geometric_parameters, mechanism_with_parameters
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import (
@@ -34,6 +33,7 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import (
     cost_of_priors,
     prior_precision,
 )
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, mechanism_with_parameters
 from rig.model.pose import exp
 
 MAX_ITERATIONS = 20  # few need more than eight; a large effect is not linear in its numbers

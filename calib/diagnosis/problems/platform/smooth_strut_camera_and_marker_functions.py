@@ -17,7 +17,7 @@ from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats impo
     time_cosines,
 )
 from rig.array_and_json_types import Floats, Integers
-from rig.model.chebyshev_warp_and_printed_edge_shift import warp_columns
+from rig.model.design import warp_columns
 from rig.model.places_and_tolerances import Place
 from rig.model.pose import pose_difference
 

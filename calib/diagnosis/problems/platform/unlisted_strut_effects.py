@@ -76,6 +76,9 @@ class Site:
         return formula_text(formula, self.library, "strut", self.place == "rig" and not self.library.apart)
 
 
+FORMULA_PLACES = ("strut", "rig")  # kinds of place for whose remainder formulas are suggested
+
+
 def suggest_strut_formulas(
     problem: PlatformProblem, fit: PlatformFit, unexplained: list[LackOfFit], progress: Progress | None = None
 ) -> list[Suggestion]:
@@ -84,7 +87,7 @@ def suggest_strut_formulas(
     progress : called with (label, done, of), or None
     """
     k = fit.refined.point
-    places = list(dict.fromkeys(u.place for u in unexplained if u.place.kind in ("strut", "rig")))
+    places = list(dict.fromkeys(u.place for u in unexplained if u.place.kind in FORMULA_PLACES))
     model = problem.residual(fit)
     if not k.axes or not places:
         return []
