@@ -24,8 +24,15 @@ from rig.recording.recording_tables import DISTANCE, POSE_COLUMNS, Corners, writ
 from synthetic import secret_machine as worlds
 from synthetic.image_sensor_and_occlusion import is_occluded
 from synthetic.secret_machine import remount_cubes
-from vision.predict import Sightings, State, is_inside_image, markers_facing_cameras, predict_sightings
-from vision.targets import MarkerMap, marker_map
+from vision.predict import (
+    MarkerMap,
+    Sightings,
+    State,
+    is_inside_image,
+    marker_map,
+    markers_facing_cameras,
+    predict_sightings,
+)
 
 EXACT = Instrument("rig", "rig", 0.0, 0.0)  # where nobody says what measured the poses
 STEEPEST = np.cos(np.radians(70))  # corners are written of markers seen no more obliquely

@@ -13,7 +13,7 @@ from rig.errors import FileError, RigError
 from rig.model.design import Camera, Design
 from rig.recording.image_file_check_and_reading import MOST_OF_A_PHOTOGRAPH, read_image
 from vision.corners.marker_detection import detect_markers
-from vision.targets import MarkerMap, marker_map
+from vision.predict import MarkerMap, marker_map
 
 CORNERS = np.array(
     [[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]]

@@ -39,8 +39,7 @@ from vision.pose.frame_and_camera_poses import (
     locate_frames,
 )
 from vision.pose.pose_refinement_and_ambiguity import FAR
-from vision.predict import State, predict_corners
-from vision.targets import MarkerMap
+from vision.predict import MarkerMap, State, predict_corners
 
 FARTHEST = 30.0  # px; a corner that lies farther from where it ought to be says no more by it
 # standard deviations; what a draw that all poses share moves all of them together by, below which each pose bears it

@@ -14,6 +14,7 @@ from vision.bundle.bundle_adjustment import NoOptimum
 from vision.bundle.marker_displacements import HALVED, are_stated_places_doubtful, marker_displacements
 from vision.corner_observations import Observations, observations_from_corners, observations_of_frames
 from vision.lenses.lens_calibration import alternative_initial_lenses, are_lenses_plausible
+from vision.predict import MarkerMap, marker_map
 from vision.reading.corner_refit import ROUNDS, SETTLED, largest_lens_difference, refit_corners
 from vision.reading.marker_identity_mistakes import LOOKED_AT, no_marker_reason
 from vision.reading.recording_corners import Collected, collect_corners, image_reader, search_missed_markers
@@ -26,7 +27,6 @@ from vision.recording_adjustment import (
     measure_without_remounted_cubes,
     recording_seen_from_hand,
 )
-from vision.targets import MarkerMap, marker_map
 
 REFUSED = 0.05  # of the frames; where more show enough and are refused, the stated places are doubted
 ASIDE = 0.2  # of the corners of solved frames; where more are set aside, the stated lenses are doubted

@@ -45,8 +45,7 @@ from rig.planning.plan import axis_strokes, build_plan, sensors_with_payload
 from rig.planning.plan_construction_and_table import Plan
 from rig.planning.visiting_order_and_approach_balance import time_balanced_order
 from rig.recording.recording_folder import Sensors
-from vision.predict import visible_marker_counts_of_poses
-from vision.targets import marker_map
+from vision.predict import marker_map, visible_marker_counts_of_poses
 
 CANDIDATES = 1500
 FILL = 0.95  # of the travels

@@ -22,7 +22,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_plates, loop
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Recording, Sensors
 from vision.corner_observations import observations_from_corners
-from vision.targets import marker_map
+from vision.predict import marker_map
 
 
 @dataclass(frozen=True, slots=True)

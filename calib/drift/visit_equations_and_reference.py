@@ -30,8 +30,8 @@ from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import POSE_SCALE
 from vision.corner_observations import whitener_of_observations
 from vision.lens import lens_parameter_names
+from vision.predict import marker_map
 from vision.recording_adjustment import Measurement
-from vision.targets import marker_map
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,7 +16,7 @@ from rig.model.pose import pose_to_vector, transform_points
 from rig.report.pages.run_page_server import PageServer
 from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
 from vision.frame_pictures import encode_jpeg
-from vision.targets import MarkerMap, marker_map
+from vision.predict import MarkerMap, marker_map
 
 OFF = 3.0  # standard uncertainties, RMS over the axes that were measured: beyond it one pose is off by more than chance
 CALIBRATE = (

@@ -31,8 +31,7 @@ from rig.recording.recording_folder import Commands, Sensors
 from rig.report.pages import image_plane_and_3d_views
 from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, DrawnEffect, Quads, Scene, image_plane_figure
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
-from vision.predict import Sightings, State, predict_sightings
-from vision.targets import MarkerMap, marker_map
+from vision.predict import MarkerMap, Sightings, State, marker_map, predict_sightings
 
 FACTORS = (0.0, 0.5, 1.0, 2.0, 4.0)  # of the size that it has
 NONE = 1e-9  # m and rad; less than this does not move the platform

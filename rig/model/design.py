@@ -1,5 +1,5 @@
-"""Design of a rig with cameras and targets, as its owner states it: mechanism, platform, controller settings; warps of
-a camera's image, and printed edges moved inward.
+"""Design of a rig with cameras and targets, as its owner states it: mechanism, platform, controller settings; the
+markers on targets; warps of a camera's image, and printed edges moved inward.
 """
 
 from __future__ import annotations
@@ -366,3 +366,37 @@ def move_edges_inward(quads: Floats, distance: float) -> Floats:
     # a corner moves along both its edges by the distance / sin of the angle between them
     sine = np.abs(before[..., 0] * unit[..., 1] - before[..., 1] * unit[..., 0])
     return np.asarray(quads + distance / sine[..., None] * (unit - before))
+
+
+_OUT = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
+
+
+def markers_of_target(target: Target) -> tuple[Marker, ...]:
+    """Markers of a target: its listed ones, or those on a cube's faces.
+    On faces they are centred, top to +z on the sides and to +y on +z and -z.
+
+    Raises ValueError for a target that lists neither faces nor markers.
+    """
+    if target.listed:
+        return target.listed
+    edge, side = target.edge, target.marker
+    if edge is None or side is None:
+        raise ValueError(
+            f"expected a target that lists markers or a cube with edge and marker, got {target.name!r} with "
+            f"{edge} and {side}"
+        )
+    seat = target.seat
+    return tuple(Marker(number, side, seat * face_pose(face, edge), (edge - side) / 2) for face, number in target.faces)
+
+
+def face_pose(face: str, edge: float) -> RigidTransform:
+    """Pose T_cube_marker of a face ("+x" .. "-z") on a cube of that edge (m): x right, y up, z out.
+
+    Raises ValueError for a face that there is not.
+    """
+    if face not in FACES:
+        raise ValueError(f"expected a face out of {FACES}, got {face!r}")
+    out = np.array(_OUT[face], float)
+    up = np.array([0, 1, 0] if face[1] == "z" else [0, 0, 1], float)
+    rotation = Rotation.from_matrix(np.stack([np.cross(up, out), up, out], axis=-1))
+    return RigidTransform.from_components(out * edge / 2, rotation)

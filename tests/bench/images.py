@@ -25,8 +25,7 @@ from tests.calib.diagnose_recording import diagnosis_of
 from tests.vision.drawn_observations import nees
 from tests.vision.test_recording_adjustment import joint_chi2
 from vision.corner_observations import Observations
-from vision.predict import Sightings, State, predict_sightings
-from vision.targets import marker_map
+from vision.predict import Sightings, State, marker_map, predict_sightings
 
 SEEDS = {"nothing": 7001, "one": 7302}  # by what is hidden
 RECORDINGS = {"nothing": 24, "one": 36}

@@ -31,9 +31,8 @@ from vision.corner_observations import observations_from_corners, whitener_of_ob
 from vision.corners.marker_detection import detect_markers
 from vision.lenses import calibration_board as boards
 from vision.lenses.lens_calibration import calibrate_lens, cross_validate_lens, observations_from_board_views
-from vision.predict import State, predict_corners
+from vision.predict import MarkerMap, State, marker_map, predict_corners
 from vision.recording_adjustment import measure_observations
-from vision.targets import MarkerMap, marker_map
 
 BOARD = "charuco:5x7:0.036195:0.018256:DICT_6X6_250"
 FEW = 3  # frames that SciPy, with differences for derivatives, is asked to adjust

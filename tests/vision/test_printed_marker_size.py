@@ -11,7 +11,7 @@ import pytest
 
 from rig.cli.command_line import main
 from rig.recording.image_file_check_and_reading import PNG
-from vision.targets import marker_cells
+from vision.predict import marker_cells
 
 PIXEL, WIDTH, HEIGHT = 5.0, 210.0, 297.0  # px per mm of the flat drawing; mm
 RIG = """schema = "rig/1"

@@ -27,8 +27,7 @@ from vision.pose.pose_refinement_and_ambiguity import (
     pose_from_neighbours,
     rotation_angle,
 )
-from vision.predict import State, predict_corners
-from vision.targets import MarkerMap
+from vision.predict import MarkerMap, State, predict_corners
 
 HALVED = 0.5  # of the corners' scatter; stated places are doubted where markers that may move leave less than this
 PROOF = 0.999  # probability with which an unmoved marker stays unmentioned

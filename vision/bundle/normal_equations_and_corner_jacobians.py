@@ -21,13 +21,13 @@ from vision.bundle.unknowns_estimate_and_printing_errors import (
 )
 from vision.corner_observations import Observations, Whitener
 from vision.predict import (
+    SQUARE,
     State,
     iterate_observed_cameras,
     observed_points_base,
     observed_points_body,
     points_in_camera_frame,
 )
-from vision.targets import SQUARE
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

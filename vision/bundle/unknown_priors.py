@@ -29,8 +29,7 @@ from vision.bundle.unknowns_estimate_and_printing_errors import (
     target_motion_from_stated,
 )
 from vision.corner_observations import Observations
-from vision.predict import State
-from vision.targets import MarkerMap
+from vision.predict import MarkerMap, State
 
 GROUPS = ("poses", "lenses", "markers", "targets")
 # What a stated lens is worth: standard deviations of its terms. Wide enough to leave to the images all that they can

@@ -18,8 +18,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.places_and_tolerances import PLACES, SIDES, Place
 from rig.model.pose import exp, log
-from vision.predict import State
-from vision.targets import MarkerMap
+from vision.predict import MarkerMap, State
 
 NAMES = ("x", "y", "z", "rx", "ry", "rz", "side")
 KINDS = (

@@ -12,9 +12,9 @@ from rig.model.design import Camera, Design, Target
 from rig.recording.recording_tables import Corners
 from vision import lens
 from vision.corner_observations import observations_from_corners
+from vision.predict import marker_map
 from vision.recording_adjustment import Measurement, measure_observations
 from vision.recording_measurement import unsolved_frames_with_enough_markers
-from vision.targets import marker_map
 
 FRAMES = 8  # looked at
 # px; a corner farther than this from where it ought to be, or in a frame without a pose, counts as this far off

@@ -32,11 +32,10 @@ from vision.corners.marker_detection import (
 )
 from vision.pose.body_pose import FINEST
 from vision.pose.frame_and_camera_poses import Views, locate_fixed_cameras, locate_frames
-from vision.predict import State, markers_expected_in_image, predict_corners
+from vision.predict import State, marker_map, markers_expected_in_image, predict_corners
 from vision.reading.corner_refit import ROUNDS, SETTLED, largest_lens_difference
 from vision.reading.recording_corners import corners_from_detections, learn_camera_edge_spread
 from vision.recording_adjustment import Measurement, design_seen_from_hand, has_hand_cameras, measure_observations
-from vision.targets import marker_map
 
 Rows = tuple[tuple[int, str, Detection], ...]  # frame, camera, what its image shows
 Images = tuple[tuple[int, str, Pixels], ...]  # frame, camera, its image

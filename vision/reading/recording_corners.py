@@ -20,11 +20,10 @@ from vision.corner_observations import corner_correlation_rows
 from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, EdgeSpread, empty_profile, learn_edge_spread
 from vision.corners.marker_detection import Detection, detect_markers, fit_read_markers, grey_images_for_reader_and_fit
 from vision.corners.whole_image_marker_reader import ReadMarkers, read_markers
-from vision.predict import markers_expected_in_image
+from vision.predict import MarkerMap, markers_expected_in_image
 from vision.reading import expected_marker_places
 from vision.reading.parallel_image_map_and_marker_rendering import map_images_in_processes, map_images_in_threads
 from vision.recording_adjustment import Measurement
-from vision.targets import MarkerMap
 
 LEARN_FROM = 12  # images of each camera from which its edge spread is learnt
 ROUNDS = 4  # of fitting and learning; the edges' width and shape settle together

@@ -19,7 +19,7 @@ from rig.model.places_and_tolerances import Place
 from rig.model.pose import transform_points
 from rig.report.pages.page_templates_and_elements import WIDTH, list_html, svg_figure, svg_text, svg_tooltip
 from rig.report.pages.plots import panel_row_html
-from vision.targets import marker_map
+from vision.predict import marker_map
 
 AZIMUTH, ELEVATION = np.radians(-65), np.radians(24)  # from where the rig is looked at
 MARKS = (3, 1, 4, 5, 2, 0)  # colours of the first, second, .. finding

@@ -32,7 +32,7 @@ from tests.calib.diagnose_recording import diagnosis_of, page_text
 from tests.calib.recordings_with_effects import recorded
 from tests.numerical_derivatives import jacobian
 from tests.vision import tumbling_block
-from vision.targets import marker_map
+from vision.predict import marker_map
 
 
 @pytest.fixture(scope="module")

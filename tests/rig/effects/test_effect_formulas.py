@@ -16,8 +16,7 @@ from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import cardan_twist
 from rig.model.pose import exp, pose, pose_difference
 from rig.recording.recording_folder import Commands, Sensors
-from vision.predict import State, markers_facing_cameras, predict_sightings
-from vision.targets import marker_map
+from vision.predict import State, marker_map, markers_facing_cameras, predict_sightings
 
 
 def moved(design, values, t, effect, sensors=None):

@@ -14,7 +14,7 @@ from rig.model.design_comparison_and_cube_remounting import design_with_turned_c
 from rig.planning.plan import build_plan
 from rig.planning.plan_construction_and_table import write_plan_table
 from rig.recording import combined_recordings
-from vision.targets import marker_map
+from vision.predict import marker_map
 
 
 def refused(path, text, added):

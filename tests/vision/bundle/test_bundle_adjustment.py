@@ -22,8 +22,7 @@ from vision.bundle.unknowns_estimate_and_printing_errors import (
     update_estimate,
 )
 from vision.corner_observations import corner_correlation_rows, whitener_of_observations
-from vision.predict import State, predict_corners
-from vision.targets import marker_map
+from vision.predict import State, marker_map, predict_corners
 
 
 @pytest.fixture(scope="module")

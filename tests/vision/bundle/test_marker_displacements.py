@@ -14,9 +14,9 @@ from vision.bundle.adjustment_validation_and_determinacy import crossvalidate_ad
 from vision.bundle.bundle_adjustment import adjust_bundle
 from vision.bundle.marker_displacements import adjusted_markers, compare_stated_and_adjusted_places
 from vision.bundle.unknowns_estimate_and_printing_errors import align_points
+from vision.predict import marker_map
 from vision.recording_adjustment import measure_observations
 from vision.recording_measurement import unsolved_frames_with_enough_markers
-from vision.targets import marker_map
 
 FREE = ("lenses", "markers")
 

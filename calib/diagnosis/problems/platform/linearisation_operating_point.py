@@ -23,10 +23,9 @@ from rig.model.places_and_tolerances import FINDER, SEAT, Place
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Recording, Sensors
 from vision.corner_observations import Observations
-from vision.predict import Sightings, State, predict_sightings
+from vision.predict import MarkerMap, Sightings, State, marker_map, predict_sightings
 from vision.recording_adjustment import Measurement, has_hand_cameras
 from vision.recording_measurement import measure_recording
-from vision.targets import MarkerMap, marker_map
 
 KINDS = ("hexapod", "planar2", "free")  # of mechanisms
 FEWEST = 12  # frames
