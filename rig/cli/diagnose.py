@@ -105,10 +105,12 @@ def _add_experiment_options(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Diagnose a recording and write what was found."""
-    experiment = _experiment_options(arguments)
+    if arguments.next is None and (arguments.standing or arguments.may):
+        raise RigError("--standing and --may are for --next FILE")
     progress = Progress()
     progress("reading the recording", 0, 1)
     recordings = read_recordings(arguments)
+    experiment = _experiment_options(arguments)
     from calib.api.diagnose import diagnose
     from rig.recording import frame_selection_and_content_hashes
 
@@ -217,6 +219,4 @@ def _experiment_options(arguments: Namespace) -> ExperimentOptions | None:
 
     may = None if arguments.may is None else tuple(arguments.may)
     found = ExperimentOptions(arguments.minutes, may, arguments.standing, SEED + 1 + len(arguments.further))
-    if arguments.next is None and (arguments.standing or arguments.may):
-        raise RigError("--standing and --may are for --next FILE")
     return None if arguments.next is None else found
