@@ -218,7 +218,7 @@ def whitened_pose_rows(
 
 
 def linearised_hinge_equations(samples: Samples, lengths: Floats, mechanism: Planar2, scatter: Floats) -> Linear:
-    """Linearised equations (least_squares.Linear) of the measured hinge (x, y) at a geometry.
+    """Linearised equations (Linear) of the measured hinge (x, y) at a geometry.
 
     lengths : (n, 2) m, commanded; scatter : (2,) m of each strut beyond the poses' own
     Raises RigError naming the first pose whose circles do not cross, or that does not say where in the plane it is

@@ -144,13 +144,13 @@ class Loops:
         self.R, self.t = np.tile(home[:3, :3], (len(samples), 1, 1)), np.tile(home[:3, 3], (len(samples), 1))
 
     def fit(self, start: Floats, inliers: Booleans, scatter: Floats) -> Fit:
-        """least_squares.Fit from parameters start (p,). inliers : (n,) bool; scatter : (axes,) m"""
+        """Fit from parameters start (p,). inliers : (n,) bool; scatter : (axes,) m"""
         return fit_least_squares(
             lambda p: self.linearise(p, scatter), start, geometric_parameters(self.nominal), self.prior, inliers=inliers
         )
 
     def linearise(self, p: Floats, scatter: Floats) -> Linear:
-        """least_squares.Linear at parameters p (p,). Raises RigError naming the first pose that has no solution
+        """Linear at parameters p (p,). Raises RigError naming the first pose that has no solution
         there.
         """
         common = self.samples.common
